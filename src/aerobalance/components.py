@@ -1,0 +1,31 @@
+"""The six components of a balance: their order, their units and what they measure.
+
+Order is the direct-read order of AIAA R-091. Signs: AF, force and acceleration along the balance axis are
+positive aft; NF is positive up, SF positive to the right, pitch is positive nose up.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+COMPONENTS: Final = ("NF", "PM", "SF", "YM", "RM", "AF")
+"""Normal force, pitching moment, side force, yawing moment, rolling moment, axial force."""
+
+MOMENTS: Final = ("PM", "YM", "RM")
+"""The components that are moments [N*m]; the others are forces [N]."""
+
+STANDARD_GRAVITY: Final = 9.80665
+"""Standard acceleration of gravity [m/s^2] (3rd CGPM, 1901); used where no local value is given."""
+
+
+def si_unit(component: str) -> str:
+    """Return the SI unit of a load component: ``"N"`` for forces, ``"N*m"`` for moments."""
+    return "N*m" if component in MOMENTS else "N"
+
+
+def mass_unit(component: str) -> str:
+    """Return the unit of the moving mass that turns axial ground acceleration into this component.
+
+    For a moment on one axis of motion the mass carries its lever: kg*m.
+    """
+    return "kg*m" if component in MOMENTS else "kg"

@@ -1,0 +1,192 @@
+r"""The balance with its model as a damped spring, and the closed forms that follow from it.
+
+Symbols of [Gorbushin2020]_: M moving mass, k stiffness, b damping, w0 = sqrt(k/M), f0 = w0 / 2 pi, AF the elastic
+load, F the applied force, x1 the ground end. Time dependence is exp(+i w t).
+
+References
+----------
+.. [Gorbushin2020] A. R. Gorbushin, A. A. Bolshakova, "Unsteady axial force measurement by the strain gauge balance",
+   Measurement 152 (2020) 107381. https://doi.org/10.1016/j.measurement.2019.107381
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aerobalance.components import COMPONENTS
+from aerobalance.recording import Array
+
+PARAMETERS: Final = ("mass", "stiffness", "damping", "delay")
+"""Order of the rows and columns of `Dynamics.covariance`."""
+
+
+def _no_covariance() -> Array:
+    return np.zeros((len(PARAMETERS), len(PARAMETERS)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dynamics:
+    """Moving mass, stiffness and damping of one component.
+
+    Attributes
+    ----------
+    component
+        Which component this is, from `aerobalance.components.COMPONENTS`.
+    mass
+        Moving mass M: live end of the balance and model [kg; kg*m for a moment on one axis of motion].
+    stiffness
+        Stiffness k of the sensing element along the component [N/m].
+    damping
+        Damping coefficient b, force per velocity of the extension [N*s/m].
+    delay
+        Time by which the load readings lag the ground acceleration [s]; may have either sign.
+    covariance
+        Covariance of `PARAMETERS`, shape (4, 4), in the units above.
+    """
+
+    component: str
+    mass: float
+    stiffness: float
+    damping: float
+    delay: float = 0.0
+    covariance: Array = field(default_factory=_no_covariance)
+
+    def __post_init__(self) -> None:
+        if self.component not in COMPONENTS:
+            raise ValueError(f"component must be one of {', '.join(COMPONENTS)}, not {self.component!r}")
+        for name in ("mass", "stiffness"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be positive and finite, not {getattr(self, name)}")
+        if not 0 <= self.damping < np.inf:
+            raise ValueError(f"damping must be zero or more and finite, not {self.damping}")
+        if not np.isfinite(self.delay):
+            raise ValueError(f"delay must be finite, not {self.delay}")
+        if self.covariance.shape != (len(PARAMETERS), len(PARAMETERS)):
+            raise ValueError(f"covariance must have shape (4, 4), not {self.covariance.shape}")
+        if not np.isfinite(self.covariance).all() or (np.diag(self.covariance) < 0).any():
+            raise ValueError("covariance must be finite, with variances of zero or more")
+
+    @property
+    def angular_frequency(self) -> float:
+        """Undamped natural angular frequency w0 = sqrt(k / M), Eq. (8) of [Gorbushin2020]_ [rad/s]."""
+        return float(np.sqrt(self.stiffness / self.mass))
+
+    @property
+    def natural_frequency(self) -> float:
+        """Undamped natural frequency f0 = w0 / 2 pi [Hz]."""
+        return self.angular_frequency / (2 * np.pi)
+
+    @property
+    def damping_ratio(self) -> float:
+        """Damping over critical damping, b / (2 sqrt(k M)) [1]."""
+        return float(self.damping / (2 * np.sqrt(self.stiffness * self.mass)))
+
+    @property
+    def decay_rate(self) -> float:
+        """Decay rate of a free oscillation, b / 2M [1/s]."""
+        return self.damping / (2 * self.mass)
+
+    @property
+    def damped_angular_frequency(self) -> float:
+        """Angular frequency of a free oscillation, Eq. (19) of [Gorbushin2020]_ [rad/s].
+
+        Raises
+        ------
+        ValueError
+            The balance is damped critically or more and does not oscillate.
+        """
+        square = self.angular_frequency**2 - self.decay_rate**2
+        if square <= 0:
+            raise ValueError(f"damping ratio {self.damping_ratio:.3g}: no free oscillation at or above 1")
+        return float(np.sqrt(square))
+
+    @property
+    def damped_frequency(self) -> float:
+        """Frequency of a free oscillation [Hz]."""
+        return self.damped_angular_frequency / (2 * np.pi)
+
+    def uncertainty(self, parameter: str) -> float:
+        """Standard uncertainty of one of `PARAMETERS`, or of natural_frequency [Hz] or damping_ratio [1]."""
+        gradient = self.gradient(parameter)
+        return float(np.sqrt(max(float(gradient @ self.covariance @ gradient), 0.0)))
+
+    def gradient(self, parameter: str) -> Array:
+        """Derivative of a parameter or derived quantity with respect to `PARAMETERS`, shape (4,)."""
+        if parameter in PARAMETERS:
+            gradient: Array = np.eye(len(PARAMETERS))[PARAMETERS.index(parameter)]
+            return gradient
+        if parameter == "natural_frequency":
+            f0 = self.natural_frequency
+            return np.array([-f0 / (2 * self.mass), f0 / (2 * self.stiffness), 0.0, 0.0])
+        if parameter == "damping_ratio":
+            half = -self.damping_ratio / 2
+            slope = 1 / (2 * np.sqrt(self.stiffness * self.mass))
+            return np.array([half / self.mass, half / self.stiffness, slope, 0.0])
+        raise ValueError(f"parameter must be one of {', '.join(PARAMETERS)}, natural_frequency, damping_ratio")
+
+    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Load felt over force applied, AF/F, at frequencies [Hz]; the transform of Eq. (8) with x1 at rest.
+
+        The delay is not included.
+        """
+        ratio = np.asarray(frequency) / self.natural_frequency
+        return np.asarray(1 / (1 - ratio**2 + 2j * self.damping_ratio * ratio), dtype=np.complex128)
+
+    def base_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Load felt over ground acceleration, AF/x1'' [kg], at frequencies [Hz], for F = 0.
+
+        Its modulus is Eq. (12) of [Gorbushin2020]_ and the lag of AF behind x1 is Eq. (11), both in `extension_lag`
+        and `amplitude`; the delay of the load channel is included.
+        """
+        lag = np.exp(-2j * np.pi * np.asarray(frequency) * self.delay)
+        return np.asarray(-self.mass * self.response(frequency) * lag, dtype=np.complex128)
+
+    def amplitude(self, frequency: ArrayLike, acceleration: ArrayLike) -> Array:
+        """Amplitude of the load felt on a shaken base, Eq. (12) of [Gorbushin2020]_ [N].
+
+        Parameters
+        ----------
+        frequency
+            Frequency of the ground motion [Hz].
+        acceleration
+            Amplitude A1 of the ground acceleration [m/s^2].
+        """
+        return np.asarray(self.mass * np.abs(self.response(frequency)) * np.asarray(acceleration))
+
+    def extension_lag(self, frequency: ArrayLike) -> Array:
+        """Phase by which the extension lags the ground displacement x1, Eq. (11) of [Gorbushin2020]_ [rad]."""
+        return np.asarray(-np.angle(self.response(frequency)))
+
+    def free_decay(self, time: ArrayLike) -> Array:
+        """Release from rest at time 0, over the load held before, Eq. (6) of [Gorbushin2020]_ [1].
+
+        The sine term that (6) leaves out makes the velocity at release zero; with it the extrema of (7) are exact.
+        It is 1 before the release.
+        """
+        t = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
+        a, wd = self.decay_rate, self.damped_angular_frequency
+        return np.asarray(np.exp(-a * t) * (np.cos(wd * t) + a / wd * np.sin(wd * t)))
+
+
+def extremum_ratio(damping: float, mass: float, period: float, half_periods: ArrayLike) -> Array:
+    """Extrema of a free decay over the first one, Eq. (7) of [Gorbushin2020]_ [1].
+
+    Parameters
+    ----------
+    damping, mass
+        b [N*s/m] and M [kg].
+    period
+        Period of the free oscillation [s].
+    half_periods
+        Number n of half periods since the first extremum.
+    """
+    return np.asarray(np.exp(-damping * period * np.asarray(half_periods) / (4 * mass)))
+
+
+def stiffness_from_damped_frequency(frequency: float, mass: float, damping: float) -> float:
+    """Stiffness k = 4 pi^2 f^2 M + b^2 / 4M from the damped frequency f [Hz], Eq. (20) of [Gorbushin2020]_ [N/m]."""
+    return 4 * np.pi**2 * frequency**2 * mass + damping**2 / (4 * mass)
