@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.signal import lfilter
 
 from aerobalance.components import COMPONENTS
 from aerobalance.recording import Array
@@ -161,6 +162,13 @@ class Dynamics:
         """Phase by which the extension lags the ground displacement x1, Eq. (11) of [Gorbushin2020]_ [rad]."""
         return np.asarray(-np.angle(self.response(frequency)))
 
+    @property
+    def poles(self) -> tuple[complex, complex]:
+        """The two poles of Eq. (8) of [Gorbushin2020]_ [rad/s]; real when the damping ratio is above 1."""
+        split = np.sqrt(complex(self.decay_rate**2 - self.angular_frequency**2))
+        split = split or 1e-6 * self.angular_frequency  # critical damping: a double pole has no partial fractions
+        return -self.decay_rate + split, -self.decay_rate - split
+
     def free_decay(self, time: ArrayLike) -> Array:
         """Release from rest at time 0, over the load held before, Eq. (6) of [Gorbushin2020]_ [1].
 
@@ -168,8 +176,52 @@ class Dynamics:
         It is 1 before the release.
         """
         t = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
-        a, wd = self.decay_rate, self.damped_angular_frequency
-        return np.asarray(np.exp(-a * t) * (np.cos(wd * t) + a / wd * np.sin(wd * t)))
+        p, q = self.poles
+        return np.asarray(np.real((p * np.exp(q * t) - q * np.exp(p * t)) / (p - q)))
+
+    def step_response(self, time: ArrayLike, *, duration: float = 0.0) -> Array:
+        """Load felt after a force of 1 N is applied at time 0, at once or linearly over a duration.
+
+        Parameters
+        ----------
+        time
+            Time since the force began to change [s]; the response is 0 before.
+        duration
+            Time over which the force rises from 0 to 1 N [s].
+        """
+        t = np.asarray(time, dtype=np.float64)
+        if duration <= 0:
+            return 1 - self.free_decay(t)
+        return (self._integrated_step(t) - self._integrated_step(t - duration)) / duration
+
+    def _integrated_step(self, time: Array) -> Array:
+        """Integral of the step response from 0 to time [s]."""
+        t = np.maximum(time, 0.0)
+        p, q = self.poles
+        swing = q / p * np.expm1(p * t) - p / q * np.expm1(q * t)
+        return np.asarray(t + np.real(swing / (p - q)))
+
+    def load_felt(self, net: Array, *, interval: float) -> Array:
+        """Load felt under a net force that is linear between samples: Eq. (8) integrated exactly.
+
+        Parameters
+        ----------
+        net
+            Net force on the moving mass, F + M g sin(theta) - M x1'', shape (n,) [N]; before its first sample it is
+            held at that value and the balance is at rest.
+        interval
+            Time between samples [s].
+        """
+        load = np.zeros(net.shape, dtype=np.complex128)
+        change = net - net[0]
+        before = np.concatenate(([0.0], change[:-1]))
+        p, q = self.poles
+        for pole, sign in ((p, 1.0), (q, -1.0)):
+            growth = np.exp(pole * interval)
+            late = (np.expm1(pole * interval) - pole * interval) / (pole**2 * interval)
+            early = np.expm1(pole * interval) / pole - late
+            load += sign * lfilter([1.0], [1.0, -growth], early * before + late * change)
+        return np.asarray(net[0] + np.real(load * self.angular_frequency**2 / (p - q)))
 
 
 def extremum_ratio(damping: float, mass: float, period: float, half_periods: ArrayLike) -> Array:

@@ -1,0 +1,218 @@
+"""Compiled loops of the Kalman filter and smoother: SI numbers and arrays, nothing checked.
+
+One observation a sample, y = h x + noise, of a time-invariant state x[k+1] = A x[k] + process noise. The gain does not
+depend on the readings, so it is computed once and frozen where it has converged; missing samples thaw it.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+@numba.njit(cache=True)
+def gains(
+    present: Flags, A: Floats, Q: Floats, h: Floats, R: float, P0: Floats, tolerance: float
+) -> tuple[Integers, Floats, Floats, Floats]:
+    """Covariances and gains of the filter.
+
+    Parameters
+    ----------
+    present : bool (n,)
+        False where the reading is missing.
+    A, Q : (d, d)
+        State transition and process noise covariance over one sample.
+    h : (d,)
+        Observation row.
+    R : float
+        Variance of a reading.
+    P0 : (d, d)
+        Covariance of the first state before its reading.
+    tolerance : float
+        Relative change of the covariance at which the gain is frozen.
+
+    Returns
+    -------
+    which : int (n,)
+        Row of the tables below that each sample uses.
+    P : (m, d, d)
+        Covariances before the reading.
+    K : (m, d)
+        Gains; zero where the reading is missing.
+    S : (m,)
+        Variances of the innovation.
+    """
+    n, d = present.size, h.size
+    which = np.empty(n, np.int64)
+    room = 64
+    table_P = np.empty((room, d, d))
+    table_K = np.empty((room, d))
+    table_S = np.empty(room)
+    P = P0.copy()
+    used = 0
+    frozen = False
+    for k in range(n):
+        if frozen and present[k]:
+            which[k] = used - 1
+            continue
+        if frozen:
+            frozen = False
+        if used == room:
+            room *= 2
+            bigger_P = np.empty((room, d, d))
+            bigger_K = np.empty((room, d))
+            bigger_S = np.empty(room)
+            bigger_P[:used] = table_P[:used]
+            bigger_K[:used] = table_K[:used]
+            bigger_S[:used] = table_S[:used]
+            table_P, table_K, table_S = bigger_P, bigger_K, bigger_S
+        table_P[used] = P
+        Ph = P @ h
+        S = h @ Ph + R
+        table_S[used] = S
+        if present[k]:
+            K = Ph / S
+            # Joseph form: the variance stays positive however small the noise of the reading is
+            J = np.eye(d) - np.outer(K, h)
+            updated = J @ P @ J.T + R * np.outer(K, K)
+        else:
+            K = np.zeros(d)
+            updated = P
+        table_K[used] = K
+        following = A @ updated @ A.T + Q
+        following = 0.5 * (following + following.T)
+        if present[k]:
+            change = 0.0
+            for i in range(d):
+                for j in range(d):
+                    scale = np.sqrt(following[i, i] * following[j, j]) + 1e-300
+                    change = max(change, abs(following[i, j] - P[i, j]) / scale)
+            frozen = change < tolerance
+        which[k] = used
+        used += 1
+        P = following
+    return which, table_P[:used].copy(), table_K[:used].copy(), table_S[:used].copy()
+
+
+@numba.njit(cache=True)
+def whiten(y: Floats, present: Flags, A: Floats, h: Floats, which: Integers, K: Floats, S: Floats) -> Floats:
+    """Innovations over their standard deviation of several series (n, c) at once, shape (n, c); 0 where missing."""
+    n, c = y.shape
+    d = h.size
+    columns = A.T.copy()
+    white = np.zeros((n, c))
+    x = np.zeros((c, d))
+    updated = np.empty(d)
+    for k in range(n):
+        w = which[k]
+        deviation = np.sqrt(S[w])
+        for series in range(c):
+            updated[:] = x[series]
+            if present[k]:
+                v = y[k, series]
+                for i in range(d):
+                    v -= h[i] * updated[i]
+                white[k, series] = v / deviation
+                for i in range(d):
+                    updated[i] += K[w, i] * v
+            x[series] = 0.0
+            for j in range(d):  # column by column, so that the inner loop is one vector operation
+                for i in range(d):
+                    x[series, i] += columns[j, i] * updated[j]
+    return white
+
+
+@numba.njit(cache=True)
+def innovations(y: Floats, present: Flags, A: Floats, h: Floats, which: Integers, K: Floats) -> tuple[Floats, Floats]:
+    """Run the filter: predicted states (n, d) and innovations (n,); an innovation is 0 where a reading is missing."""
+    n, d = y.size, h.size
+    columns = A.T.copy()
+    states = np.empty((n, d))
+    updated = np.empty(d)
+    v = np.zeros(n)
+    x = np.zeros(d)
+    for k in range(n):
+        states[k] = x
+        updated[:] = x
+        if present[k]:
+            v[k] = y[k] - h @ x
+            for i in range(d):
+                updated[i] += K[which[k], i] * v[k]
+        x[:] = 0.0
+        for j in range(d):
+            for i in range(d):
+                x[i] += columns[j, i] * updated[j]
+    return states, v
+
+
+@numba.njit(cache=True)
+def smooth(
+    states: Floats,
+    v: Floats,
+    present: Flags,
+    A: Floats,
+    h: Floats,
+    which: Integers,
+    P: Floats,
+    K: Floats,
+    S: Floats,
+    C: Floats,
+    tolerance: float,
+) -> tuple[Floats, Floats]:
+    """Fixed-interval smoother by the adjoint recursion of Bryson and Frazier; no covariance is inverted.
+
+    Parameters
+    ----------
+    states, v
+        Predicted states and innovations of `innovations`.
+    C : (c, d)
+        The combinations of states that are wanted.
+
+    Returns
+    -------
+    smoothed : (n, d)
+        States given all readings.
+    variance : (n, c)
+        Variances of the combinations.
+    """
+    n, d = states.shape
+    c = C.shape[0]
+    smoothed = np.empty((n, d))
+    variance = np.empty((n, c))
+    r = np.zeros(d)
+    N = np.zeros((d, d))
+    last = -1
+    frozen = False
+    for k in range(n - 1, -1, -1):
+        w = which[k]
+        same = w == last
+        if present[k]:
+            L = A - np.outer(A @ K[w], h)
+            r = h * (v[k] / S[w]) + L.T @ r
+        else:
+            L = A
+            r = A.T @ r
+        smoothed[k] = states[k] + P[w] @ r
+        if not (frozen and same):
+            following = L.T @ N @ L
+            if present[k]:
+                following += np.outer(h, h) / S[w]
+            change = 0.0
+            for i in range(d):
+                for j in range(d):
+                    scale = np.sqrt(following[i, i] * following[j, j]) + 1e-300
+                    change = max(change, abs(following[i, j] - N[i, j]) / scale)
+            frozen = same and change < tolerance
+            N = 0.5 * (following + following.T)
+            for i in range(c):
+                row = P[w] @ C[i]
+                variance[k, i] = max(C[i] @ row - row @ (N @ row), 0.0)
+        else:
+            variance[k] = variance[k + 1]
+        last = w
+    return smoothed, variance

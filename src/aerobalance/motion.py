@@ -1,0 +1,151 @@
+"""What the ground end does: the load that its acceleration and the pull of gravity put on the moving mass."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import resample_poly
+
+from aerobalance.components import STANDARD_GRAVITY
+from aerobalance.dynamics import Dynamics
+from aerobalance.noise import channel_noise
+from aerobalance.problems import DoubtWarning
+from aerobalance.recording import Array, Channel, Recording
+
+FINE: Final = 8
+"""Steps into which a sampling interval is divided where a known motion drives the balance between samples."""
+
+AXES: Final = {"NF": "_z", "SF": "_y"}
+"""Ending of the acceleration channel that drives a component; the others are driven along the balance axis."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundMotion:
+    """Specific force of the ground end along a component, x1'' less gravity, on the recording's clock.
+
+    Attributes
+    ----------
+    specific_force
+        x1'' - g sin(theta) for the axial force, shape (n,) [m/s^2].
+    noise
+        Standard uncertainty of one of its samples, white [m/s^2].
+    acceleration
+        The part that is measured acceleration, shape (n,) [m/s^2]; its gain may be wrong.
+    relative_uncertainty
+        Standard uncertainty of that gain, relative [1].
+    delay
+        Time by which its channel lags the clock [s].
+    assumptions
+        What had to be taken as zero because the recording does not have it.
+    """
+
+    specific_force: Array
+    noise: float
+    acceleration: Array
+    relative_uncertainty: float
+    delay: float
+    assumptions: tuple[str, ...]
+
+    @classmethod
+    def of(cls, recording: Recording, component: str, *, gravity: float = STANDARD_GRAVITY) -> GroundMotion:
+        """Take the ground's motion from a recording's acceleration, pitch and roll channels."""
+        name = f"ground_acceleration{AXES.get(component, '')}"
+        if name not in recording and "ground_acceleration" in recording:
+            name = "ground_acceleration"
+        acceleration = np.zeros(recording.samples)
+        noise = relative = delay = 0.0
+        coupling = "kinematic"
+        assumptions = []
+        if name in recording:
+            channel = recording.channel(name)
+            acceleration = _bridged(recording, channel)
+            noise, relative, delay = channel_noise(channel), channel.relative_uncertainty, channel.delay
+            coupling = channel.coupling
+            if coupling == "ac":
+                warnings.warn(
+                    f"{name} is ac-coupled: ground motion below its corner of {channel.corner:g} Hz is not in the "
+                    "channel and stays in the force",
+                    DoubtWarning,
+                    stacklevel=2,
+                )
+        else:
+            assumptions.append(f"{name} is not recorded and taken as zero")
+        weight, weight_noise = np.zeros(recording.samples), 0.0
+        if coupling != "dc":
+            weight, weight_noise = _gravity(recording, component, gravity, assumptions)
+        return cls(
+            specific_force=acceleration - weight,
+            noise=float(np.hypot(noise, weight_noise)),
+            acceleration=acceleration,
+            relative_uncertainty=relative,
+            delay=delay,
+            assumptions=tuple(assumptions),
+        )
+
+    def force(self, mass: float) -> Array:
+        """Force on the moving mass in the frame of the ground end, M g sin(theta) - M x1'', shape (n,) [N]."""
+        return np.asarray(-mass * self.specific_force)
+
+
+def _gravity(recording: Recording, component: str, gravity: float, assumptions: list[str]) -> tuple[Array, float]:
+    """Pull of gravity along a component, per mass, and its white noise [m/s^2]."""
+    if "pitch" not in recording:
+        assumptions.append("pitch is not recorded and taken as zero")
+        return np.zeros(recording.samples), 0.0
+    channel = recording.channel("pitch")
+    pitch = _bridged(recording, channel)
+    noise = gravity * channel_noise(channel)
+    if component not in AXES:
+        return gravity * np.sin(pitch), noise * float(np.mean(np.abs(np.cos(pitch))))
+    roll = _bridged(recording, recording.channel("roll")) if "roll" in recording else np.zeros(recording.samples)
+    if component == "SF":
+        return gravity * np.cos(pitch) * np.sin(roll), noise
+    return -gravity * np.cos(pitch) * np.cos(roll), noise * float(np.mean(np.abs(np.sin(pitch))))
+
+
+def _bridged(recording: Recording, channel: Channel) -> Array:
+    """The channel with missing samples filled linearly, and said so."""
+    missing = channel.missing
+    if not missing.any():
+        return channel.values
+    warnings.warn(
+        f"{channel.name}: {int(missing.sum())} missing sample(s) are filled by straight lines; the ground motion "
+        "within them stays in the force",
+        DoubtWarning,
+        stacklevel=3,
+    )
+    index = np.arange(recording.samples)
+    return np.interp(index, index[~missing], channel.values[~missing])
+
+
+def load_from_ground(motion: GroundMotion, dynamics: Dynamics, *, rate: float, load_delay: float = 0.0) -> Array:
+    """Load that the ground's motion alone makes the balance feel, at the load's sampling instants, shape (n,) [N].
+
+    The motion is interpolated band-limited to a clock `FINE` times as fast, so that its path between samples is right
+    and the delay between the channels need not be whole samples.
+
+    Parameters
+    ----------
+    motion
+        What the ground end does.
+    dynamics
+        The balance; its delay is the lag of the load behind the acceleration.
+    rate
+        Sampling rate [Hz].
+    load_delay
+        Time by which the load channel lags the clock [s].
+    """
+    net = motion.force(dynamics.mass)
+    if not net.any():
+        return np.zeros_like(net)
+    lag = dynamics.delay + load_delay - motion.delay
+    fine = net[0] + resample_poly(net - net[0], FINE, 1, window=("kaiser", 8.0), padtype="line")
+    if lag:
+        clock = np.arange(fine.size) / (FINE * rate)
+        inside = np.clip(clock - lag, clock[0], clock[-1])
+        fine = CubicSpline(clock, fine)(inside)
+    return dynamics.load_felt(fine, interval=1 / (FINE * rate))[::FINE]

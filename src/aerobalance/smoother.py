@@ -1,0 +1,240 @@
+r"""The optimal estimator: the applied force as an unknown input of the balance, given all readings.
+
+The balance is Eq. (8) of [Gorbushin2020]_; the force is a stationary process whose spectrum is flat up to a cutoff and
+rolls off as a Butterworth filter's, plus a constant and steps. Everything is discretised exactly, so with noise going
+to zero the estimate goes to Eq. (17).
+
+References
+----------
+.. [deJong1989] P. de Jong, "Smoothing and interpolation with the state-space model", J. Amer. Statist. Assoc. 84
+   (1989) 1085.
+.. [VanLoan1978] C. F. Van Loan, "Computing integrals involving the matrix exponential", IEEE Trans. Automat. Control
+   23 (1978) 395.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm, solve_continuous_lyapunov
+
+from aerobalance import _kernels
+from aerobalance.dynamics import Dynamics
+from aerobalance.recording import Array
+
+GAIN_TOLERANCE: Final = 1e-9
+"""Relative change of a covariance below which the filter's gain is frozen."""
+
+LOAD, LOAD_RATE, FORCE = 0, 1, 2
+"""Places in the state: the load felt AF, its rate AF'/w0, and the last section of the force's prior."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForcePrior:
+    """Spectrum of the force that is expected before looking: flat, then rolling off as a Butterworth filter's.
+
+    Attributes
+    ----------
+    order
+        Order n: 1, or an even number. The larger, the sharper the cutoff; order 1 with a low cutoff is a random walk.
+    cutoff
+        Frequency of half power [Hz].
+    density
+        Two-sided power spectral density at low frequency [N^2/Hz].
+    """
+
+    order: int
+    cutoff: float
+    density: float
+
+    def __post_init__(self) -> None:
+        if self.order != 1 and (self.order < 2 or self.order % 2):
+            raise ValueError(f"order must be 1 or even, not {self.order}")
+        if not (self.cutoff > 0 and self.density >= 0):
+            raise ValueError(f"cutoff must be positive and density not negative: {self.cutoff}, {self.density}")
+
+    def spectrum(self, frequency: Array) -> Array:
+        """Two-sided power spectral density at frequencies [Hz], [N^2/Hz]."""
+        return np.asarray(self.density / (1 + (frequency / self.cutoff) ** (2 * self.order)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StateSpace:
+    """The reading of one component over one sampling interval, as a linear system driven by white noise.
+
+    Attributes
+    ----------
+    transition, process_noise
+        State transition and covariance of the noise that enters over one interval, shape (d, d).
+    initial
+        Covariance of the first state, shape (d, d).
+    noise_variance
+        Variance of a reading [N^2].
+    """
+
+    transition: Array
+    process_noise: Array
+    initial: Array
+    noise_variance: float
+
+    @classmethod
+    def of_balance(
+        cls,
+        dynamics: Dynamics,
+        prior: ForcePrior,
+        *,
+        interval: float,
+        noise: float,
+        input_density: float = 0.0,
+        swing: float = 0.0,
+    ) -> StateSpace:
+        """Join the balance, Eq. (8) of [Gorbushin2020]_, with the prior of the force.
+
+        Parameters
+        ----------
+        dynamics
+            Mass, stiffness and damping.
+        prior
+            Spectrum of the force.
+        interval
+            Time between samples [s].
+        noise
+            Standard uncertainty of a reading [N].
+        input_density
+            Two-sided density of the white noise which enters as a force with known inputs, such as (M u(x1''))^2
+            times the interval [N^2/Hz].
+        swing
+            Size of a free oscillation that may be under way when the record starts [N].
+        """
+        w0, damping_ratio = dynamics.angular_frequency, dynamics.damping_ratio
+        size = 2 + prior.order
+        A = np.zeros((size, size))
+        B = np.zeros((size, 2))
+        A[LOAD, LOAD_RATE] = w0
+        A[LOAD_RATE, [LOAD, LOAD_RATE, FORCE]] = -w0, -2 * damping_ratio * w0, w0
+        B[LOAD_RATE, 0] = w0 * np.sqrt(input_density)
+        wc = 2 * np.pi * prior.cutoff
+        if prior.order == 1:
+            A[FORCE, FORCE] = -wc
+        for section in range(prior.order // 2):  # the last section is driven by the noise, the first is the force
+            here = FORCE + 2 * section
+            width = np.cos(np.pi * (2 * section + 1) / (2 * prior.order))
+            A[here, here + 1] = wc
+            A[here + 1, [here, here + 1]] = -wc, -2 * width * wc
+            if here + 2 < size:
+                A[here + 1, here + 2] = wc
+        B[size - 1, 1] = wc * np.sqrt(prior.density)
+        transition, process_noise = _discretise(A, B @ B.T, interval)
+        initial = solve_continuous_lyapunov(A, -B @ B.T)
+        initial = (initial + initial.T) / 2
+        initial[[LOAD, LOAD_RATE], [LOAD, LOAD_RATE]] += swing**2
+        return cls(transition, process_noise, initial, noise**2)
+
+    @property
+    def observation(self) -> Array:
+        """Row h that turns the state into the reading, shape (d,)."""
+        row = np.zeros(self.transition.shape[0])
+        row[LOAD] = 1.0
+        return row
+
+
+def _discretise(A: Array, intensity: Array, interval: float) -> tuple[Array, Array]:
+    """Transition and noise covariance of x' = A x + white noise over an interval, exactly [VanLoan1978]_."""
+    size = A.shape[0]
+    block = np.zeros((2 * size, 2 * size))
+    block[:size, :size] = -A
+    block[:size, size:] = intensity
+    block[size:, size:] = A.T
+    exponential = expm(block * interval)
+    transition = np.ascontiguousarray(exponential[size:, size:].T)
+    noise = transition @ exponential[:size, size:]
+    return transition, np.ascontiguousarray((noise + noise.T) / 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Filter:
+    """A state space with its gains worked out for the samples that are present.
+
+    Attributes
+    ----------
+    system
+        The state space.
+    present
+        False where a reading is missing, shape (n,).
+    which, covariances, gains, variances
+        For each sample its row in the tables of covariance (m, d, d), gain (m, d) and innovation variance (m,).
+    """
+
+    system: StateSpace
+    present: NDArray[np.bool_]
+    which: NDArray[np.int64]
+    covariances: Array
+    gains: Array
+    variances: Array
+
+    @classmethod
+    def of(cls, system: StateSpace, present: NDArray[np.bool_]) -> Filter:
+        """Work out the gains."""
+        tables = _kernels.gains(
+            present,
+            system.transition,
+            system.process_noise,
+            system.observation,
+            system.noise_variance,
+            system.initial,
+            GAIN_TOLERANCE,
+        )
+        return cls(system, present, *tables)
+
+    def whiten(self, series: Array) -> Array:
+        """Innovations over their standard deviation, of several series at once, shape (n, c).
+
+        Each series starts from a zero state; readings become white with variance 1 if the model is right.
+        """
+        system = self.system
+        return _kernels.whiten(
+            np.ascontiguousarray(series),
+            self.present,
+            system.transition,
+            system.observation,
+            self.which,
+            self.gains,
+            self.variances,
+        )
+
+    @property
+    def settled(self) -> Filter:
+        """The filter as it is long after the start, when it has forgotten the initial state."""
+        last = np.full_like(self.which, self.variances.size - 1)
+        return replace(self, which=last, present=np.ones_like(self.present))
+
+    @property
+    def log_determinant(self) -> float:
+        """Sum over the present samples of the logarithm of the innovation variance."""
+        return float(np.sum(np.log(self.variances[self.which[self.present]])))
+
+    def smooth(self, readings: Array) -> tuple[Array, Array]:
+        """Smoothed states (n, d) and the variance of the force's state (n,), by the recursion of [deJong1989]_."""
+        system = self.system
+        states, innovations = _kernels.innovations(
+            readings, self.present, system.transition, system.observation, self.which, self.gains
+        )
+        wanted = np.zeros((1, system.transition.shape[0]))
+        wanted[0, FORCE] = 1.0
+        smoothed, variance = _kernels.smooth(
+            states,
+            innovations,
+            self.present,
+            system.transition,
+            system.observation,
+            self.which,
+            self.covariances,
+            self.gains,
+            self.variances,
+            wanted,
+            GAIN_TOLERANCE,
+        )
+        return smoothed, variance[:, 0]
