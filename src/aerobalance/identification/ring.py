@@ -1,0 +1,476 @@
+"""The waveform of a ringing load, fitted by separable least squares.
+
+Decay rate, frequency, instant and duration of the release and the frequencies of further lines are searched; offset,
+drift, height and all amplitudes are linear and follow from them (variable projection [Golub1973]_).
+
+References
+----------
+.. [Golub1973] G. H. Golub, V. Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems
+   whose variables separate", SIAM J. Numer. Anal. 10 (1973) 413.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+from scipy.linalg import lstsq
+from scipy.optimize import least_squares
+from scipy.signal import find_peaks
+
+from aerobalance.dynamics import Dynamics
+from aerobalance.problems import FitError
+from aerobalance.recording import Array
+
+Shape = Literal["release", "ramp", "free"]
+
+FALSE_ALARM: Final = 1e-6
+"""Probability that white noise shows a line somewhere in the spectrum of the residuals."""
+
+CANDIDATES: Final = 3
+"""Lines of the spectrum among which the ringing with the sharpest onset is taken."""
+
+SIDELOBES: Final = 0.2
+"""Distance, in the logarithm of frequency, within which a peak is taken for a sidelobe of a stronger one."""
+
+HEAVIEST: Final = 0.3
+"""Damping ratio above which a further line is no mode but the misfit of something else."""
+
+TAPPED: Final = 0.5
+"""Change of level over amplitude of the ringing below which it was set off by a blow and not by a release."""
+
+EVIDENCE: Final = 20.0
+"""Drop in the sum of squares over the noise variance that a richer shape must bring."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A further line in a ringing record: steady (hum, decay 0) or another mode.
+
+    Attributes
+    ----------
+    frequency
+        Frequency [Hz].
+    decay
+        Decay rate [1/s]; 0 for a steady line.
+    """
+
+    frequency: float
+    decay: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Where to start: shape, frequency [Hz], decay rate [1/s], instant of release [s] and sampling rate [Hz]."""
+
+    shape: Shape
+    frequency: float
+    decay: float
+    start: float
+    rate: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ring:
+    """A fitted ringing load.
+
+    Attributes
+    ----------
+    shape
+        ``"release"``: held and let go at once. ``"ramp"``: let go over a duration. ``"free"``: ringing only, with
+        amplitude and phase of its own.
+    frequency, decay
+        Damped frequency [Hz] and decay rate [1/s].
+    start, duration
+        Instant of the release, or of the first sample used for ``"free"`` [s], and its duration [s].
+    lines
+        Further lines.
+    sizes
+        Sizes of the linear columns: offset, drift, height or amplitudes, lines.
+    covariance
+        Of decay rate, damped angular frequency, and instant and duration where fitted.
+    colour
+        Spectrum of the residuals near the ring over that of white noise, 1 where the residuals pass as white.
+    """
+
+    shape: Shape
+    frequency: float
+    decay: float
+    start: float
+    duration: float
+    lines: tuple[Line, ...]
+    sizes: Array
+    covariance: Array
+    colour: float
+    time: Array
+    values: Array
+    residuals: Array
+    rate: float
+    parameters: int
+
+    @property
+    def squares(self) -> float:
+        """Sum of squared residuals [N^2]."""
+        return float(self.residuals @ self.residuals)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Samples less parameters."""
+        return self.time.size - self.parameters
+
+    @property
+    def variance(self) -> float:
+        """Variance of the residuals [N^2]."""
+        return self.squares / max(self.degrees_of_freedom, 1)
+
+    @property
+    def height(self) -> float:
+        """Load before the release less the load after [N]; 0 where the ring is free."""
+        return 0.0 if self.shape == "free" else float(self.sizes[2])
+
+    @property
+    def amplitude(self) -> float:
+        """Amplitude of the ringing at its start [N]."""
+        return abs(self.height) if self.shape != "free" else float(np.hypot(self.sizes[2], self.sizes[3]))
+
+    def line_sizes(self) -> list[float]:
+        """Amplitude of every further line [N]."""
+        found, place = [], 4 if self.shape == "free" else 3
+        for line in self.lines:
+            width = 1 if line.decay > 0 and self.shape != "free" else 2
+            found.append(float(np.linalg.norm(self.sizes[place : place + width])))
+            place += width
+        return found
+
+
+def first_look(values: Array, *, rate: float, name: str) -> Look:
+    """Find the strongest ringing of a record and the instant at which it begins.
+
+    Raises
+    ------
+    FitError
+        Nothing rings: no line stands out of the spectrum.
+    """
+    present = np.isfinite(values)
+    filled = np.interp(np.arange(values.size), np.flatnonzero(present), values[present])
+    candidates = _peaks(filled, rate, name)
+    looks = [_onset(filled, frequency, rate) for frequency in candidates]
+    return max(looks, key=lambda pair: pair[1])[0]
+
+
+def _peaks(values: Array, rate: float, name: str) -> list[float]:
+    """The strongest lines of a record's increments, in which a step is no more than an impulse [Hz]."""
+    change = np.diff(values)
+    change = change - change.mean()
+    spectrum = np.abs(np.fft.rfft(change, 2 * change.size)) ** 2
+    frequency = np.fft.rfftfreq(2 * change.size, 1 / rate)
+    lowest = int(np.searchsorted(frequency, 3 * rate / values.size))
+    spectrum[: max(lowest, 2)] = 0.0
+    # white noise grows with frequency in the increments: weigh it flat before comparing
+    flat = spectrum / np.maximum(np.sin(np.pi * frequency / rate), 1e-6) ** 2
+    flat[: max(lowest, 2)] = 0.0
+    floor = float(np.median(flat[max(lowest, 2) :]))
+    peaks, _ = find_peaks(flat, distance=8)
+    peaks = peaks[flat[peaks] > 30 * max(floor, np.finfo(float).tiny)]
+    if peaks.size == 0:
+        raise FitError(
+            f"{name}: nothing rings: no line of the spectrum stands out of the noise; is the release in the record?"
+        )
+    chosen: list[float] = []
+    for place in peaks[np.argsort(spectrum[peaks])[::-1]]:
+        if all(abs(np.log(frequency[place] / other)) > SIDELOBES for other in chosen):
+            chosen.append(float(frequency[place]))
+        if len(chosen) == CANDIDATES:
+            break
+    return chosen
+
+
+def _onset(values: Array, frequency: float, rate: float) -> tuple[Look, float]:
+    """Where the ringing at a frequency begins, how it decays, and how much its envelope rises there."""
+    width = max(round(2 * rate / frequency), 4)
+    carrier = np.exp(-2j * np.pi * frequency * np.arange(values.size) / rate)
+    centred = values - np.convolve(
+        np.pad(values, width, mode="edge"), np.ones(2 * width + 1) / (2 * width + 1), "valid"
+    )
+    envelope = 2 * np.abs(np.convolve(centred * carrier, np.ones(width) / width, "same"))
+    mean = np.cumsum(np.concatenate(([0.0], envelope)))
+    span = min(3 * width, values.size // 3)
+    places = np.arange(span, values.size - span)
+    rise = (mean[places + span] - 2 * mean[places] + mean[places - span]) / span
+    place = int(places[np.argmax(rise)]) if places.size else 0
+    head = float(envelope[:span].mean())
+    released = bool(rise.size and rise.max() > head)
+    first = place if released else 0
+    tail = envelope[first + width :]
+    floor = float(np.median(envelope[-max(width, envelope.size // 10) :]))
+    above = np.flatnonzero(tail < max(3 * floor, 0.05 * float(np.max(tail[: width + 1], initial=0.0))))
+    count = int(above[0]) if above.size else tail.size
+    if count > 8 and tail.size > 8:
+        slope = np.polyfit(np.arange(count) / rate, np.log(np.maximum(tail[:count], 1e-300)), 1)[0]
+    else:
+        slope = -0.05 * 2 * np.pi * frequency
+    decay = float(np.clip(-slope, 1e-5 * frequency, 4 * frequency))
+    strength = float(rise.max()) if released else head
+    return Look("release" if released else "free", frequency, decay, first / rate, rate), strength
+
+
+def fit_ring(time: Array, values: Array, start: Look | Ring, *, lines: tuple[Line, ...] = ()) -> Ring:
+    """Fit the waveform from a first look, or again from an earlier fit with other lines or another window.
+
+    A release at once is tried first, and one over a duration where that explains the record better.
+    """
+    begun = _approach(time, values, start) if isinstance(start, Look) else start
+    if begun.shape == "free":
+        part = time >= begun.start
+        return _search(time[part], values[part], "free", start=begun, lines=lines)
+    sharp = _search(time, values, "release", start=begun, lines=lines)
+    ramp = _search(time, values, "ramp", start=sharp, lines=lines)
+    return ramp if sharp.squares - ramp.squares > EVIDENCE * ramp.variance else sharp
+
+
+def _approach(time: Array, values: Array, look: Look) -> Ring:
+    """Fit a few periods first, where a poor frequency does no harm, then three times as many, and so on to the end."""
+    begun: Look | Ring = _placed(time, values, look) if look.shape == "release" else look
+    reach = 4 / look.frequency
+    while True:
+        near = (time > begun.start - 3 * reach) & (time < begun.start + reach)
+        if near.sum() > 16:
+            shape: Shape = "release" if look.shape == "release" else "free"
+            begun = _search(time[near], values[near], shape, start=begun, lines=())
+        if begun.start + reach > time[-1]:
+            break
+        reach *= 3
+    ring = begun if isinstance(begun, Ring) else _search(time, values, look.shape, start=begun, lines=())
+    if ring.shape == "free":
+        return ring
+    after = ring.time > look.start + 0.5 / look.frequency
+    if after.sum() < 32:
+        return ring
+    tapped = _search(ring.time[after], ring.values[after], "free", start=ring, lines=())
+    before = time < look.start - 1 / look.frequency
+    height = abs(float(values[before].mean() - tapped.values.mean())) if before.any() else 0.0
+    swing = tapped.amplitude * float(np.exp(tapped.decay * (tapped.start - look.start)))
+    misfit = float(np.mean(ring.residuals[after] ** 2)) > 2 * tapped.variance
+    return tapped if misfit and height < TAPPED * swing else ring
+
+
+def freed(ring: Ring) -> Ring:
+    """The ring itself, or a free one in its place where a release from rest does not explain what follows it."""
+    after = ring.time >= ring.start + ring.duration + 0.5 / ring.frequency
+    if ring.shape == "free" or np.count_nonzero(after) < 8 * (3 + len(ring.lines)):
+        return ring
+    free = _search(ring.time[after], ring.values[after], "free", start=ring, lines=ring.lines)
+    resolution = (1e-9 * ring.amplitude) ** 2 * free.time.size
+    allowed = (EVIDENCE + 3 * np.log(free.time.size)) * free.variance + resolution
+    return ring if float(np.sum(ring.residuals[after] ** 2)) < free.squares + allowed else free
+
+
+def _placed(time: Array, values: Array, look: Look) -> Look:
+    """The first look with its instant moved to where the waveform fits best, within four periods either side."""
+    part = (time > look.start - 10 / look.frequency) & (time < look.start + 20 / look.frequency)
+    best, squares = look, np.inf
+    for shift in np.arange(-4, 4, 1 / 16) / look.frequency:
+        trial = replace(look, start=look.start + shift)
+        left = _project(_columns(time[part], "release", _start_vector(trial, "release", ()), ()), values[part])[1]
+        if left @ left < squares:
+            best, squares = trial, float(left @ left)
+    return best
+
+
+def _start_vector(start: Look | Ring, shape: Shape, lines: tuple[Line, ...]) -> Array:
+    vector = [start.decay, 2 * np.pi * start.frequency]
+    if shape != "free":
+        vector.append(start.start)
+    if shape == "ramp":
+        vector.append(max(start.duration if isinstance(start, Ring) else 0.0, 1.0 / start.rate))
+    for line in lines:
+        vector.append(2 * np.pi * line.frequency)
+        if line.decay > 0:
+            vector.append(line.decay)
+    return np.array(vector)
+
+
+def _columns(time: Array, shape: Shape, vector: Array, lines: tuple[Line, ...], *, begin: float = 0.0) -> Array:
+    """Linear columns of the waveform: offset, drift, ring, lines; shape (n, p)."""
+    decay, w = vector[:2]
+    unit = Dynamics("AF", 1.0, w**2 + decay**2, max(2 * decay, 0.0))
+    span = time[-1] - time[0] or 1.0
+    columns = [np.ones(time.size), (time - time[0]) / span - 0.5]
+    rest = 2
+    instant, duration = begin, 0.0
+    if shape == "free":
+        fall = np.exp(-decay * (time - begin))
+        columns += [fall * np.cos(w * (time - begin)), fall * np.sin(w * (time - begin))]
+    else:
+        instant, rest = vector[2], 3
+        duration = abs(vector[3]) if shape == "ramp" else 0.0
+        rest += shape == "ramp"
+        columns.append(1 - unit.step_response(time - instant, duration=duration))
+    since = np.maximum(time - instant, 0.0)
+    for line in lines:
+        frequency, rest = vector[rest], rest + 1
+        if line.decay == 0:
+            columns += [np.cos(frequency * (time - time[0])), np.sin(frequency * (time - time[0]))]
+            continue
+        fall, rest = abs(vector[rest]), rest + 1
+        if shape == "free":
+            columns += [
+                np.exp(-fall * since) * np.cos(frequency * since),
+                np.exp(-fall * since) * np.sin(frequency * since),
+            ]
+        else:  # a mode of its own, released together with the first
+            mode = Dynamics("AF", 1.0, frequency**2 + fall**2, 2 * fall)
+            columns.append(1 - mode.step_response(time - instant, duration=duration))
+    return np.column_stack(columns)
+
+
+def _project(columns: Array, values: Array) -> tuple[Array, Array]:
+    """Sizes of the columns and residuals."""
+    sizes: Array = lstsq(columns, values, lapack_driver="gelsy", check_finite=False)[0]
+    return sizes, values - columns @ sizes
+
+
+def _search(time: Array, values: Array, shape: Shape, *, start: Look | Ring, lines: tuple[Line, ...]) -> Ring:
+    """Least squares over the nonlinear parameters of one shape."""
+    begin = float(time[0])
+    origin = _start_vector(start, shape, lines)
+    scale = np.full(origin.size, 0.01 * start.decay + 1e-6 * start.frequency)
+    scale[0] = max(0.1 * start.decay, 1e-6 * start.frequency)
+    if shape != "free":
+        scale[2 : 3 + (shape == "ramp")] = 0.1 / start.rate
+
+    def residuals(moved: Array) -> Array:
+        return _project(_columns(time, shape, origin + scale * moved, lines, begin=begin), values)[1]
+
+    found = least_squares(residuals, np.zeros(origin.size), method="lm", xtol=1e-12, ftol=1e-12, max_nfev=150)
+    vector = origin + scale * found.x
+    columns = _columns(time, shape, vector, lines, begin=begin)
+    sizes, left = _project(columns, values)
+    covariance, colour = _covariance(time, shape, vector, lines, begin=begin, scale=scale, sizes=sizes, left=left)
+    place = 2 + (shape != "free") + (shape == "ramp")
+    fitted = []
+    for line in lines:
+        decay = abs(float(vector[place + 1])) if line.decay > 0 else 0.0
+        fitted.append(Line(float(vector[place]) / (2 * np.pi), decay))
+        place += 1 + (line.decay > 0)
+    return Ring(
+        shape=shape,
+        frequency=float(vector[1]) / (2 * np.pi),
+        decay=float(vector[0]),
+        start=begin if shape == "free" else float(vector[2]),
+        duration=abs(float(vector[3])) if shape == "ramp" else 0.0,
+        lines=tuple(fitted),
+        sizes=sizes,
+        covariance=covariance,
+        colour=colour,
+        time=time,
+        values=values,
+        residuals=left,
+        rate=start.rate,
+        parameters=origin.size + sizes.size,
+    )
+
+
+def _covariance(
+    time: Array,
+    shape: Shape,
+    vector: Array,
+    lines: tuple[Line, ...],
+    *,
+    begin: float,
+    scale: Array,
+    sizes: Array,
+    left: Array,
+) -> tuple[Array, float]:
+    """Covariance of the nonlinear parameters with the linear ones free, and the colour of the residuals."""
+    columns = _columns(time, shape, vector, lines, begin=begin)
+    slopes = []
+    for k, step in enumerate(1e-3 * scale):
+        shift = np.zeros(vector.size)
+        shift[k] = step
+        late, early = (_columns(time, shape, vector + sign * shift, lines, begin=begin) for sign in (1, -1))
+        slopes.append(((late - early) @ sizes) / (2 * step))
+    J = np.column_stack(slopes)
+    basis, _ = np.linalg.qr(columns)
+    J = J - basis @ (basis.T @ J)
+    size = np.sqrt(np.sum(J**2, axis=0))
+    size[size == 0] = 1.0
+    inverse = np.linalg.pinv((J / size).T @ (J / size), hermitian=True) / np.outer(size, size)
+    variance = float(left @ left) / max(left.size - vector.size - sizes.size, 1)
+    rounding = variance < (1e-9 * float(np.abs(sizes[2:]).max())) ** 2
+    colour = 1.0 if rounding else _colour(left, vector[1] / (2 * np.pi), time)
+    return inverse * variance * colour, colour
+
+
+def _colour(left: Array, frequency: float, time: Array) -> float:
+    """Residual spectrum around a frequency over that of white noise of the same variance, where significantly more.
+
+    The band holds enough ordinates for the chance excess to be small; a value within it counts as white.
+    """
+    power = np.abs(np.fft.rfft(left - left.mean())) ** 2
+    ordinates = power[1:-1] / max(float(power[1:-1].mean()), 1e-300)
+    place = round(frequency * (time[-1] - time[0]))
+    reach = max(12, place // 8)
+    band = ordinates[max(place - reach, 0) : place + reach + 1]
+    if band.size < 12:
+        return 1.0
+    level = float(band.mean())
+    return level if level > 1 + 4 / np.sqrt(band.size) else 1.0
+
+
+def leftover_line(ring: Ring) -> Line | None:
+    """The strongest line that the residuals still show, steady or decaying from the release; None if all is noise."""
+    if ring.variance < (1e-9 * ring.amplitude) ** 2:
+        return None
+    centre = _strongest_line(ring)
+    if centre is None:
+        return None
+    left, since = ring.residuals, np.maximum(ring.time - ring.start, 0.0)
+    begun = ring.time >= ring.start
+    best: tuple[float, Line] | None = None
+    for decay in (0.0, *(2 * np.pi * centre * np.geomspace(0.002, 0.1, 8))):
+        for shift in np.linspace(-1, 1, 9) * max(1 / (ring.time[-1] - ring.time[0]), 0.2 * decay):
+            w = 2 * np.pi * (centre + shift)
+            fall = np.exp(-decay * since) * (begun if decay > 0 else 1.0)
+            phase = w * (since if decay > 0 else ring.time - ring.time[0])
+            remaining = _project(np.column_stack([fall * np.cos(phase), fall * np.sin(phase)]), left)[1]
+            squares = float(remaining @ remaining)
+            if best is None or squares < best[0]:
+                best = squares, Line(centre + shift, decay)
+    return best[1] if best else None
+
+
+def _strongest_line(ring: Ring) -> float | None:
+    """Frequency of the most significant peak of the residual spectrum [Hz], over the record and shortly after release.
+
+    A mode that dies quickly stands out only of a short stretch, hum only of a long one.
+    """
+    first = int(np.searchsorted(ring.time, ring.start))
+    after = ring.time.size - first
+    stretches = [slice(0, ring.time.size), *(slice(first, first + after // part) for part in (4, 16))]
+    best: tuple[float, float] | None = None
+    for stretch in stretches:
+        left = ring.residuals[stretch]
+        if left.size < 64:
+            continue
+        duration = left.size / ring.rate
+        power = np.abs(np.fft.rfft(left - left.mean(), 2 * left.size)) ** 2
+        frequency = np.fft.rfftfreq(2 * left.size, 1 / ring.rate)
+        power[: int(np.searchsorted(frequency, 4 / duration))] = 0.0
+        width = max(5 * ring.decay / (2 * np.pi), 4 / duration)
+        power[np.abs(frequency - ring.frequency) < width] = 0.0  # what is left there is the first mode's own misfit
+        place = int(np.argmax(power))
+        significance = power[place] / (left.size * ring.variance) + np.log(FALSE_ALARM / left.size)
+        if significance > 0 and (best is None or significance > best[0]):
+            best = float(significance), float(frequency[place])
+    return best[1] if best else None
+
+
+def ring_up_to(ring: Ring) -> float:
+    """Time for which the ringing stands above the noise of its samples, within the window [s]."""
+    noise = float(np.sqrt(ring.variance))
+    length = float(ring.time[-1]) - ring.start
+    if ring.decay <= 0 or ring.amplitude <= noise:
+        return length if ring.amplitude > noise else 0.0
+    return min(float(np.log(ring.amplitude / noise)) / ring.decay, length)
