@@ -50,6 +50,8 @@ class Channel:
         (x'' - g sin(pitch)), ``"ac"`` the acceleration above a high-pass corner.
     corner
         High-pass corner of an ac-coupled sensor [Hz]; 0 for the others.
+    file_unit
+        Unit in the channel's file, in which results are written again; an empty string where there is no file.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Channel:
     delay: float = 0.0
     coupling: Coupling = "kinematic"
     corner: float = 0.0
+    file_unit: str = ""
 
     def __post_init__(self) -> None:
         expected = QUANTITIES.get(self.name)
@@ -69,7 +72,9 @@ class Channel:
             raise ValueError(f"channel {self.name} must have shape (n,), not {self.values.shape}")
         if self.noise is not None and not self.noise >= 0:
             raise ValueError(f"channel {self.name}: noise must be zero or more, not {self.noise}")
-        self.values.setflags(write=False)
+        fixed = self.values.view()
+        fixed.setflags(write=False)  # on a view, so that the caller's own array stays as it was
+        object.__setattr__(self, "values", fixed)
 
     @property
     def missing(self) -> NDArray[np.bool_]:
@@ -80,27 +85,37 @@ class Channel:
     def saturated(self) -> NDArray[np.bool_]:
         """True where the reading rests on a limit that it met more than once at speed, shape (n,).
 
-        A plateau is no saturation: a run counts where the neighbours show that the signal was still moving
-        when it met the limit, and the limit has to be met in at least two such runs.
+        A plateau is no saturation: a run of equal readings at the highest or lowest value counts where the
+        readings on both sides of it, continued, would have gone well past the limit, and where that happens at
+        least twice. A single clipped peak cannot be told from a plateau and is not found.
         """
         return _clipped(self.values, 1.0) | _clipped(self.values, -1.0)
 
 
 def _clipped(values: Array, sign: float) -> NDArray[np.bool_]:
-    """Find the runs of equal readings at the highest (sign 1) or lowest (sign -1) value."""
+    """Find the runs of three or more equal readings at the highest (sign 1) or lowest (sign -1) value."""
     flags = np.zeros(values.shape, dtype=bool)
-    if not np.isfinite(values).any():
+    finite = np.isfinite(values)
+    if not finite.any():
         return flags
-    limit = np.nanmax(sign * values)
-    edges = np.diff(np.concatenate(([0], (sign * values == limit).astype(np.int8), [0])))
+    signal = np.where(finite, sign * values, np.nan)
+    limit = np.max(signal[finite])
+    spread = limit - np.min(signal[finite])
+    edges = np.diff(np.concatenate(([0], (signal == limit).astype(np.int8), [0])))
     first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
-    long = (last - first >= 2) & (first > 0) & (last < values.size - 1)
-    first, last = first[long], last[long]
-    if first.size < 2:
+    inside = (last - first >= 2) & (first > 1) & (last < values.size - 2)
+    first, last = first[inside], last[inside]
+    levels = np.unique(values[finite]) if first.size >= 2 else values[:1]
+    if levels.size < 2:
         return flags
-    levels = np.unique(values[np.isfinite(values)])
-    resolution = np.min(np.diff(levels)) if levels.size > 1 else 0.0
-    moving = (limit - sign * values[first - 1] > 3 * resolution) | (limit - sign * values[last + 1] > 3 * resolution)
+    resolution = float(np.min(np.diff(levels)))
+    inner = (signal[first - 1] + signal[last + 1]) / 2
+    outer = (signal[first - 2] + signal[last + 2]) / 2
+    half = (last - first + 2) / 2
+    # A parabola through the two readings on either side, at the middle of the run.
+    overshoot = inner + (inner - outer) * half**2 / (2 * half + 1) - limit
+    # A quantised peak rests on its top level by itself; a ramp to a long plateau would have overshot the whole range.
+    moving = (overshoot > (2 + half) * resolution) & (overshoot > 1e-3 * spread) & (overshoot < spread)
     if np.count_nonzero(moving) < 2:
         return flags
     for start, stop in zip(first, last, strict=True):
@@ -127,6 +142,8 @@ class Recording:
         Sampling rate [Hz].
     channels
         The channels by name, each of n samples.
+    time_unit
+        Unit that the time column had in its file, in which it is written again.
     """
 
     name: str
@@ -135,9 +152,17 @@ class Recording:
     start: float
     rate: float
     channels: Mapping[str, Channel]
+    time_unit: str = "s"
 
     @classmethod
-    def from_columns(cls, stamps: Array, channels: Mapping[str, Channel], *, name: str = "recording") -> Recording:
+    def from_columns(
+        cls,
+        stamps: Array,
+        channels: Mapping[str, Channel],
+        *,
+        name: str = "recording",
+        time_unit: str = "s",
+    ) -> Recording:
         """Put columns of samples on a steady clock, with missing rows marked as such.
 
         Parameters
@@ -148,13 +173,21 @@ class Recording:
             Channels of m readings each.
         name
             What to call the recording in messages.
+        time_unit
+            Unit that the time column had in its file.
 
         Raises
         ------
         FitError
             The time column does not increase, or no steady clock fits it.
+        ValueError
+            A channel has not one reading per row.
         """
-        rows, start, rate = _steady_clock(np.asarray(stamps, dtype=np.float64), name)
+        stamps = np.array(stamps, dtype=np.float64)
+        for key, channel in channels.items():
+            if channel.values.shape != stamps.shape:
+                raise ValueError(f"channel {key} has {channel.values.size} readings for {stamps.size} time stamps")
+        rows, start, rate = _steady_clock(stamps, name)
         samples = int(rows[-1]) + 1
         placed = {}
         for key, channel in channels.items():
@@ -164,7 +197,7 @@ class Recording:
                 **{slot: getattr(channel, slot) for slot in Channel.__slots__ if slot != "values"},
                 values=values,
             )
-        return cls(name=name, stamps=stamps, rows=rows, start=start, rate=rate, channels=placed)
+        return cls(name=name, stamps=stamps, rows=rows, start=start, rate=rate, channels=placed, time_unit=time_unit)
 
     @property
     def samples(self) -> int:
@@ -209,63 +242,111 @@ class Recording:
 
 def _steady_clock(stamps: Array, name: str) -> tuple[NDArray[np.intp], float, float]:
     """Find the steady clock behind a time column: sample index of every row, start [s], rate [Hz]."""
+    steps = _checked_steps(stamps, name)
+    order = np.arange(stamps.size, dtype=np.intp)
+    interval, start, departure = _fitted(order, stamps)
+    if departure > GAP_SUSPECTED:
+        found = _rows_with_gaps(stamps, steps, name)
+        if found is not None:
+            order = found
+            interval, start, departure = _fitted(order, stamps)
+    repeated = int(np.count_nonzero(steps == 0))
+    resolution = float(np.min(steps[steps > 0]))
+    rounded = repeated > 0 and departure * interval <= resolution
+    if departure > 1.0 and not rounded:
+        raise FitError(
+            f"{name}: the time column fits no steady clock (rows depart from {1 / interval:.6g} Hz by up to "
+            f"{departure:.3g} sampling intervals); resample it, or give the rate in a channel map"
+        )
+    doubts = []
+    if departure > 1.0:
+        doubts.append(
+            f"the time column is rounded to {resolution:.3g} s, more than a sampling interval; the samples are taken "
+            f"as evenly spaced at {1 / interval:.6g} Hz, and a gap in them would not be seen"
+        )
+    elif departure > JITTER_ALLOWED:
+        equal = f"{repeated} time stamp(s) repeat the one before, and " if repeated else ""
+        doubts.append(
+            f"{equal}time stamps depart from a steady {1 / interval:.6g} Hz clock by up to {departure:.2f} sampling "
+            "intervals; the samples are taken as evenly spaced, which is right if only the stamps jitter"
+        )
+    missing = int(order[-1]) + 1 - order.size
+    if missing:
+        doubts.append(
+            f"{missing} sample(s) are missing from the time column in {int(np.count_nonzero(np.diff(order) > 1))} "
+            "gap(s); the model bridges them, with a larger uncertainty"
+        )
+    for doubt in doubts:
+        warnings.warn(f"{name}: {doubt}", DoubtWarning, stacklevel=3)
+    return order, start, 1 / interval
+
+
+def _checked_steps(stamps: Array, name: str) -> Array:
+    """Return the steps of a time column, which must be finite and not go back."""
     if stamps.size < 2:
         raise FitError(f"{name}: {stamps.size} row(s) of samples; a recording needs at least two")
     if not np.isfinite(stamps).all():
         row = int(np.flatnonzero(~np.isfinite(stamps))[0]) + 1
         raise FitError(f"{name}: the time of sample {row} is not a number")
-    steps = np.diff(stamps)
-    if (steps < 0).any() or not (steps > 0).any():
-        row = int(np.flatnonzero(steps <= 0)[0]) + 2
+    steps: Array = np.diff(stamps)
+    wrong = steps < 0 if (steps > 0).any() else steps <= 0
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0]) + 2
         raise FitError(
             f"{name}: time must increase from row to row, but sample {row} is at {stamps[row - 1]:.6g} s, "
             f"after {stamps[row - 2]:.6g} s"
         )
-    order = np.arange(stamps.size, dtype=np.intp)
-    interval, start = _line(order, stamps)
-    departure = float(np.max(np.abs(stamps - start - interval * order))) / interval
-    if departure > 0.5:
-        interval = float(np.median(steps[steps > 0]))
-        rows = np.rint((stamps - stamps[0]) / interval).astype(np.intp)
-        for _ in range(5):  # a rounded time column gives a rough interval: refine it on the rows found
-            interval, start = _line(rows, stamps)
-            rows = np.rint((stamps - start) / interval).astype(np.intp)
-            rows -= rows[0]
-        if rows[-1] >= order[-1] and (np.diff(rows) > 0).all():
-            interval, start = _line(rows, stamps)
-            order, departure = rows, float(np.max(np.abs(stamps - start - interval * rows))) / interval
-    if departure > 1.0:
-        raise FitError(
-            f"{name}: the time column fits no steady clock (rows depart from {1 / interval:.6g} Hz by up to "
-            f"{departure:.3g} sampling intervals); resample it, or give the rate in a channel map"
-        )
-    if departure > JITTER_ALLOWED:
-        warnings.warn(
-            f"{name}: time stamps depart from a steady {1 / interval:.6g} Hz clock by up to {departure:.2f} sampling "
-            "intervals; the samples are taken as evenly spaced, which is right if only the stamps jitter",
-            DoubtWarning,
-            stacklevel=3,
-        )
-    missing = int(order[-1]) + 1 - order.size
-    if missing:
-        warnings.warn(
-            f"{name}: {missing} sample(s) are missing from the time column in "
-            f"{int(np.count_nonzero(np.diff(order) > 1))} gap(s); the model bridges them, with a larger uncertainty",
-            DoubtWarning,
-            stacklevel=3,
-        )
-    return order, start, 1 / interval
+    return steps
 
 
 JITTER_ALLOWED: Final = 0.1
 """Departure of a time stamp from the steady clock that is taken without a warning, in sampling intervals."""
 
+GAP_SUSPECTED: Final = 0.2
+"""Departure from evenly spaced rows from which gaps are looked for: one sample lost from five departs by 0.21."""
 
-def _line(index: NDArray[np.intp], stamps: Array) -> tuple[float, float]:
-    """Fit stamps = start + interval * index by least squares; return interval and start [s]."""
+LARGEST_GAP_RATIO: Final = 20
+"""Samples of the steady clock per row of the file beyond which the recording has to be cut at its gaps."""
+
+
+def _fitted(index: NDArray[np.intp], stamps: Array) -> tuple[float, float, float]:
+    """Fit stamps = start + interval * index by least squares; return interval [s], start [s], largest departure."""
     centred = index - index.mean()
+    # Stamps less their mean keep microseconds where the clock counts from long ago.
     interval = float(centred @ (stamps - stamps.mean()) / (centred @ centred))
-    return interval, float(stamps.mean() - interval * index.mean())
+    start = float(stamps.mean() - interval * index.mean())
+    departure = float(np.max(np.abs(stamps - stamps.mean() - interval * centred))) / interval
+    return interval, start, departure
+
+
+def _rows_with_gaps(stamps: Array, steps: Array, name: str) -> NDArray[np.intp] | None:
+    """Place the rows on a steady clock with samples missing; None where that explains the stamps no better."""
+    usual = float(np.median(steps[steps > 0]))
+    interval = float(np.mean(steps[steps < 1.5 * usual]))
+    if (stamps[-1] - stamps[0]) / interval > LARGEST_GAP_RATIO * stamps.size:
+        longest = int(np.argmax(steps))
+        raise FitError(
+            f"{name}: time jumps from {stamps[longest]:.6g} s to {stamps[longest + 1]:.6g} s at sample {longest + 2}, "
+            f"while samples are {interval:.3g} s apart; cut the recording there"
+        )
+    # Step by step first, so that an error of the interval does not add up; then all stamps on one line.
+    rows = np.concatenate(([0], np.cumsum(np.rint(steps / interval)))).astype(np.intp)
+    for _ in range(5):
+        if rows[-1] <= 0:
+            return None
+        interval, start, _ = _fitted(rows, stamps)
+        placed = np.rint((stamps - start) / interval).astype(np.intp)
+        placed -= placed[0]
+        if (placed == rows).all():
+            break
+        rows = placed
+    increments = np.diff(rows)
+    if not (increments > 0).all() or rows[-1] == stamps.size - 1:
+        return None
+    # A clock that wanders slips a sample without a long step; that is no gap.
+    mismatch = float(np.max(np.abs(steps / interval - increments)))
+    departure = _fitted(rows, stamps)[2]
+    return rows if departure <= 0.4 and mismatch < 0.8 else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,232 @@
+"""Files: `read` one into a recording, write recordings, forces, and the JSON artefacts.
+
+A format is one module with ``NAME``, ``SUFFIXES`` (endings it writes), ``can_read(head, path)``,
+``read_columns(path, layout, wanted=...)`` and ``write_columns(path, columns)``; listing it in `FORMATS` is all it
+takes. Units, the clock, the channel map and the warnings are common to all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+
+from aerobalance.components import si_unit
+from aerobalance.io import csv_file
+from aerobalance.io.channel_map import ChannelMap, load_channel_map, mapped_recording, template
+from aerobalance.io.columns import RawColumns
+from aerobalance.io.csv_file import column_names, read_table
+from aerobalance.io.table import Column, Table, recording_from, table_from
+from aerobalance.io.text_table import Layout
+from aerobalance.io.units import conversion, edge_unit
+from aerobalance.problems import ReadError
+from aerobalance.recording import Array, Force, Recording
+
+__all__ = [
+    "FORMATS",
+    "ChannelMap",
+    "Column",
+    "Format",
+    "Table",
+    "check_output",
+    "column_names",
+    "load_channel_map",
+    "read",
+    "read_table",
+    "template",
+    "write_force",
+    "write_recording",
+]
+
+
+class Format(Protocol):
+    """What a module that reads and writes one file format offers."""
+
+    @property
+    def NAME(self) -> str:  # noqa: N802 - a constant of the module
+        """What to call the format in messages."""
+
+    @property
+    def SUFFIXES(self) -> Mapping[str, str]:  # noqa: N802 - a constant of the module
+        """File name endings that are written in this format."""
+
+    def can_read(self, head: bytes, path: Path) -> bool:
+        """Say whether a file is of this format, from its first bytes."""
+
+    def read_columns(
+        self, path: Path, layout: Layout | None = None, *, wanted: Sequence[str | int] | None = None
+    ) -> RawColumns:
+        """Read the columns as they are."""
+
+    def write_columns(self, path: Path, columns: Mapping[str, Array]) -> None:
+        """Write columns under their headers."""
+
+
+FORMATS: Final[tuple[Format, ...]] = (csv_file,)
+"""The formats, in the order in which they are asked; text comes last, as it takes what the others leave."""
+
+_SIGNATURES: Final = (
+    (b"TDSm", "a LabVIEW TDMS file"),
+    (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
+    (b"MATLAB 5.0", "a MATLAB file"),
+    (b"PK\x03\x04", "a zip archive (a spreadsheet, perhaps)"),
+    (b"PAR1", "a Parquet file"),
+    (b"ARROW1", "an Arrow file"),
+    (b"MDF ", "an MDF file"),
+    (b"%PDF", "a PDF document"),
+    (b"\x1f\x8b", "a gzip archive"),
+    (b"\x89PNG", "a picture"),
+    (b"\xff\xd8\xff", "a picture"),
+    (b"    -1\n", "a universal file (UFF)"),
+    (b"    -1\r\n", "a universal file (UFF)"),
+    (b"LabVIEW Measurement", "a LabVIEW measurement file (LVM)"),
+    (b"{", "a JSON file"),
+)
+
+
+def read(path: Path | str, *, channel_map: ChannelMap | None = None) -> Recording:
+    """Read a recording.
+
+    Parameters
+    ----------
+    path
+        The file; its format is recognised by its content.
+    channel_map
+        What the columns of a foreign file are; None for a file whose headers say it.
+
+    Returns
+    -------
+    Recording
+        Channels in SI units (angles in rad, gauge outputs in mV/V) on one steady clock.
+
+    Raises
+    ------
+    ReadError
+        The file is no recording; the message says where and what is allowed.
+
+    Warns
+    -----
+    DoubtWarning
+        Samples are missing or saturated, or time stamps jitter.
+    """
+    file = Path(path)
+    chosen = _format(file)
+    if channel_map is None:
+        return recording_from(table_from(chosen.read_columns(file), missing_allowed=True))
+    raw = chosen.read_columns(file, channel_map.layout, wanted=channel_map.wanted)
+    return mapped_recording(raw, channel_map)
+
+
+def _format(path: Path) -> Format:
+    """Find the format of a file by its content."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(65536)
+    except FileNotFoundError:
+        raise ReadError(path, "", "there is no such file") from None
+    except IsADirectoryError:
+        raise ReadError(path, "", "is a folder; a file is needed") from None
+    except OSError as error:
+        raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+    known = ", ".join(form.NAME for form in FORMATS)
+    seems = next((text for sign, text in _SIGNATURES if head.startswith(sign)), "")
+    for form in FORMATS:
+        if form.can_read(head, path) and not (form is csv_file and seems):
+            return form
+    seems = seems or "a binary file of an unknown kind"
+    raise ReadError(path, "", f"seems to be {seems}; formats that can be read: {known}")
+
+
+def check_output(path: Path | str) -> Path:
+    """Make sure, before long work, that a file of this name can be written.
+
+    Raises
+    ------
+    ValueError
+        No format is written under this ending, or the folder does not exist.
+    """
+    file = Path(path)
+    _writer(file)
+    if file.is_dir():
+        raise ValueError(f"{file} is a folder; the name of a file is needed")
+    if not file.parent.is_dir():
+        raise ValueError(f"cannot write {file}: there is no folder {file.parent}")
+    return file
+
+
+def _writer(path: Path) -> Format:
+    for form in FORMATS:
+        if path.suffix.lower() in form.SUFFIXES:
+            return form
+    allowed = ", ".join(suffix for form in FORMATS for suffix in form.SUFFIXES)
+    raise ValueError(f"cannot write {path}: the ending {path.suffix!r} stands for no known format; allowed: {allowed}")
+
+
+def _time_column(recording: Recording) -> dict[str, Array]:
+    """Time column of a recording as its file had it."""
+    unit = recording.time_unit
+    stamps = conversion(unit, expected="s").outside(recording.stamps)
+    if unit != "s":
+        # Fifteen digits are what a number keeps through a change of unit, so 0.625 ms comes out as it went in.
+        stamps = np.array([float(f"{stamp:.15g}") for stamp in stamps])
+    return {f"time [{unit}]": stamps}
+
+
+def write_recording(path: Path | str, recording: Recording) -> None:
+    """Write the rows of a recording, each channel in the unit it had in its file (angles in deg where it had none).
+
+    Parameters
+    ----------
+    path
+        The file; its ending chooses the format.
+    recording
+        What to write; samples that its gaps lack are not written.
+
+    Raises
+    ------
+    ValueError
+        The ending stands for no format, or the file cannot be written.
+    """
+    file = check_output(path)
+    columns = _time_column(recording)
+    for channel in recording:
+        unit = channel.file_unit or edge_unit(channel.name, channel.unit)
+        change = conversion(unit, expected=channel.unit) if unit != channel.unit else None
+        values = channel.values[recording.rows]
+        columns[f"{channel.name} [{unit}]"] = values if change is None else change.outside(values)
+    _writer(file).write_columns(file, columns)
+
+
+def write_force(path: Path | str, recording: Recording, force: Force) -> None:
+    """Write the applied force beside the time column of its recording.
+
+    Each component keeps its name and the unit it had in the recording's file, and is followed by its standard
+    uncertainty: ``time [s],AF [N],u_AF [N]``.
+
+    Parameters
+    ----------
+    path
+        The file; its ending chooses the format.
+    recording
+        The recording that the force was computed from.
+    force
+        Force and uncertainty on the recording's clock, n samples.
+
+    Raises
+    ------
+    ValueError
+        The force is not on the recording's clock; the ending stands for no format; the file cannot be written.
+    """
+    file = check_output(path)
+    if force.values.shape[0] != recording.samples:
+        raise ValueError(f"the force has {force.values.shape[0]} samples, the recording {recording.samples}")
+    columns = _time_column(recording)
+    for index, name in enumerate(force.components):
+        inside = si_unit(name)
+        unit = (recording.channels[name].file_unit if name in recording else "") or inside
+        change = conversion(unit, expected=inside)
+        columns[f"{name} [{unit}]"] = change.outside(force.values[recording.rows, index])
+        columns[f"u_{name} [{unit}]"] = change.outside(force.uncertainty[recording.rows, index])
+    _writer(file).write_columns(file, columns)

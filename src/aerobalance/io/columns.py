@@ -1,0 +1,114 @@
+"""Columns as a file has them, before units and meanings: what every file format hands over."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.io.units import readable
+from aerobalance.problems import ReadError
+from aerobalance.recording import Array
+
+_SQUARE: Final = re.compile(r"(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
+_ROUND: Final = re.compile(r"(?P<name>.*?)\s*\((?P<unit>.*)\)\s*")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawColumn:
+    """One column of a file.
+
+    Attributes
+    ----------
+    label
+        The column's header as the file has it.
+    name
+        The header without its unit.
+    unit
+        The unit in the header; an empty string where there is none.
+    values
+        Cells, shape (n,), in the file's unit; NaN where missing.
+    number
+        Position in the file, counted from 1.
+    """
+
+    label: str
+    name: str
+    unit: str
+    values: Array
+    number: int
+
+    @property
+    def place(self) -> str:
+        """The column as a place in an error message."""
+        return f"column {self.number} ({self.label!r})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawColumns:
+    """The columns of one file.
+
+    Attributes
+    ----------
+    path
+        The file.
+    columns
+        Its columns, in the file's order, of n cells each.
+    lines
+        Line (or row, for a binary file) that each of the n cells stands in, counted from 1.
+    rate
+        Sampling rate [Hz] where the file itself states it; None where a time column has to.
+    """
+
+    path: Path
+    columns: tuple[RawColumn, ...]
+    lines: Sequence[int] | NDArray[np.intp]
+    rate: float | None = None
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.lines)
+
+    def labels(self) -> str:
+        """List the columns for an error message."""
+        return ", ".join(repr(column.label) for column in self.columns)
+
+    def find(self, key: str | int, *, where: str) -> RawColumn:
+        """Return a column by its label, its name or its number.
+
+        Raises
+        ------
+        ReadError
+            There is no such column, or more than one.
+        """
+        if isinstance(key, int):
+            for column in self.columns:
+                if column.number == key:
+                    return column
+            last = max((column.number for column in self.columns), default=0)
+            raise ReadError(self.path, where, f"there is no column {key}; the file has {last} columns")
+        for attribute in ("label", "name"):
+            found = [column for column in self.columns if getattr(column, attribute) == key.strip()]
+            if len(found) == 1:
+                return found[0]
+            if found:
+                numbers = " and ".join(str(column.number) for column in found)
+                raise ReadError(self.path, where, f"columns {numbers} are both called {key!r}; give the number")
+        raise ReadError(self.path, where, f"there is no column {key!r}; the file has {self.labels()}")
+
+
+def split_label(label: str) -> tuple[str, str]:
+    """Split a header cell into name and unit: ``AF [N]``, and ``Moment (Nm)`` where the brackets hold a unit."""
+    match = _SQUARE.fullmatch(label)
+    if match:
+        return match["name"].strip(), match["unit"].strip()
+    match = _ROUND.fullmatch(label)
+    if match and readable(match["unit"]):
+        return match["name"].strip(), match["unit"].strip()
+    return label.strip(), ""

@@ -1,0 +1,88 @@
+"""Plain CSV: text columns with a header ``name [unit]`` per column."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from aerobalance.io.columns import RawColumns, split_label
+from aerobalance.io.safe_write import replacing
+from aerobalance.io.table import Table, table_from
+from aerobalance.io.text_table import Layout, guess_encoding, read_labels, read_text_columns
+from aerobalance.recording import Array
+
+NAME: Final = "CSV text"
+"""What to call the format in messages."""
+
+SUFFIXES: Final = {".csv": ",", ".txt": "\t", ".tsv": "\t"}
+"""File name endings that are written in this format, and the separator of each."""
+
+
+def can_read(head: bytes, path: Path) -> bool:
+    """Say whether a file is text, from its first bytes; its name does not matter."""
+    del path
+    return guess_encoding(head) is not None
+
+
+def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[str | int] | None = None) -> RawColumns:
+    """Read the columns of a text file as they are; see `aerobalance.io.text_table.read_text_columns`."""
+    return read_text_columns(path, layout, wanted=wanted)
+
+
+def column_names(path: Path | str) -> tuple[str, ...]:
+    """Read the names in the header of a plain CSV file, without their units.
+
+    Raises
+    ------
+    ReadError
+        The file is no text, or has no header.
+    """
+    return tuple(split_label(label)[0] for label in read_labels(Path(path)) if label)
+
+
+def read_table(path: Path | str, *, required: Sequence[str] = (), missing_allowed: bool = False) -> Table:
+    """Read a plain CSV table: any columns ``name [unit]``, no time needed.
+
+    Parameters
+    ----------
+    path
+        The file.
+    required
+        Names of columns that must be there.
+    missing_allowed
+        Whether cells may be empty (NaN then).
+
+    Returns
+    -------
+    Table
+        Columns of n cells each in SI units; angles in rad, gauge outputs in mV/V.
+
+    Raises
+    ------
+    ReadError
+        The file is no such table; the message says where and what is allowed.
+    """
+    raw = read_text_columns(Path(path))
+    return table_from(raw, required=required, missing_allowed=missing_allowed)
+
+
+def write_columns(path: Path, columns: Mapping[str, Array]) -> None:
+    """Write columns under their headers; missing samples become empty cells, numbers read back exactly.
+
+    Parameters
+    ----------
+    path
+        The file; its ending chooses the separator.
+    columns
+        Values, shape (n,) each, by header.
+    """
+    import pandas as pd  # noqa: PLC0415 - half a second, and only files need it
+
+    finite = {name: np.where(np.isfinite(values), values, np.nan) for name, values in columns.items()}
+    with replacing(path) as beside:
+        pd.DataFrame(finite).to_csv(
+            beside, index=False, sep=SUFFIXES[path.suffix.lower()], lineterminator="\n", encoding="utf-8"
+        )

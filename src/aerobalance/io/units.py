@@ -1,0 +1,259 @@
+"""Units at the edge: what a file says, turned into the SI units used inside.
+
+Inside, forces are in N, moments in N*m, accelerations in m/s^2, angles in rad, gauge outputs in mV/V, times in s,
+frequencies in Hz. `conversion` also tells units apart that have the same dimension but do not mean the same (an
+angle, a ratio and a gauge output), and reads ``g`` and ``lb`` by what is expected.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aerobalance.recording import QUANTITIES, Array
+
+if TYPE_CHECKING:
+    import pint
+
+ALLOWED: Final = {
+    "N": "N, kN, lbf, kgf",
+    "N*m": "N*m, kN*m, in-lbf, ft-lbf, kgf*m",
+    "m/s^2": "m/s^2, m/s2, g",
+    "m/s": "m/s, mm/s, km/h, ft/s",
+    "m": "m, mm, in, ft",
+    "rad": "deg, rad, mrad",
+    "mV/V": "mV/V, uV/V, V/V",
+    "s": "s, ms, us, min",
+    "Hz": "Hz, kHz",
+    "1": "1, %",
+}
+"""Units that may be given where the unit inside is the key; others of the same kind are read too."""
+
+_MEASURES: Final = {
+    "N": "a force",
+    "N*m": "a moment",
+    "m/s^2": "an acceleration",
+    "m/s": "a velocity",
+    "m": "a length",
+    "rad": "an angle",
+    "mV/V": "a gauge output",
+    "s": "a time",
+    "Hz": "a frequency",
+    "1": "a ratio",
+}
+
+_EXPECTED: Final = {
+    **QUANTITIES,
+    "time": "s",
+    "frequency": "Hz",
+    "amplitude": "1",
+    "phase": "rad",
+}
+
+_SPELLINGS: Final = {
+    "Nm": "N*m",
+    "kNm": "kN*m",
+    "Ncm": "N*cm",
+    "Nmm": "N*mm",
+    "sec": "s",
+    "secs": "s",
+    "msec": "ms",
+    "usec": "us",
+    "lbs": "lb",
+    "%": "percent",
+    "1": "dimensionless",
+    "-": "dimensionless",
+    "G": "g",
+    "gn": "g",
+    "g0": "g",
+    "g_n": "g",
+    "g_0": "g",
+    "V/V": "volt/V",
+    "degs": "deg",
+}
+
+_IMPLIED: Final = {
+    ("g", "m/s^2"): "standard_gravity",
+    ("mg", "m/s^2"): "millistandard_gravity",
+    ("lb", "N"): "lbf",
+    ("in*lb", "N*m"): "in*lbf",
+    ("lb*in", "N*m"): "in*lbf",
+    ("ft*lb", "N*m"): "ft*lbf",
+    ("lb*ft", "N*m"): "ft*lbf",
+}
+"""Units that name a mass in the SI but a force or an acceleration in a test hall."""
+
+_READABLE: Final = re.compile(r"[A-Za-z_%0-9*/^(). -]{1,40}")
+_WILD_POWER: Final = re.compile(r"\*\*(?!-?[1-4](?![0-9.*(]))|\d{4}")
+"""Powers that no unit has, and that a parser could take for ever over."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """How values in a file's unit become values in the unit used inside.
+
+    Attributes
+    ----------
+    unit
+        Unit inside; the file's own where the program has no use for the quantity.
+    factor
+        Value of one of the file's units in `unit`.
+    """
+
+    unit: str
+    factor: float
+
+    def inside(self, values: ArrayLike) -> Array:
+        """Turn values of a file into values inside."""
+        given = np.asarray(values, dtype=np.float64)
+        if self.factor == 1.0:
+            return given
+        inverse = 1 / self.factor
+        # Dividing by 1000 keeps 0.625 ms the float 0.000625 s; multiplying by 0.001 would not.
+        return given / round(inverse) if _whole(inverse) else given * self.factor
+
+    def outside(self, values: ArrayLike) -> Array:
+        """Turn values inside into values of a file."""
+        given = np.asarray(values, dtype=np.float64)
+        if self.factor == 1.0:
+            return given
+        inverse = 1 / self.factor
+        return given * round(inverse) if _whole(inverse) else given / self.factor
+
+
+def _whole(number: float) -> bool:
+    return number >= 1 and abs(number - round(number)) < 1e-9 * number
+
+
+def expected_unit(name: str) -> str | None:
+    """Return the unit that a column of this name has inside; None where any unit will do.
+
+    A column ``u_NAME`` is the standard uncertainty of ``NAME`` and has its unit.
+    """
+    return _EXPECTED.get(name.removeprefix("u_"))
+
+
+def edge_unit(name: str, inside: str) -> str:
+    """Return the unit in which a quantity is written where its file gave none: degrees for angles."""
+    return "deg" if expected_unit(name) == "rad" else inside
+
+
+def conversion(text: str, *, expected: str | None = None) -> Conversion:
+    """Find the conversion from a unit, as written in a file, to the unit used inside.
+
+    Parameters
+    ----------
+    text
+        The unit as the file has it.
+    expected
+        The unit inside, a key of `ALLOWED`; None when any unit will do, which then is kept as it is.
+
+    Raises
+    ------
+    ValueError
+        The unit is unknown, or is not of the kind expected; the message says what is allowed.
+    """
+    if expected is not None and expected not in ALLOWED:
+        raise ValueError(f"expected must be one of {', '.join(ALLOWED)}, not {expected!r}")
+    given = text.strip()
+    spelled = _spelled(given)
+    spelled = _IMPLIED.get((spelled, expected or ""), spelled)
+    unit = _parsed(spelled)
+    hint = f"; allowed: {ALLOWED[expected]}" if expected else "; examples: N, N*m, m/s^2, deg, mV/V, s, Hz, 1"
+    if unit is None:
+        raise ValueError(f"unknown unit [{given}]{hint}")
+    if expected is None:
+        return Conversion(given, 1.0)
+    kind = _kind(unit, spelled)
+    if kind != expected:
+        found = f"is {_MEASURES[kind]}" if kind else f"is not {_MEASURES[expected]}"
+        raise ValueError(f"unit [{given}] {found}, but {_MEASURES[expected]} is expected{hint}")
+    return Conversion(expected, _factor(unit, expected))
+
+
+def readable(text: str) -> bool:
+    """Say whether a text is a unit."""
+    return _parsed(_spelled(text.strip())) is not None
+
+
+@cache
+def _registry() -> pint.UnitRegistry[float]:
+    import pint  # noqa: PLC0415 - takes a third of a second, and only reading and writing files need it
+
+    return pint.UnitRegistry(cache_folder=None)
+
+
+def _spelled(text: str) -> str:
+    """Rewrite the usual spellings of test halls into those of the unit library."""
+    text = text.replace("⁻", "^-").replace("^-²", "^-2").replace("^-¹", "^-1")
+    for old, new in (("µ", "u"), ("μ", "u"), ("°C", "degC"), ("°", "deg"), ("·", "*"), ("⋅", "*"), ("•", "*")):
+        text = text.replace(old, new)
+    for old, new in (("²", "^2"), ("³", "^3"), ("−", "-"), ("‰", "permille")):
+        text = text.replace(old, new)
+    text = re.sub(r"(?<=[A-Za-z0-9])[ .]*[-. ](?=[A-Za-z])", "*", text)
+    text = re.sub(r"(?<![A-Za-z0-9_^])([A-Za-z]+)(-?[1-4])(?![0-9A-Za-z_])", r"\1^\2", text)
+    text = text.replace("**", "^").replace("^", "**").replace(" ", "")
+    text = _SPELLINGS.get(text, text)
+    return text.replace("Nm/", "N*m/")
+
+
+@cache
+def _parsed(text: str) -> pint.Unit | None:
+    """Parse a unit; None where it is none."""
+    if not _READABLE.fullmatch(text) or _WILD_POWER.search(text):
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return _registry().parse_units(text)
+        except Exception:  # noqa: BLE001 - the parser of the unit library fails in a dozen ways on text that is no unit
+            return None
+
+
+_ROOTS: Final = {
+    "N": "kg*m/s**2",
+    "N*m": "kg*m**2/s**2",
+    "m/s^2": "m/s**2",
+    "m/s": "m/s",
+    "m": "m",
+    "s": "s",
+    "Hz": "1/s",
+    "rad": "rad",
+    "1": "dimensionless",
+}
+
+
+def _kind(unit: pint.Unit, spelled: str) -> str | None:
+    """Tell which of the units inside a unit belongs to; None if to none."""
+    if re.fullmatch(r"\(?[a-zA-Z]*(V|volt)\)?/\(?(V|volt)\)?", spelled):
+        return "mV/V"
+    if "decibel" in str(unit) or "neper" in str(unit):
+        return None
+    root = _registry().get_root_units(unit)[1]
+    for kind, text in _ROOTS.items():
+        if root == _registry().get_root_units(_registry().parse_units(text))[1]:
+            return kind
+    return None
+
+
+def _factor(unit: pint.Unit, kind: str) -> float:
+    """Value of one unit in the unit inside."""
+    registry = _registry()
+    if kind == "mV/V":
+        return _root(unit) * 1e3
+    inside = registry.parse_units({"m/s^2": "m/s**2", "1": "dimensionless"}.get(kind, kind))
+    factor = _root(unit) / _root(inside)
+    short = float(f"{factor:.12g}")
+    # A factor that is a rounding error from a short decimal (N*m by way of grams) is that decimal.
+    return short if abs(short - factor) < 4e-16 * factor else factor
+
+
+def _root(unit: pint.Unit) -> float:
+    """Value of one unit in the root units of the library."""
+    return float(str(_registry().get_root_units(unit)[0]))

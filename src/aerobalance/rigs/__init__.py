@@ -1,0 +1,27 @@
+"""The two experiments of [Gorbushin2020]_ as simulated rigs: masses, a spring and a damper, sensors and noise.
+
+The equations of motion are integrated exactly for inputs that are cubics between the points of a fine grid; releases
+are added in closed form at any instant, and the state is evaluated at the very instants at which each sensor samples.
+No solution formula of the paper is used here.
+"""
+
+from aerobalance.rigs.cable_cut import CableCut
+from aerobalance.rigs.drives import Drive, RandomDrive, Signal, SteppedSine, Sweep, Unsteadiness, band_noise
+from aerobalance.rigs.sensors import ACCELEROMETER_RANGE, Sensor, Simulation
+from aerobalance.rigs.vibration import ARMATURE_MASS, VibrationRig
+
+__all__ = [
+    "ACCELEROMETER_RANGE",
+    "ARMATURE_MASS",
+    "CableCut",
+    "Drive",
+    "RandomDrive",
+    "Sensor",
+    "Signal",
+    "Simulation",
+    "SteppedSine",
+    "Sweep",
+    "Unsteadiness",
+    "VibrationRig",
+    "band_noise",
+]

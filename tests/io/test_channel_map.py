@@ -1,0 +1,243 @@
+"""The channel map for foreign files."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aerobalance.io import load_channel_map, read, template, write_recording
+from aerobalance.problems import DoubtWarning, ReadError
+
+TREADMILL = Path(__file__).parents[3] / "shared" / "data" / "treadmill"
+
+MAP = """
+[file]
+time = "Timestamp (s)"
+[channels.PM]
+column = "Pitch Moment (Nm)"
+[channels.ground_acceleration]
+column = "Belt Velocity (m/s)"
+derivative = 1
+sign = -1
+"""
+
+
+def mapped(folder, text, data, name="foreign.txt"):
+    (folder / "map.toml").write_text(text, encoding="utf-8")
+    path = folder / name
+    path.write_bytes(data if isinstance(data, bytes) else data.encode())
+    return read(path, channel_map=load_channel_map(folder / "map.toml"))
+
+
+def belt(count=50, rate=100.0):
+    time = np.arange(count) / rate
+    rows = "".join(f"{t:.17g}\t{3 * t:.17g}\t{t * t:.17g}\n" for t in time)
+    return "Timestamp (s)\tPitch Moment (Nm)\tBelt Velocity (m/s)\n" + rows
+
+
+def test_a_velocity_becomes_an_acceleration(tmp_path):
+    recording = mapped(tmp_path, MAP, belt())
+    time = np.arange(50) / 100
+    found = recording.channel("ground_acceleration")
+    assert found.unit == "m/s^2"
+    # Central differences are exact for a parabola but at the ends, where they are one-sided.
+    np.testing.assert_allclose(found.values[1:-1], -2 * time[1:-1], rtol=1e-10)
+    np.testing.assert_allclose(recording.channel("PM").values, 3 * time, rtol=1e-15)
+    assert list(recording.channels) == ["PM", "ground_acceleration"]
+
+
+def test_a_position_becomes_an_acceleration(tmp_path):
+    text = MAP.replace("derivative = 1", "derivative = 2").replace('(m/s)"', '(m/s)"\nunit = "mm"')
+    recording = mapped(tmp_path, text, belt())
+    np.testing.assert_allclose(recording.channel("ground_acceleration").values, -2e-3, rtol=1e-8)
+
+
+def test_derivatives_lose_the_neighbours_of_a_gap_and_say_so(tmp_path):
+    lines = belt().splitlines()
+    lines[20] = "\t".join([*lines[20].split("\t")[:2], ""])
+    with pytest.warns(DoubtWarning) as caught:
+        recording = mapped(tmp_path, MAP, "\n".join(lines))
+    assert any("1 more samples are missing after differentiation" in str(item.message) for item in caught)
+    # The central difference at the lost sample needs its neighbours only; theirs need the lost one.
+    assert np.flatnonzero(recording.channel("ground_acceleration").missing).tolist() == [18, 20]
+
+
+def test_every_setting_reaches_the_channel(tmp_path):
+    text = """
+[file]
+rate = 1000.0
+separator = "semicolon"
+decimal = ","
+header_line = 3
+skip_lines = 1
+encoding = "cp1252"
+[channels.AF]
+column = 2
+unit = "lbf"
+scale = 10
+offset = 1.5
+sign = -1
+noise = 0.5
+relative_uncertainty = 0.01
+delay = 1e-6
+[channels.live_acceleration]
+column = "a"
+unit = "g"
+coupling = "ac"
+corner = 0.5
+"""
+    data = "Messung für N\nx\nt;F;a\n[°];[N];[x]\n0;0,5;1\ntext;1,5;2\n9;2,5;3\n".encode("cp1252")
+    recording = mapped(tmp_path, text, data)
+    pound = 0.45359237 * 9.80665
+    axial = recording.channel("AF")
+    np.testing.assert_allclose(axial.values, -(10 * np.array([0.5, 1.5, 2.5]) + 1.5) * pound, rtol=1e-15)
+    assert axial.noise == pytest.approx(0.5 * pound)
+    assert (axial.relative_uncertainty, axial.delay, axial.file_unit) == (0.01, 1e-6, "lbf")
+    live = recording.channel("live_acceleration")
+    assert (live.coupling, live.corner) == ("ac", 0.5)
+    np.testing.assert_allclose(live.values, np.array([1, 2, 3]) * 9.80665, rtol=1e-15)
+    assert recording.rate == pytest.approx(1000)
+
+
+def test_a_file_without_header_separated_by_spaces(tmp_path):
+    text = """
+[file]
+time = 1
+time_unit = "ms"
+separator = "space"
+header_line = 0
+[channels.AF]
+column = 2
+unit = "N"
+"""
+    recording = mapped(tmp_path, text, "  0   1.5\n  1  2.5\n  2   3.5\n")
+    assert recording.rate == pytest.approx(1000)
+    assert recording.channel("AF").values.tolist() == [1.5, 2.5, 3.5]
+
+
+CHANNEL = '[file]\nrate = 1.0\n[channels.AF]\ncolumn = 1\nunit = "N"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", ["channels", "is missing"]),
+        ("[file", ["is no TOML", "Expected ']'"]),
+        ("[channels]\n[file]\nrate = 1.0\n", ["channels", "at least 1"]),
+        (CHANNEL + "colour = 1\n", ["channels.AF.colour", "is not known", "column, unit, scale"]),
+        (CHANNEL.replace("rate", "speed"), ["file.speed", "is not known", "time, time_unit, rate"]),
+        (CHANNEL.replace('unit = "N"', "unit = 5"), ["channels.AF.unit", "must be a string", "5"]),
+        (CHANNEL + 'scale = "ten"\n', ["channels.AF.scale", "number", "'ten'"]),
+        (CHANNEL + "scale = nan\n", ["channels.AF.scale", "finite"]),
+        (CHANNEL + "sign = 2\n", ["channels.AF.sign", "1 or -1", "2"]),
+        (CHANNEL + "noise = -1\n", ["channels.AF.noise", "greater than or equal to 0"]),
+        (CHANNEL + 'coupling = "magnetic"\n', ["channels.AF.coupling", "'kinematic', 'dc' or 'ac'", "magnetic"]),
+        (CHANNEL + "derivative = 3\n", ["channels.AF.derivative", "0, 1 or 2"]),
+        (CHANNEL + "derivative = 1\n", ["channels.AF", "derivative are for accelerations"]),
+        (CHANNEL + "corner = 1.0\n", ["channels.AF.corner", 'coupling = "ac"']),
+        (CHANNEL.replace('"N"', '"kg"'), ["channels.AF.unit", "a force is expected", "lbf"]),
+        (CHANNEL.replace("column = 1", "column = 0"), ["channels.AF.column", "0"]),
+        (CHANNEL.replace("rate = 1.0", ""), ["file", "either time", "rate"]),
+        (CHANNEL.replace("rate = 1.0", "rate = 1.0\ntime = 1"), ["file", "either time", "rate"]),
+        (CHANNEL.replace("rate = 1.0", "rate = 0.0"), ["file.rate", "greater than 0"]),
+        (CHANNEL.replace("rate = 1.0", 'time = 1\ntime_unit = "N"'), ["file.time_unit", "a time is expected"]),
+        (CHANNEL.replace("rate = 1.0", 'rate = 1.0\nseparator = "|"'), ["file.separator", "'comma'"]),
+        (CHANNEL.replace("channels.AF", "channels.time"), ["channels.time", "under [file]"]),
+        ("[file]\nrate = 1.0\n[channels]\nAF = 3\n", ["channels.AF", "3"]),
+    ],
+)
+def test_bad_maps_are_refused_with_key_and_what_is_allowed(tmp_path, text, said):
+    path = tmp_path / "map.toml"
+    path.write_text(text)
+    with pytest.raises(ReadError) as caught:
+        load_channel_map(path)
+    for words in ["map.toml", *said]:
+        assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_or_binary_map(tmp_path):
+    with pytest.raises(ReadError, match="no such file"):
+        load_channel_map(tmp_path / "none.toml")
+    (tmp_path / "map.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ReadError, match="is no TOML"):
+        load_channel_map(tmp_path / "map.toml")
+    with pytest.raises(ReadError, match="cannot be read"):
+        load_channel_map(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("Pitch Moment (Nm)", "Moment"), [r"no column 'Moment'", "'Timestamp (s)', 'Pitch Moment (Nm)'"]),
+        (('"Pitch Moment (Nm)"', "7"), ["there is no column 7", "3 columns"]),
+        (("channels.PM", "channels.AF"), ["column 2", "is a moment, but a force", "AF"]),
+        (("Timestamp (s)", "Belt Velocity (m/s)"), ["column 3", "a time is expected"]),
+        (("derivative = 1", ""), ["column 3", "is a velocity, but an acceleration"]),
+    ],
+)
+def test_maps_that_do_not_fit_the_file(tmp_path, change, said):
+    with pytest.raises(ReadError) as caught:
+        mapped(tmp_path, MAP.replace(*change, 1), belt())
+    for words in said:
+        assert words in str(caught.value)
+
+
+def test_a_header_without_unit_needs_one_in_the_map(tmp_path):
+    text = '[file]\ntime = "t"\ntime_unit = "s"\n[channels.AF]\ncolumn = "F"\n'
+    with pytest.raises(ReadError, match=r"map\.toml: channels\.AF\.unit: is needed: the header 'F'"):
+        mapped(tmp_path, text, "t,F\n0,1\n1,2\n")
+    with pytest.raises(ReadError, match=r"file\.time_unit: is needed"):
+        mapped(tmp_path, text.replace('time_unit = "s"', ""), "t,F\n0,1\n1,2\n")
+
+
+def test_two_columns_of_one_name_go_by_number(tmp_path):
+    text = '[file]\nrate = 1.0\n[channels.AF]\ncolumn = "F"\nunit = "N"\n'
+    with pytest.raises(ReadError, match="columns 1 and 2 are both called 'F'; give the number"):
+        mapped(tmp_path, text, "F,F\n0,1\n1,2\n")
+    found = mapped(tmp_path, text.replace('"F"', "2"), "F,F\n0,1\n1,2\n")
+    assert found.channel("AF").values.tolist() == [1, 2]
+
+
+def test_the_template_is_toml_and_completes_to_a_map(tmp_path):
+    path = tmp_path / "foreign.txt"
+    path.write_text(belt())
+    text = template(path)
+    assert tomllib.loads(text) == {"file": {"time": "Timestamp (s)"}}
+    for number, name in ((2, "PM"), (3, "ground_acceleration")):
+        text = text.replace(f"# [channels.column_{number}]", f"[channels.{name}]")
+    text = text.replace('# column = "', 'column = "').replace('# unit = "', 'unit = "')
+    text = text.replace('unit = "m/s"', 'unit = "m/s"\nderivative = 1\nsign = -1')
+    recording = mapped(tmp_path, text, belt())
+    assert recording.rate == pytest.approx(100)
+
+
+@pytest.mark.parametrize("header", ['time [s],AF [N],"odd "" \\ name",', "a;b;c", "Zeit\tKraft [kN]", "T,x (N)"])
+def test_the_template_is_toml_for_any_header(tmp_path, header):
+    path = tmp_path / "foreign.csv"
+    path.write_text(header + "\n1,2,3,4\n")
+    tomllib.loads(template(path))
+
+
+def test_mapped_recordings_write_as_plain_ones(tmp_path):
+    recording = mapped(tmp_path, MAP, belt())
+    write_recording(tmp_path / "plain.csv", recording)
+    again = read(tmp_path / "plain.csv")
+    np.testing.assert_array_equal(
+        again.channel("ground_acceleration").values, recording.channel("ground_acceleration").values
+    )
+    assert (tmp_path / "plain.csv").read_text().startswith("time [s],PM [Nm],ground_acceleration [m/s^2]\n")
+
+
+@pytest.mark.skipif(not TREADMILL.is_dir(), reason="the real recordings are not here")
+@pytest.mark.parametrize("speed", ["Slow", "Fast"])
+def test_real_treadmill_recordings(tmp_path, speed):
+    (tmp_path / "map.toml").write_text(MAP)
+    with pytest.warns(DoubtWarning, match="repeat the one before" if speed == "Fast" else "depart from a steady"):
+        recording = read(TREADMILL / f"Random{speed}Speed1.txt", channel_map=load_channel_map(tmp_path / "map.toml"))
+    assert recording.rate == pytest.approx(100, rel=1e-4)  # 100 Hz, says its description
+    assert recording.duration == pytest.approx(350, abs=0.1)
+    velocity = np.loadtxt(TREADMILL / f"Random{speed}Speed1.txt", skiprows=1)[:, 2]
+    expected = -(velocity[2:] - velocity[:-2]) * recording.rate / 2
+    np.testing.assert_allclose(recording.channel("ground_acceleration").values[1:-1], expected, atol=1e-9)

@@ -1,0 +1,343 @@
+"""Identification from a shaken rig: accuracy, honest uncertainties, doubtful records, a real one."""
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, filtfilt
+from scipy.stats import chi2
+
+from aerobalance.components import STANDARD_GRAVITY
+from aerobalance.identification import identify_rig
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.published import VIBRATION_RIG
+from aerobalance.recording import Channel, Recording
+from aerobalance.rigs import RandomDrive, Sensor, SteppedSine, Sweep, VibrationRig
+
+TRUE = VIBRATION_RIG.dynamics
+MASS = VIBRATION_RIG.mass
+DELAY = 3e-6
+STEPS = (*np.arange(500.0, 600.0, 20.0), *np.arange(600.0, 800.0, 10.0), *np.arange(800.0, 900.0, 20.0))
+DRIVES = {
+    "stepped": SteppedSine(STEPS, settle=0.02, hold=0.08),
+    "swept": Sweep(500.0, 900.0, 3.0),
+    "random": RandomDrive(400.0, 1000.0, 3.0),
+}
+TREADMILL = Path(__file__).parents[1].parent / "shared" / "data" / "treadmill"
+
+
+def fresh() -> tuple[np.random.Generator, int]:
+    seed = np.random.SeedSequence().entropy
+    return np.random.default_rng(seed), seed
+
+
+def shake(drive, generator, *, load=0.05, acceleration=0.05, delay=DELAY, live=False):
+    sensors = {"AF": Sensor(noise=load, delay=delay), "ground_acceleration": Sensor(noise=acceleration)}
+    if live:
+        sensors["live_acceleration"] = Sensor(noise=acceleration)
+    return VibrationRig(sensors=sensors).run(drive, generator)
+
+
+def said(recording, **settings) -> tuple[object, list[str]]:
+    """Fit, and what was warned about."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        fit = identify_rig(recording, **settings)
+    assert all(issubclass(warning.category, DoubtWarning) for warning in caught)
+    return fit, [str(warning.message) for warning in caught]
+
+
+def with_channel(recording: Recording, name: str, **changes) -> Recording:
+    channels = dict(recording.channels) | {name: replace(recording.channel(name), **changes)}
+    return replace(recording, channels=channels)
+
+
+def least_deviation(simulation, *, load, acceleration, mass_known=True) -> np.ndarray:
+    """Cramer-Rao bound of f0 and b, relative, and of the delay [s]: true motion, true noise, ground motion unknown."""
+    ground = simulation.ground_acceleration
+    spectrum = np.fft.rfft(ground) / np.sqrt(ground.size)
+    w = 2 * np.pi * np.fft.rfftfreq(ground.size, 1 / simulation.recording.rate)
+    r, loss = w / TRUE.angular_frequency, 2 * TRUE.damping_ratio
+    denominator = 1 - r**2 + 1j * r * loss
+    response = -TRUE.mass / denominator
+    slopes = np.column_stack(
+        [
+            response,
+            -response * (2 * r**2 - 1j * r * loss) / denominator,
+            -response * 1j * r / denominator,
+            -1e-3j * w * response,
+        ]
+    )  # by log M, log w0, loss, delay [ms]
+    slopes *= (spectrum / np.sqrt(load**2 + np.abs(response) ** 2 * acceleration**2))[:, None]
+    slopes = slopes[:, 1:] if mass_known else slopes
+    bound = np.linalg.inv(2 * np.real(slopes.conj().T @ slopes))
+    turn = np.array([[1, 0, 0], [1, 1 / loss, 0], [0, 0, 1e-3]])
+    if not mass_known:
+        turn = np.column_stack([[0, 1, 0], turn])
+    return np.sqrt(np.diag(turn @ bound @ turn.T))
+
+
+def found(fit) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of f0 and b, relative, and of the delay, and their standard uncertainties."""
+    d = fit.dynamics
+    f0 = TRUE.natural_frequency
+    errors = [d.natural_frequency / f0 - 1, d.damping / TRUE.damping - 1, d.delay - DELAY]
+    uncertainties = [
+        d.uncertainty("natural_frequency") / f0,
+        d.uncertainty("damping") / TRUE.damping,
+        d.uncertainty("delay"),
+    ]
+    return np.array(errors), np.array(uncertainties)
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize("mass", [MASS, None])
+def test_rig_is_identified(drive: str, mass: float | None):
+    generator, seed = fresh()
+    fit = identify_rig(shake(DRIVES[drive], generator).recording, mass=mass)
+    errors, uncertainties = found(fit)
+    assert abs(errors[0]) < 3e-4, seed
+    assert abs(errors[1]) < 5e-3, seed
+    # Five standard deviations: less than one chance in 1e6 for each.
+    assert np.all(np.abs(errors) < 5 * uncertainties), seed
+    assert fit.mass_identified == (mass is None)
+    assert abs(fit.dynamics.mass - MASS) <= 5 * fit.dynamics.uncertainty("mass"), seed
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_accelerometers_of_the_paper_leave_what_the_bound_says(drive: str):
+    generator, seed = fresh()
+    simulation = shake(DRIVES[drive], generator, load=0.32, acceleration=5.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)  # poor coherence, said or not depending on the draw
+        fit = identify_rig(simulation.recording, mass=MASS)
+    errors, uncertainties = found(fit)
+    assert np.all(np.abs(errors) < 5 * uncertainties), seed
+    # The uncertainty stated contains the noise of the spectra it is computed from: a few percent.
+    ratio = uncertainties / least_deviation(simulation, load=0.32, acceleration=5.0)
+    assert np.all((ratio > 0.9) & (ratio < 1.1)), seed
+    # 2500 degrees of freedom and more scatter by 3 %, the noise floors by a few percent.
+    assert 0.83 < fit.chi2 / fit.degrees_of_freedom < 1.17, seed
+
+
+@pytest.mark.parametrize("noise", [(0.32, 5.0), (0.05, 0.05)])
+def test_scatter_reaches_the_bound_and_is_stated(noise: tuple[float, float]):
+    generator, seed = fresh()
+    draws = 40
+    drive = Sweep(550.0, 850.0, 1.0)
+    errors, uncertainties = np.empty((2, draws, 3))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        for i in range(draws):
+            simulation = shake(drive, generator, load=noise[0], acceleration=noise[1])
+            errors[i], uncertainties[i] = found(identify_rig(simulation.recording, mass=MASS))
+    bound = least_deviation(simulation, load=noise[0], acceleration=noise[1])
+    # Mean squares of n normal numbers follow chi2 / n; six of them are tested, each at 1e-5 on either side.
+    low, high = np.sqrt(chi2.ppf([1e-5, 1 - 1e-5], draws) / draws)
+    scores = np.sqrt(np.mean((errors / uncertainties) ** 2, axis=0))
+    assert np.all((scores > 0.95 * low) & (scores < 1.05 * high)), (seed, scores)
+    assert np.all(np.sqrt(np.mean(errors**2, axis=0)) < 1.1 * high * bound), seed
+
+
+def test_uncertain_mass_flows_into_stiffness_and_damping():
+    generator, seed = fresh()
+    recording = shake(DRIVES["swept"], generator, load=0.32, acceleration=5.0).recording
+    u = 0.0005
+    exact, uncertain = (said(recording, mass=mass)[0].dynamics for mass in (MASS, (MASS, u)))
+    lighter, heavier = (said(recording, mass=MASS + sign * u)[0].dynamics for sign in (-1, 1))
+    assert uncertain.mass == MASS
+    assert uncertain.uncertainty("mass") == pytest.approx(u)
+    for name in ("stiffness", "damping"):
+        shift = (getattr(heavier, name) - getattr(lighter, name)) / 2
+        expected = np.hypot(exact.uncertainty(name), shift)
+        assert uncertain.uncertainty(name) == pytest.approx(expected, rel=0.02), seed
+
+
+def test_mass_more_uncertain_than_the_record_scales_stiffness_and_damping():
+    generator, seed = fresh()
+    fit, _ = said(shake(DRIVES["swept"], generator).recording, mass=(MASS, 0.01 * MASS))
+    d = fit.dynamics
+    # The shape fixes w0 and b w0 / k to 1e-4 and better; k = M w0^2 and b = M w0 (b w0 / k) then go with the mass.
+    assert d.uncertainty("stiffness") == pytest.approx(0.01 * d.stiffness, rel=0.01), seed
+    assert d.uncertainty("damping") == pytest.approx(0.01 * d.damping, rel=0.01), seed
+    assert d.uncertainty("natural_frequency") < 1e-4 * d.natural_frequency, seed
+    assert abs(d.damping / TRUE.damping - 1) < 5e-3, seed
+
+
+def test_accelerometer_gain_that_is_off_does_not_bend_the_shape():
+    generator, seed = fresh()
+    recording = shake(DRIVES["swept"], generator).recording
+    ground = 1.05 * recording.channel("ground_acceleration").values
+    fit, texts = said(with_channel(recording, "ground_acceleration", values=ground), mass=MASS)
+    assert any("implies a moving mass of 0.647" in text for text in texts), (seed, texts)
+    errors, uncertainties = found(fit)
+    assert np.all(np.abs(errors) < 5 * uncertainties), seed
+
+
+def test_gain_uncertainty_of_the_accelerometer_counts():
+    generator, seed = fresh()
+    recording = shake(DRIVES["swept"], generator).recording
+    doubtful = with_channel(recording, "ground_acceleration", relative_uncertainty=0.01)
+    fit = identify_rig(doubtful).dynamics
+    assert fit.uncertainty("mass") == pytest.approx(0.01 * fit.mass, rel=0.01), seed
+
+
+def test_delay_known_from_the_channel_settings_is_removed():
+    generator, seed = fresh()
+    recording = shake(DRIVES["stepped"], generator).recording
+    settled = with_channel(recording, "AF", delay=DELAY)
+    left = identify_rig(settled, mass=MASS).dynamics
+    assert abs(left.delay) < 5 * left.uncertainty("delay"), seed
+    given = identify_rig(settled, mass=MASS, delay=0.0).dynamics
+    assert given.delay == 0.0
+    assert given.uncertainty("delay") == 0.0
+    assert given.uncertainty("damping") < left.uncertainty("damping")
+
+
+@pytest.mark.parametrize("coupling", ["kinematic", "dc"])
+def test_pitching_ground_end(coupling: str):
+    # A balance that pitches while it is shaken feels x1'' - g sin(pitch); a dc accelerometer reads just that.
+    generator, seed = fresh()
+    simulation = shake(DRIVES["random"], generator, delay=0.0)
+    samples = simulation.pitch.size
+    pitch = 0.1 * np.sin(2 * np.pi * 1.5 * np.arange(samples) / 25e3)
+    weight = TRUE.mass * STANDARD_GRAVITY * np.sin(pitch)  # slow, so the load follows it as at rest
+    recording = with_channel(simulation.recording, "pitch", values=pitch)
+    recording = with_channel(recording, "AF", values=recording.channel("AF").values + weight)
+    ground = recording.channel("ground_acceleration").values
+    if coupling == "dc":
+        ground = ground - STANDARD_GRAVITY * np.sin(pitch)
+    recording = with_channel(recording, "ground_acceleration", values=ground, coupling=coupling)
+    fit = identify_rig(recording, mass=MASS, delay=0.0)
+    error = fit.dynamics.natural_frequency - TRUE.natural_frequency
+    assert abs(error) < 5 * fit.dynamics.uncertainty("natural_frequency"), seed
+
+
+def test_live_accelerometer_agrees_or_is_called_off():
+    generator, seed = fresh()
+    recording = shake(DRIVES["swept"], generator, live=True).recording
+    check = identify_rig(recording, mass=MASS).live
+    assert abs(check.gain - 1) < 5 * check.u_gain + 1e-3, seed
+    wrong = with_channel(recording, "live_acceleration", values=1.1 * recording.channel("live_acceleration").values)
+    assert any("live accelerometer reads 1.1" in text for text in said(wrong, mass=MASS)[1]), seed
+
+
+def test_a_mode_above_does_not_bend_the_one_sought():
+    generator, seed = fresh()
+    simulation = shake(RandomDrive(100.0, 3000.0, 1.5, rms=30.0), generator, load=0.32, acceleration=0.5, delay=0.0)
+    spectrum = np.fft.rfft(simulation.ground_acceleration)
+    ratio = np.fft.rfftfreq(simulation.load.size, 1 / 25e3) / 2500
+    extra = np.fft.irfft(-0.005 * ratio**2 / (1 - ratio**2 + 0.02j * ratio) * spectrum, simulation.load.size)
+    recording = with_channel(simulation.recording, "AF", values=simulation.recording.channel("AF").values + extra)
+    fit, _ = said(recording, mass=MASS)
+    assert TRUE.natural_frequency < fit.band[1] < 2500, seed
+    # What the second mode adds at the first is 0.005 (652 / 2500)^2 kg of 5.1 kg, 7e-5.
+    error = fit.dynamics.natural_frequency / TRUE.natural_frequency - 1
+    u = fit.dynamics.uncertainty("natural_frequency") / TRUE.natural_frequency
+    assert abs(error) < 7e-5 + 5 * u, seed
+    with pytest.warns(DoubtWarning, match="one mode does not describe"):
+        identify_rig(recording, mass=MASS, band=(100.0, 3000.0))
+
+
+def test_far_below_resonance_is_refused_or_called_extrapolated():
+    generator, seed = fresh()
+    recording = shake(RandomDrive(5.0, 20.0, 4.0), generator, load=0.32, acceleration=0.5).recording
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        # The load departs by (20 / 652)^2 = 1e-3 from that of a rigid balance; sixty lines of 1 % noise do not tell.
+        try:
+            fit = identify_rig(recording, mass=MASS, band=(5.0, 20.0))
+        except FitError as refused:
+            assert "does not carry the stiffness" in str(refused), seed
+        else:
+            f0, u = (fit.dynamics.natural_frequency, fit.dynamics.uncertainty("natural_frequency"))
+            assert abs(f0 - TRUE.natural_frequency) < 5 * u, seed
+    with pytest.raises(FitError, match="does not carry the stiffness"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        quiet = shake(RandomDrive(2.0, 8.0, 6.0), generator, load=0.32, acceleration=0.5).recording
+        identify_rig(quiet, mass=MASS, band=(2.0, 8.0))
+    recording = shake(RandomDrive(100.0, 500.0, 3.0), generator).recording
+    _, texts = said(recording, mass=MASS, band=(100.0, 500.0))
+    assert any("no excitation reaches the natural frequency" in text for text in texts), seed
+
+
+def test_missing_and_saturated_samples_are_called_out():
+    generator, seed = fresh()
+    recording = shake(DRIVES["swept"], generator).recording
+    values = recording.channel("AF").values.copy()
+    values[1000] = np.nan
+    values[60000:60050] = np.nan
+    fit, texts = said(with_channel(recording, "AF", values=values), mass=MASS)
+    assert any("51 missing sample(s); 60000 of 75000" in text for text in texts), seed
+    assert abs(fit.dynamics.damping / TRUE.damping - 1) < 5e-3, seed
+    ground = np.clip(recording.channel("ground_acceleration").values, -9.0, 9.0)
+    _, texts = said(with_channel(recording, "ground_acceleration", values=ground), mass=MASS)
+    assert any("saturated" in text for text in texts), seed
+
+
+def test_records_that_cannot_carry_a_result_are_refused():
+    generator, _ = fresh()
+    recording = shake(DRIVES["swept"], generator).recording
+    still = with_channel(recording, "ground_acceleration", values=np.zeros(recording.samples))
+    with pytest.raises(FitError, match="ground_acceleration does not change"):
+        identify_rig(still, mass=MASS)
+    noise = with_channel(recording, "ground_acceleration", values=generator.standard_normal(recording.samples))
+    with pytest.raises(FitError, match="does not answer the ground acceleration"):
+        identify_rig(noise, mass=MASS)
+    with pytest.raises(FitError, match="no channel PM"):
+        identify_rig(recording, component="PM", mass=MASS)
+    short = Recording.from_columns(
+        np.arange(100) / 25e3,
+        {
+            name: replace(recording.channel(name), values=recording.channel(name).values[:100])
+            for name in ("AF", "ground_acceleration")
+        },
+    )
+    with pytest.raises(FitError, match="at least 256"):
+        identify_rig(short, mass=MASS)
+
+
+def test_wrong_calls():
+    generator, _ = fresh()
+    recording = shake(Sweep(500.0, 900.0, 0.2), generator).recording
+    with pytest.raises(ValueError, match="mass must be positive"):
+        identify_rig(recording, mass=-1.0)
+    with pytest.raises(ValueError, match="rising order"):
+        identify_rig(recording, mass=MASS, band=(10.0, 5.0))
+
+
+def treadmill(name: str) -> Recording:
+    file = TREADMILL / name
+    if not file.exists():
+        pytest.skip("the treadmill recordings are not in ../shared/data")
+    stamps, moment, speed = np.loadtxt(file, skiprows=1).T
+    interval = np.polyfit(np.arange(stamps.size), stamps, 1)[0]
+    channels = {
+        "PM": Channel("PM", moment, "N*m"),
+        "ground_acceleration": Channel("ground_acceleration", -np.gradient(speed, interval), "m/s^2"),
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)  # the time stamps jitter
+        return Recording.from_columns(stamps, channels, name=name)
+
+
+@pytest.mark.parametrize(("name", "most"), [("RandomSlowSpeed1.txt", 1.23), ("RandomFastSpeed1.txt", 1.60)])
+def test_moment_of_a_treadmill_that_is_shaken(name: str, most: float):
+    # A static gain leaves 1.27 and 1.70 N m; gain, natural frequency, damping and delay 1.20 and 1.49.
+    recording = treadmill(name)
+    fit, texts = said(recording, component="PM")
+    assert any("damping is hardly identifiable" in text for text in texts)
+    dynamics = fit.dynamics
+    moment = recording.channel("PM").values
+    ground = recording.channel("ground_acceleration").values
+    # The low-pass is linear, so it may come first; then nothing rings at the ends of the record.
+    low_pass = butter(2, 6 / (recording.rate / 2))
+    curve = CubicSpline(recording.time, filtfilt(*low_pass, moment))
+    later = recording.time + dynamics.delay
+    felt, first, second = (curve(later, order) for order in range(3))
+    left = felt + (dynamics.damping * first + dynamics.mass * second) / dynamics.stiffness
+    left += dynamics.mass * filtfilt(*low_pass, ground)
+    assert np.std(left) <= most

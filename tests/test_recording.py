@@ -1,0 +1,267 @@
+"""Recording: the steady clock behind a time column, gaps, missing samples and saturation."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording import Channel, Loads, Recording
+
+
+def on(stamps, values=None):
+    stamps = np.asarray(stamps)
+    channel = Channel("AF", np.arange(stamps.size, dtype=float) if values is None else values, "N")
+    return Recording.from_columns(stamps, {"AF": channel}, name="rec")
+
+
+def fresh():
+    entropy = np.random.SeedSequence().entropy
+    return np.random.default_rng(entropy), entropy
+
+
+@pytest.mark.parametrize("rate", [1.0, 100.0, 1600.0, 25000.0, 3.0])
+@pytest.mark.parametrize("start", [0.0, -12.3, 1.7e9])
+def test_a_steady_clock_is_found(rate, start):
+    count = 5000
+    recording = on(start + np.arange(count) / rate)
+    # Stamps are rounded to half an ulp of the start; the slope of 5000 of them is far better than one of them.
+    rounding = np.spacing(abs(start) + count / rate)
+    if rounding * rate > 0.1:
+        pytest.skip("the stamps do not resolve the clock")
+    assert recording.rate == pytest.approx(rate, rel=max(rounding * rate / count, 1e-12))
+    assert recording.start == pytest.approx(start, abs=max(2 * rounding, 1e-12))
+    assert recording.samples == count
+    assert recording.gaps == []
+    np.testing.assert_allclose(recording.time, recording.stamps, atol=max(2 * rounding, 1e-9))
+
+
+@pytest.mark.parametrize("decimals", [6, 5, 4])
+def test_rounded_stamps_give_the_true_rate(decimals):
+    rate, count = 1600.0, 4000
+    stamps = np.round(np.arange(count) / rate, decimals)
+    recording = on(stamps)
+    assert recording.samples == count
+    # Rounding errors of half a digit at most, in a fit over 4000 rows: the slope errs by less than 6 of them / n.
+    assert recording.rate == pytest.approx(rate, rel=6 * 0.5 * 10.0**-decimals * rate / count)
+
+
+@pytest.mark.parametrize("decimals", [9, 4])
+@pytest.mark.parametrize("lost", [[1], [2000], [3998], [10, 11, 12], [500, 2500, 2501], list(range(1000, 1900))])
+def test_gaps_are_found_wherever_they_are_also_with_rounded_stamps(decimals, lost):
+    rate, count = 1600.0, 4000
+    kept = np.setdiff1d(np.arange(count), lost)
+    with pytest.warns(DoubtWarning, match=rf"{len(lost)} sample.s. are missing from the time column"):
+        recording = on(np.round(kept / rate, decimals), kept.astype(float))
+    np.testing.assert_array_equal(recording.rows, kept)
+    np.testing.assert_array_equal(np.flatnonzero(recording.channel("AF").missing), lost)
+    assert recording.rate == pytest.approx(rate, rel=1e-4)
+    assert sum(length for _, length in recording.gaps) == pytest.approx(len(lost) / rate, rel=1e-3)
+
+
+@pytest.mark.parametrize("count", [5, 8, 20, 101])
+def test_one_lost_sample_is_found_in_short_recordings_too(count):
+    for lost in range(1, count - 1):
+        kept = np.setdiff1d(np.arange(count), lost)
+        with pytest.warns(DoubtWarning, match=r"1 sample.s. are missing"):
+            recording = on(kept * 0.01)
+        np.testing.assert_array_equal(recording.rows, kept)
+
+
+def test_gaps_are_found_under_jitter():
+    rng, entropy = fresh()
+    kept = np.delete(np.arange(3000), [700, 701, 2222])
+    stamps = kept * 0.01 + rng.uniform(-1.5e-3, 1.5e-3, kept.size)
+    with pytest.warns(DoubtWarning) as caught:
+        recording = on(stamps)
+    np.testing.assert_array_equal(recording.rows, kept, err_msg=str(entropy))
+    said = " ".join(str(item.message) for item in caught)
+    assert "3 sample(s) are missing" in said
+    assert "depart from a steady" in said
+
+
+def test_jitter_alone_is_no_gap():
+    rng, entropy = fresh()
+    stamps = np.arange(5000) * 0.01 + rng.uniform(-4e-3, 4e-3, 5000)
+    with pytest.warns(DoubtWarning, match=r"depart from a steady .* by up to 0\.[34]"):
+        recording = on(stamps)
+    assert recording.samples == 5000, entropy
+    # Uniform jitter of 4 ms: its standard deviation times sqrt(12) / n^1.5 is the slope's; eight of them.
+    assert recording.rate == pytest.approx(100, rel=8 * 0.4 / np.sqrt(3) * np.sqrt(12) / 5000**1.5), entropy
+
+
+def test_little_jitter_is_not_worth_a_warning():
+    rng, _ = fresh()
+    assert on(np.arange(5000) * 0.01 + rng.uniform(-5e-4, 5e-4, 5000)).samples == 5000
+
+
+def test_equal_stamps_are_said():
+    stamps = np.arange(2000) * 0.01
+    stamps[700] = stamps[699]
+    with pytest.warns(DoubtWarning, match=r"1 time stamp\(s\) repeat the one before.*evenly spaced"):
+        recording = on(stamps)
+    assert recording.samples == 2000
+
+
+def test_stamps_coarser_than_the_interval_are_said():
+    stamps = np.round(np.arange(5000) / 1600, 2)
+    with pytest.warns(DoubtWarning, match=r"rounded to 0\.01 s, more than a sampling interval"):
+        recording = on(stamps)
+    assert recording.samples == 5000
+    assert recording.rate == pytest.approx(1600, rel=6 * 0.005 * 1600 / 5000)
+
+
+def test_a_clock_that_wanders_is_no_gap():
+    index = np.arange(10000)
+    stamps = index * 0.01 + 0.03 * np.sin(2 * np.pi * index / 10000)
+    with pytest.raises(FitError, match=r"rec: the time column fits no steady clock.*resample"):
+        on(stamps)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "said"),
+    [
+        ([], r"0 row\(s\)"),
+        ([1.0], r"1 row\(s\)"),
+        ([0, 1, np.nan], "time of sample 3 is not a number"),
+        ([0, 1, np.inf], "time of sample 3 is not a number"),
+        ([3, 2, 1], "sample 2 is at 2 s, after 3 s"),
+        ([0, 1, 2, 1.5, 3], r"sample 4 is at 1\.5 s, after 2 s"),
+        ([1, 1, 1], "must increase"),
+        ([0, 1, 1, 2, 1.5], r"sample 5 is at 1\.5 s, after 2 s"),
+        ([0, 1, 1.1, 3.7, 3.9, 9], "no steady clock"),
+        ([0, 1, 2, 3, 1e9], "jumps from 3 s to 1e.09 s at sample 5.*cut the recording"),
+    ],
+)
+def test_time_columns_that_carry_no_clock(stamps, said):
+    with pytest.raises(FitError, match=said):
+        on(np.array(stamps, dtype=float))
+
+
+def test_clock_finding_never_fails_otherwise():
+    rng, entropy = fresh()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        for trial in range(500):
+            count = int(rng.integers(2, 40))
+            stamps = np.sort(np.round(rng.choice([1e-4, 1, 1e9]) * rng.random(count), int(rng.integers(0, 8))))
+            try:
+                recording = on(stamps)
+            except FitError:
+                continue
+            assert recording.rate > 0, (entropy, trial)
+            assert (np.diff(recording.rows) > 0).all(), (entropy, trial)
+            # Rows are where their stamps are, to a sampling interval and what the stamps are rounded to.
+            coarse = np.min(np.diff(stamps)[np.diff(stamps) > 0]) * recording.rate
+            off = np.abs(recording.time[recording.rows] - recording.stamps) * recording.rate
+            assert off.max() <= max(1.0, coarse) + 1e-6, (entropy, trial)
+
+
+def test_channels_have_a_reading_per_row():
+    with pytest.raises(ValueError, match="channel AF has 3 readings for 2 time stamps"):
+        Recording.from_columns(np.arange(2.0), {"AF": Channel("AF", np.zeros(3), "N")})
+
+
+def test_channel_settings_survive_the_clock():
+    given = Channel(
+        "ground_acceleration",
+        np.zeros(5),
+        "m/s^2",
+        noise=0.1,
+        relative_uncertainty=0.01,
+        delay=1e-6,
+        coupling="ac",
+        corner=0.5,
+        file_unit="g",
+    )
+    found = Recording.from_columns(np.arange(5.0), {given.name: given}).channel(given.name)
+    for slot in Channel.__slots__:
+        if slot != "values":
+            assert getattr(found, slot) == getattr(given, slot)
+
+
+def test_a_channel_is_fixed_but_the_callers_array_is_not():
+    values = np.zeros(3)
+    channel = Channel("AF", values, "N")
+    with pytest.raises(ValueError, match="read-only"):
+        channel.values[0] = 1
+    values[0] = 2
+    assert values[0] == 2
+
+
+def test_wrong_channels():
+    with pytest.raises(ValueError, match="AF must be in N inside, not kN"):
+        Channel("AF", np.zeros(3), "kN")
+    with pytest.raises(ValueError, match="shape"):
+        Channel("AF", np.zeros((3, 1)), "N")
+    with pytest.raises(ValueError, match="noise"):
+        Channel("AF", np.zeros(3), "N", noise=-1)
+    with pytest.raises(FitError, match="rec has no channel PM; it has AF"):
+        on(np.arange(3.0)).channel("PM")
+
+
+def test_loads_take_noise_where_it_is_known():
+    channels = {"AF": Channel("AF", np.zeros(3), "N", noise=0.5), "PM": Channel("PM", np.ones(3), "N*m")}
+    loads = Loads.from_recording(Recording.from_columns(np.arange(3.0), channels), ("AF", "PM"))
+    np.testing.assert_array_equal(loads.noise, [0.5, np.nan])
+    assert loads.values.shape == (3, 2)
+
+
+def saturated(values):
+    return np.flatnonzero(Channel("AF", np.asarray(values, dtype=float), "N").saturated)
+
+
+TIME = np.arange(4000) / 4000
+
+
+@pytest.mark.parametrize("level", [0.3, 0.8, 0.95, 0.99])
+@pytest.mark.parametrize("bits", [None, 12, 16])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_clipped_sine_is_found(level, bits, sign):
+    full = sign * np.sin(2 * np.pi * 20.3 * TIME)
+    values = np.clip(full, -level, level)
+    if bits:
+        values = np.clip(np.round(full * 2 ** (bits - 1)), -np.floor(level * 2 ** (bits - 1)), level * 2 ** (bits - 1))
+        values = np.minimum(values, np.floor(level * 2 ** (bits - 1)))
+    found = saturated(values)
+    clipped = np.abs(full) > level * 1.001
+    assert (np.abs(values[found]) == np.abs(values).max()).all()
+    assert np.isin(np.flatnonzero(clipped), found).mean() > 0.9
+
+
+def test_a_clipped_ringing_with_noise_is_found():
+    rng, entropy = fresh()
+    full = np.exp(-TIME * 3) * np.cos(2 * np.pi * 66.4 * TIME) + rng.normal(0, 0.01, TIME.size)
+    found = saturated(np.minimum(full, 0.6))
+    assert found.size > 50, entropy
+    assert (full[found] >= 0.6).all(), entropy
+
+
+def test_what_is_no_saturation():
+    rng, entropy = fresh()
+    sine = np.sin(2 * np.pi * 20.3 * TIME)
+    square = np.where(np.sin(2 * np.pi * 5 * TIME) > 0, 1.0, 0.0)
+    ringing = np.exp(-TIME * 3) * np.cos(2 * np.pi * 66.4 * TIME)
+    cases = {
+        "noise-free step": np.where(TIME < 0.5, 1020.0, 0.0),
+        "square wave": square,
+        "square wave beside fine detail": np.where(square > 0, 1.0, 0.1 * sine),
+        "quantised sine": np.round(sine * 20),
+        "finely quantised sine": np.round(sine * 2000),
+        "slow quantised sine": np.round(np.sin(2 * np.pi * 2 * TIME) * 200),
+        "quantised noise": np.round(rng.normal(0, 2, TIME.size)),
+        "coarse noise": np.round(rng.normal(0, 0.6, TIME.size)),
+        "ringing": ringing,
+        "quantised ringing": np.round(ringing * 500) / 500,
+        "constant": np.ones(4000),
+        "zero": np.zeros(4000),
+        "all missing": np.full(4000, np.nan),
+        "two samples": [1.0, 2.0],
+        "one level and missing": np.where(TIME < 0.5, 1.0, np.nan),
+        "one level broken by missing samples": np.where(np.arange(4000) % 10 == 0, np.nan, 1.0),
+        "infinite samples": np.where(np.arange(4000) % 10 == 0, np.inf, np.round(sine * 3)),
+        "long plateaus": np.clip(20 * np.sin(2 * np.pi * 2 * TIME), -1, 1),
+        "sine and hold beside missing": np.where(sine > 0.9, np.nan, sine),
+    }
+    for name, values in cases.items():
+        assert saturated(values).size == 0, (name, entropy)
