@@ -6,6 +6,7 @@ a band. Each gives every sample a standard uncertainty.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -16,8 +17,8 @@ from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import PARAMETERS, Dynamics
 from aerobalance.motion import GroundMotion, load_from_ground
 from aerobalance.noise import white_noise
-from aerobalance.prior import Learned, Reading, generalised_least_squares
-from aerobalance.problems import FitError
+from aerobalance.prior import Learned, Reading, generalised_least_squares, whitened_residual
+from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Array, Recording
 from aerobalance.smoother import FORCE, LOAD, LOAD_RATE, Filter
 from aerobalance.steps import Step, columns_of, find_steps, response_to, shape_of
@@ -26,6 +27,9 @@ Method = Literal["smoother", "paper"]
 
 FEWEST_SAMPLES: Final = 32
 """Shortest record that a force is worked out for."""
+
+EXPLAINED_BLOCK: Final = 256
+"""Samples over which it is looked whether the readings are explained."""
 
 DIFFERENCE_BANDWIDTH: Final = 0.3183
 """Frequency, over the sampling rate, at which the three-point second difference is 3 dB low."""
@@ -189,6 +193,7 @@ def _optimal(job: _Job) -> ForceEstimate:
     states, variance = filter_.smooth(np.where(reading.present, reading.values - columns @ sizes, 0.0))
     values = states[:, FORCE] + shapes @ sizes
     load_rate, load_acceleration = _load_derivatives(job, states, columns @ sizes + from_ground, values)
+    _check_explained(job, whitened_residual(reading, learned, columns=columns))
     parts = {
         "noise of the readings": np.sqrt(variance),
         "size and instant of steps": _shape_uncertainty(reading, filter_, steps, shapes, sizes),
@@ -205,6 +210,24 @@ def _optimal(job: _Job) -> ForceEstimate:
         noise_gain=float(np.sqrt(np.mean(variance))) / learned.noise,
         steps=tuple(steps),
     )
+
+
+def _check_explained(job: _Job, white: Array) -> None:
+    """Warn where the readings depart from what balance and prior expect: the uncertainty there is too small."""
+    count = max(white.size // EXPLAINED_BLOCK, 1)
+    level = np.array([np.mean(block**2) for block in np.array_split(white, count)])
+    # the mean square over m samples scatters by sqrt(2 / m); eight times that is never reached by chance
+    strange = np.flatnonzero(level > 1 + 8 * np.sqrt(2 * count / white.size))
+    if strange.size:
+        worst = int(strange[np.argmax(level[strange])])
+        start, stop = (job.recording.start + edge * white.size / count * job.interval for edge in (worst, worst + 1))
+        warnings.warn(
+            f"{job.recording.name}: in {strange.size} of {count} stretches the readings of {job.dynamics.component} "
+            f"depart from what the model of balance and load expects, most between {start:.4g} and {stop:.4g} s "
+            f"({np.sqrt(level[worst]):.2g} times the chance scatter); the uncertainty of the force there is too small",
+            DoubtWarning,
+            stacklevel=4,
+        )
 
 
 def _load_derivatives(job: _Job, states: Array, rest: Array, force: Array) -> tuple[Array, Array]:
@@ -267,12 +290,19 @@ def _without_gaps(job: _Job, what: str) -> Array:
 
 
 def _central_differences(job: _Job) -> ForceEstimate:
-    """Eq. (17) of [Gorbushin2020]_ as it stands: AF' and AF'' by three-point central differences."""
+    """Eq. (17) of [Gorbushin2020]_ as it stands: AF' and AF'' by three-point central differences.
+
+    The first and last sample have one neighbour only. The load is continued there by odd reflection, which makes AF''
+    zero; repeating the neighbour's AF'' instead would give two samples the same amplified noise, which no later
+    low-pass takes out. What this may miss is in the uncertainty of these two samples.
+    """
     d, h = job.dynamics, job.interval
     load = _without_gaps(job, "central differences")
     load_rate = np.gradient(load, h)
     second = np.diff(load, 2) / h**2
-    load_acceleration = np.concatenate(([second[0]], second, [second[-1]]))
+    load_acceleration = np.concatenate(([0.0], second, [0.0]))
+    ends = np.zeros(load.size)
+    ends[[0, -1]] = d.mass / d.stiffness * np.abs(second[[0, -1]])
     known = _delayed_force(job)
     values = load + d.damping / d.stiffness * load_rate + d.mass / d.stiffness * load_acceleration - known
     noise = job.recording.channel(d.component).noise
@@ -282,6 +312,7 @@ def _central_differences(job: _Job) -> ForceEstimate:
     parts = {
         "noise of the readings": np.full(load.size, gain * noise),
         "noise of the ground motion": np.full(load.size, job.input_noise),
+        "ends of the record": ends,
         **job.parameter_uncertainty(load_rate, load_acceleration),
     }
     bandwidth = DIFFERENCE_BANDWIDTH / h

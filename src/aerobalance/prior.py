@@ -6,7 +6,7 @@ blind to the ends of the record; the choice among orders is made by the likeliho
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 
 from aerobalance.dynamics import Dynamics
+from aerobalance.problems import FitError
 from aerobalance.recording import Array
 from aerobalance.smoother import Filter, ForcePrior, StateSpace
 
 ORDERS: Final = (1, 2, 4, 8, 16)
 """Orders of the force's prior that are tried."""
 
-LEARNING_SAMPLES: Final = 1 << 16
+LEARNING_SAMPLES: Final = 1 << 15
 """Samples that the likelihood of the innovations is summed over at most, in blocks spread over the record."""
 
 BLOCKS: Final = 8
@@ -28,6 +29,12 @@ BLOCKS: Final = 8
 
 NULL_EVIDENCE: Final = 6.0
 """Gain in log-likelihood that a fluctuating force must bring over none at all: two parameters, searched widely."""
+
+MOST_ADDED: Final = 2
+"""Blocks that may be added because the others do not explain them."""
+
+UNEXPLAINED: Final = 1.5
+"""Mean square of whitened innovations over a block above which the block is not explained; its scatter is 0.02."""
 
 HANN_BANDWIDTH: Final = 1.94
 """Ordinates of a Hann periodogram that are as good as one independent ordinate."""
@@ -68,6 +75,8 @@ class Reading:
         Density of the white force noise that comes with the known inputs [N^2/Hz].
     noise
         Standard uncertainty of a reading [N]; None when it is to be learned.
+    also
+        First samples of further blocks that a long record is learned from, because something happens in them.
     """
 
     values: Array
@@ -75,6 +84,7 @@ class Reading:
     dynamics: Dynamics
     input_density: float = 0.0
     noise: float | None = None
+    also: tuple[int, ...] = ()
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -108,8 +118,11 @@ class Reading:
         )
 
 
-def learn(reading: Reading, *, columns: Array, start: Learned | None = None) -> Learned:
+def learn(reading: Reading, *, columns: Array) -> Learned:
     """Find the prior and the noise that make the readings most likely.
+
+    A long record is learned from blocks; a part of it that the answer does not explain is added to them, so that
+    nothing that happens between the blocks goes unseen.
 
     Parameters
     ----------
@@ -117,15 +130,49 @@ def learn(reading: Reading, *, columns: Array, start: Learned | None = None) -> 
         The record.
     columns
         Known shapes whose sizes are free, shape (n, p): the constant, and the response to every step found so far.
-    start
-        An earlier answer; only its order is looked at again. Without it every one of `ORDERS` is tried.
     """
-    if start is not None:
-        return _refine(reading, columns=columns, start=start)
+    learned = _learn(reading, columns=columns)
+    for _ in range(MOST_ADDED):
+        place = _unexplained(reading, learned, columns=columns)
+        if place is None:
+            break
+        reading = replace(reading, also=(*reading.also, place))
+        learned = _learn(reading, columns=columns)
+    return learned
+
+
+def guess(reading: Reading, *, columns: Array) -> Learned:
+    """A quick answer from the periodogram alone."""
     none, *starts = _whittle(reading, columns=columns)
-    likelihoods = [candidate.log_likelihood for candidate in starts]
-    place = int(np.argmax(likelihoods))
-    if likelihoods[place] < none.log_likelihood + NULL_EVIDENCE:
+    best = max(starts, key=lambda candidate: candidate.log_likelihood)
+    return best if best.log_likelihood >= none.log_likelihood + NULL_EVIDENCE else none
+
+
+def _unexplained(reading: Reading, learned: Learned, *, columns: Array) -> int | None:
+    """First sample of the block of a long record whose innovations are the most too large; None if none are."""
+    samples = reading.values.size
+    if samples <= LEARNING_SAMPLES:
+        return None
+    white = whitened_residual(reading, learned, columns=columns)
+    length = LEARNING_SAMPLES // BLOCKS
+    edges = np.arange(0, samples - length // 2, length // 2)
+    excess = np.array([float(np.mean(white[k : k + length] ** 2)) for k in edges])
+    place = int(min(edges[np.argmax(excess)], samples - length))
+    return None if excess.max() < UNEXPLAINED or place in reading.also else place
+
+
+def whitened_residual(reading: Reading, learned: Learned, *, columns: Array) -> Array:
+    """Innovations of a whole record over their standard deviation, the sizes of the columns at their best, (n,)."""
+    filter_ = Filter.of(reading.system(learned.prior, learned.noise), reading.present)
+    sizes, *_ = generalised_least_squares(filter_, reading.filled, columns)
+    return filter_.whiten((reading.filled - columns @ sizes)[:, None])[:, 0]
+
+
+def _learn(reading: Reading, *, columns: Array) -> Learned:
+    """The answer from the blocks at hand."""
+    none, *starts = _whittle(reading, columns=columns)
+    place = int(np.argmax([candidate.log_likelihood for candidate in starts]))
+    if starts[place].log_likelihood < none.log_likelihood + NULL_EVIDENCE:
         return _refine(reading, columns=columns, start=none)
     refined = {place: _refine(reading, columns=columns, start=starts[place])}
     best = place
@@ -144,6 +191,9 @@ def generalised_least_squares(filter_: Filter, readings: Array, columns: Array) 
     series = filter_.whiten(np.column_stack([readings, columns]))
     white, shapes = series[:, 0], series[:, 1:]
     scale = np.sqrt(np.sum(shapes**2, axis=0))
+    scale[scale == 0] = 1.0  # a shape that no reading shows: its size stays zero
+    if not np.isfinite(series).all():
+        raise FitError("the readings cannot be told from their model: they do not change, or their scale is absurd")
     solution, _, rank, singular = np.linalg.lstsq(shapes / scale, white, rcond=1e-10)
     _, _, rows = np.linalg.svd(shapes / scale, full_matrices=False)
     kept = slice(0, int(rank))
@@ -153,11 +203,14 @@ def generalised_least_squares(filter_: Filter, readings: Array, columns: Array) 
     return solution / scale, covariance, float(residual @ residual)
 
 
-def log_likelihood(reading: Reading, prior: ForcePrior, noise: float, *, columns: Array) -> float:
-    """Logarithm of the likelihood of the innovations, the sizes of the columns at their best."""
+def log_likelihood(reading: Reading, prior: ForcePrior, noise: float, *, columns: Array, whole: bool = False) -> float:
+    """Logarithm of the likelihood of the innovations, the sizes of the columns at their best.
+
+    It is summed over the blocks that are learned from, or over the whole record.
+    """
     total = 0.0
     system = reading.system(prior, noise)
-    for block in learning_blocks(reading.values.size):
+    for block in [slice(0, reading.values.size)] if whole else learning_blocks(reading):
         filter_ = Filter.of(system, reading.present[block])
         used = columns[block]
         used = used[:, np.ptp(used, axis=0) + np.abs(used[0]) > 0]
@@ -166,13 +219,14 @@ def log_likelihood(reading: Reading, prior: ForcePrior, noise: float, *, columns
     return total
 
 
-def learning_blocks(samples: int) -> list[slice]:
-    """The parts of a record that the likelihood is summed over: all of it, or blocks spread evenly."""
+def learning_blocks(reading: Reading) -> list[slice]:
+    """The parts of a record that are learned from: all of it, or blocks spread evenly and those added to them."""
+    samples = reading.values.size
     if samples <= LEARNING_SAMPLES:
         return [slice(0, samples)]
     length = LEARNING_SAMPLES // BLOCKS
-    first = np.linspace(0, samples - length, BLOCKS).astype(int)
-    return [slice(int(k), int(k) + length) for k in first]
+    first = [*np.linspace(0, samples - length, BLOCKS).astype(int).tolist(), *reading.also]
+    return [slice(k, k + length) for k in sorted(set(first))]
 
 
 def _refine(reading: Reading, *, columns: Array, start: Learned) -> Learned:
@@ -264,7 +318,7 @@ def _periodogram(reading: Reading, columns: Array) -> tuple[Array, Array, Array]
     present = reading.present
     sizes, *_ = np.linalg.lstsq(columns[present], reading.values[present], rcond=None)
     values = np.where(present, reading.values - columns @ sizes, 0.0)
-    length = min(values.size, LEARNING_SAMPLES // 2)
+    length = min(values.size, LEARNING_SAMPLES)
     segments = [values[k : k + length] for k in range(0, values.size - length + 1, length // 2)]
     window = np.hanning(length + 2)[1:-1]
     density = np.zeros(length // 2 + 1)

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 from scipy.signal import fftconvolve
 
-from aerobalance.prior import Learned, Reading, generalised_least_squares, learn
+from aerobalance.prior import Learned, Reading, generalised_least_squares, guess, learn, log_likelihood
 from aerobalance.recording import Array
 from aerobalance.smoother import Filter
 
@@ -83,25 +83,48 @@ def columns_of(steps: list[Step], reading: Reading) -> Array:
 
 
 def find_steps(reading: Reading) -> tuple[list[Step], Learned]:
-    """Find the steps of a record, and the prior of what is left when they are taken out."""
+    """Find the steps of a record, and the prior of what is left when they are taken out.
+
+    While steps are still found, the prior is guessed from the periodogram; the full answer is worked out when the
+    guess shows no more, and then it is looked once more.
+    """
     steps: list[Step] = []
-    columns = columns_of(steps, reading)
-    learned = learn(reading, columns=columns)
-    while len(steps) < MOST_STEPS:
+    learned, thorough = guess(reading, columns=columns_of(steps, reading)), False
+    while True:
+        columns = columns_of(steps, reading)
         candidate, promise = _scan(reading, learned, columns)
-        if promise < STEP_EVIDENCE:
-            break
-        trial, relearned = _settle(reading, learned, [*steps, candidate])
-        evidence = 2 * (relearned.log_likelihood - learned.log_likelihood)
-        if evidence < STEP_EVIDENCE:
-            break
-        steps = [*trial[:-1], replace(trial[-1], evidence=evidence)]
-        learned, columns = relearned, columns_of(steps, reading)
-    return sorted(steps, key=lambda step: step.instant), learned
+        found = None
+        if promise >= STEP_EVIDENCE and len(steps) < MOST_STEPS:
+            found = _taken_up(reading, learned, steps, candidate)
+        if found is not None:
+            (steps, learned), thorough = found, False
+        elif thorough:
+            return sorted(steps, key=lambda step: step.instant), learned
+        else:
+            learned, thorough = learn(reading, columns=columns), True
+            for place in range(len(steps)):
+                others = columns_of(steps[:place] + steps[place + 1 :], reading)
+                placed = _refine(reading, learned, others, steps[place], ramps=True)
+                steps[place] = replace(placed, evidence=steps[place].evidence)
+
+
+def _taken_up(
+    reading: Reading, learned: Learned, steps: list[Step], candidate: Step
+) -> tuple[list[Step], Learned] | None:
+    """The steps with one more, and the prior without it; None if it does not bring the evidence."""
+    trial, relearned = _settle(reading, learned, [*steps, candidate])
+    with_it, without = (
+        log_likelihood(reading, prior.prior, prior.noise, columns=columns_of(some, reading), whole=True)
+        for prior, some in ((relearned, trial), (learned, steps))
+    )
+    evidence = 2 * (with_it - without)
+    if evidence < STEP_EVIDENCE:
+        return None
+    return [*trial[:-1], replace(trial[-1], evidence=evidence)], relearned
 
 
 def _settle(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list[Step], Learned]:
-    """Place a new step with the prior at hand, learn the prior again without it, and so on until neither moves."""
+    """Place a new step with the prior at hand, guess the prior again without it, and so on until neither moves."""
     for turn in range(5):
         before = steps[-1]
         others = columns_of(steps[:-1], reading)
@@ -110,7 +133,7 @@ def _settle(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list
             near = before
         # the first prior still holds the step's own trace and would read a ramp into it
         steps = [*steps[:-1], _refine(reading, learned, others, near, ramps=turn > 0)]
-        learned = learn(reading, columns=columns_of(steps, reading))
+        learned = guess(reading, columns=columns_of(steps, reading))
         if turn > 0 and abs(steps[-1].instant - before.instant) < 0.01 * reading.interval:
             break
     return steps, learned
