@@ -54,6 +54,9 @@ def gains(
     table_K = np.empty((room, d))
     table_S = np.empty(room)
     P = P0.copy()
+    Ph, K = np.empty(d), np.empty(d)
+    updated, half, following = np.empty((d, d)), np.empty((d, d)), np.empty((d, d))
+    columns = A.T.copy()
     used = 0
     frozen = False
     for k in range(n):
@@ -72,20 +75,39 @@ def gains(
             bigger_S[:used] = table_S[:used]
             table_P, table_K, table_S = bigger_P, bigger_K, bigger_S
         table_P[used] = P
-        Ph = P @ h
-        S = h @ Ph + R
+        S = R
+        for i in range(d):
+            Ph[i] = 0.0
+            for j in range(d):
+                Ph[i] += P[i, j] * h[j]
+            S += h[i] * Ph[i]
         table_S[used] = S
-        if present[k]:
-            K = Ph / S
-            # Joseph form: the variance stays positive however small the noise of the reading is
-            J = np.eye(d) - np.outer(K, h)
-            updated = J @ P @ J.T + R * np.outer(K, K)
-        else:
-            K = np.zeros(d)
-            updated = P
-        table_K[used] = K
-        following = A @ updated @ A.T + Q
-        following = 0.5 * (following + following.T)
+        for i in range(d):
+            K[i] = Ph[i] / S if present[k] else 0.0
+            table_K[used, i] = K[i]
+        # Joseph form, (1 - K h) P (1 - K h)' + R K K', one factor after the other: the variance stays positive however
+        # small the noise of the reading is
+        for i in range(d):
+            across = 0.0
+            for j in range(d):
+                updated[i, j] = P[i, j] - K[i] * Ph[j]
+                across += updated[i, j] * h[j]
+            for j in range(d):
+                updated[i, j] += (R * K[i] - across) * K[j]
+        for i in range(d):
+            half[i] = 0.0
+            for m in range(d):
+                for j in range(d):
+                    half[i, j] += A[i, m] * updated[m, j]
+        for i in range(d):
+            following[i] = Q[i]
+            for m in range(d):
+                for j in range(d):
+                    following[i, j] += half[i, m] * columns[m, j]
+        for i in range(d):
+            for j in range(i):
+                following[i, j] = 0.5 * (following[i, j] + following[j, i])
+                following[j, i] = following[i, j]
         if present[k]:
             change = 0.0
             for i in range(d):
@@ -95,7 +117,7 @@ def gains(
             frozen = change < tolerance
         which[k] = used
         used += 1
-        P = following
+        P[:] = following
     return which, table_P[:used].copy(), table_K[:used].copy(), table_S[:used].copy()
 
 

@@ -210,8 +210,11 @@ def log_likelihood(reading: Reading, prior: ForcePrior, noise: float, *, columns
     """
     total = 0.0
     system = reading.system(prior, noise)
+    filter_: Filter | None = None
     for block in [slice(0, reading.values.size)] if whole else learning_blocks(reading):
-        filter_ = Filter.of(system, reading.present[block])
+        present = reading.present[block]
+        if filter_ is None or not np.array_equal(filter_.present, present):
+            filter_ = Filter.of(system, present)
         used = columns[block]
         used = used[:, np.ptp(used, axis=0) + np.abs(used[0]) > 0]
         *_, squares = generalised_least_squares(filter_, reading.filled[block], used)
@@ -277,14 +280,15 @@ def _whittle(reading: Reading, *, columns: Array) -> list[Learned]:
     """No fluctuating force, then for each order the most likely prior, by the periodogram."""
     frequency, ordinates, weight = _periodogram(reading, columns)
     transfer = np.abs(reading.dynamics.response(frequency)) ** 2
+    logarithm = np.log(frequency)
     interval = reading.interval
     upper = ordinates[int(0.8 * ordinates.size) :]
     floor = max(float(np.median(upper)) / np.log(2) / interval, reading.least_noise**2)
     fixed = None if reading.noise is None else max(reading.noise, reading.least_noise) ** 2
 
     def cost(point: Array, order: int) -> float:
-        density, cutoff, variance = np.exp(np.clip(point, -600, 600))
-        prior = density / (1 + np.minimum((frequency / cutoff) ** (2 * order), 1e200))
+        density, _, variance = np.exp(np.clip(point, -600, 600))
+        prior = density / (1 + np.exp(np.minimum(2 * order * (logarithm - point[1]), 460.0)))
         model = transfer * (prior + reading.input_density) + (fixed or variance) * interval
         return float(weight @ (np.log(model) + ordinates / model))
 
@@ -318,7 +322,7 @@ def _periodogram(reading: Reading, columns: Array) -> tuple[Array, Array, Array]
     present = reading.present
     sizes, *_ = np.linalg.lstsq(columns[present], reading.values[present], rcond=None)
     values = np.where(present, reading.values - columns @ sizes, 0.0)
-    length = min(values.size, LEARNING_SAMPLES)
+    length = min(values.size, LEARNING_SAMPLES // 2)
     segments = [values[k : k + length] for k in range(0, values.size - length + 1, length // 2)]
     window = np.hanning(length + 2)[1:-1]
     density = np.zeros(length // 2 + 1)
