@@ -14,7 +14,6 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from aerobalance import __version__
 from aerobalance.components import STANDARD_GRAVITY
@@ -25,13 +24,18 @@ PROGRAM = "aerobalance"
 app = typer.Typer(
     name=PROGRAM,
     help="The force that was really applied, from the readings of a wind-tunnel strain-gauge balance.",
+    epilog=f"Example: {PROGRAM} force run.csv --dynamics dynamics.json -o force.csv",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-identify = typer.Typer(help="Stiffness and damping of a balance, from a release, a shaken rig or a published table.")
-app.add_typer(identify, name="identify", no_args_is_help=True)
+identify = typer.Typer(
+    help="Stiffness and damping of a balance, from a release, a shaken rig or a published table.",
+    epilog=f"Example: {PROGRAM} identify decay cut.csv --component AF --mass 177.87 -o dynamics.json",
+    no_args_is_help=True,
+)
+app.add_typer(identify, name="identify")
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object on standard output.")]
 Out = Annotated[Path | None, typer.Option("-o", "--out", help="Where to write the result.")]
@@ -232,15 +236,14 @@ def show(work: Callable[[], dict[str, Any]], as_json: bool, *, doing: str, plain
     elif plain is not None:
         typer.echo(account[plain], nl=False)
     else:
-        Console(soft_wrap=True, highlight=False).print(table_of(account))
+        typer.echo(text_of(account))
 
 
-def table_of(account: dict[str, Any]) -> Table:
-    """Lay an account out in two columns, nested keys joined by dots."""
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    for key, text in _lines(account):
-        table.add_row(key, text)
-    return table
+def text_of(account: dict[str, Any]) -> str:
+    """Lay an account out in two columns, nested keys joined by dots, one line each."""
+    lines = _lines(account)
+    width = max((len(key) for key, _ in lines), default=0)
+    return "\n".join(f"{key:<{width}}  {text}" for key, text in lines)
 
 
 def _lines(item: Any, prefix: str = "") -> list[tuple[str, str]]:
@@ -277,16 +280,20 @@ def _text(value: Any) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; return its exit code."""
+    told: set[str] = set()
 
     def warn(message: Warning | str, *_: object, **__: object) -> None:
-        print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)  # noqa: T201 - this is the edge
+        text = " ".join(str(message).split())
+        if text not in told:
+            told.add(text)
+            print(f"warning: {text}", file=sys.stderr)  # noqa: T201 - this is the edge
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", DoubtWarning)
         warnings.showwarning = warn
         try:
-            result = app(arguments, standalone_mode=False)
+            result = app(arguments, prog_name=PROGRAM, standalone_mode=False)
         except FitError as problem:
             return _failed(str(problem), 1)
         except (ReadError, ValueError) as problem:
@@ -300,12 +307,17 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _from_parser(problem: Exception) -> int:
     """Exit code for what the parser raises, or for a fault of the program itself."""
-    show_usage = getattr(problem, "show", None)
-    if callable(show_usage):
-        show_usage()
+    describe = getattr(problem, "format_message", None)
+    if not callable(describe):
+        what = f"{type(problem).__name__}: {problem}"
+        return _failed(f"a fault of the program, please report it with the input that brought it about ({what})", 1)
+    context = getattr(problem, "ctx", None)
+    if not describe():  # a command without anything to do: its help
+        problem.show()  # type: ignore[attr-defined]
         return 2
-    what = f"{type(problem).__name__}: {problem}"
-    return _failed(f"a fault of the program, please report it with the input that brought it about ({what})", 1)
+    command = context.command_path if context is not None else PROGRAM
+    text = describe().replace("Value error, ", "").rstrip(".")
+    return _failed(f"{text}; see {command} --help", 2)
 
 
 def _failed(text: str, code: int) -> int:

@@ -64,9 +64,40 @@ def doubts() -> Iterator[list[str]]:
             warnings.simplefilter("always", DoubtWarning)
             warnings.showwarning = collect
             yield collected
+    except np.linalg.LinAlgError as problem:  # a ValueError by class, but no wrong call
+        raise FitError(
+            f"the equations of the fit have no solution ({problem}): the data leave too much open; "
+            "a longer record with fewer gaps would help"
+        ) from problem
+    except ArithmeticError as problem:
+        raise FitError(
+            f"the numbers leave the range that can be calculated with ({problem}); "
+            "check the units and the values of the recording, the mass and the dynamics"
+        ) from problem
     finally:
         for text in collected:
             warnings.warn(text, DoubtWarning, stacklevel=4)
+
+
+def check_out(out: Path | None, *inputs: Path | None) -> None:
+    """Make sure, before any work, that the output can be written and takes the place of no input.
+
+    Raises
+    ------
+    ValueError
+        The output is an input, no ordinary file, or in a folder that does not exist.
+    """
+    if out is None:
+        return
+    if out.is_dir():
+        raise ValueError(f"{out} is a folder; the name of a file is needed")
+    if out.exists() and not out.is_file():
+        raise ValueError(f"{out} is no ordinary file and would be replaced by one; give another name")
+    if not out.parent.is_dir():
+        raise ValueError(f"cannot write {out}: there is no folder {out.parent}")
+    for file in inputs:
+        if file is not None and file.exists() and out.exists() and out.samefile(file):
+            raise ValueError(f"{out} is an input and would be overwritten; give the output another name")
 
 
 def recording_of(path: Path, channel_map: Path | None = None) -> Recording:
@@ -76,7 +107,8 @@ def recording_of(path: Path, channel_map: Path | None = None) -> Recording:
 
 def info(path: Path, *, channel_map: Path | None = None) -> Account:
     """Channels, units, rate, duration, gaps and saturation of a recording."""
-    recording = recording_of(path, channel_map)
+    with doubts() as collected:
+        recording = recording_of(path, channel_map)
     channels = {}
     for channel in recording:
         known = channel.values[~channel.missing]
@@ -99,20 +131,30 @@ def info(path: Path, *, channel_map: Path | None = None) -> Account:
         "start": recording.start,
         "gaps": [{"start": start, "length": length} for start, length in recording.gaps],
         "channels": channels,
+        "warnings": collected,
     }
 
 
 def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Account:
     """Write a recording in another format, or a foreign file as a plain recording."""
     check_output(out)
-    recording = recording_of(path, channel_map)
+    check_out(out, path, channel_map)
+    with doubts() as collected:
+        recording = recording_of(path, channel_map)
     write_recording(out, recording)
-    return {"file": path.name, "written": out.name, "samples": recording.samples, "channels": list(recording.channels)}
+    return {
+        "file": path.name,
+        "written": out.name,
+        "samples": recording.samples,
+        "channels": list(recording.channels),
+        "warnings": collected,
+    }
 
 
 def channel_map_for(path: Path, out: Path | None) -> Account:
     """Make a channel map to fill in for a foreign file."""
-    text = template(path)
+    check_out(out, path)
+    text = template(path) + "\n"
     if out is not None:
         with replacing(out) as beside:
             beside.write_text(text, encoding="utf-8")
@@ -128,6 +170,8 @@ def weigh(
     channel_map: Path | None = None,
 ) -> Account:
     """Moving mass from static points or recordings at several pitch (and roll) angles."""
+    _known(component)
+    check_out(out, *paths, channel_map)
     chosen = None if channel_map is None else load_channel_map(channel_map)
     with doubts() as collected:
         points = read_points(paths, component, channel_map=chosen)
@@ -166,6 +210,7 @@ def identify_decay(
 ) -> Account:
     """Stiffness and damping from a free decay."""
     _known(component)
+    check_out(out, path, channel_map, _file(mass))
     weighed = parse_mass(mass, component)
     if weighed is None:
         raise ValueError("--mass is needed: a free decay tells stiffness and damping only in proportion to the mass")
@@ -215,9 +260,11 @@ def identify_rig(
 ) -> Account:
     """Stiffness, damping and delay (and mass where it is not given) from a shaken ground end."""
     _known(component)
+    check_out(out, path, channel_map, _file(mass))
+    weighed = parse_mass(mass, component)
     with doubts() as collected:
         recording = recording_of(path, channel_map)
-        fit = fit_rig(recording, component=component, mass=parse_mass(mass, component))
+        fit = fit_rig(recording, component=component, mass=weighed)
     details: Account = {
         "method": "shaken ground end, maximum likelihood of the complex response",
         "mass_identified": fit.mass_identified,
@@ -275,6 +322,7 @@ def _dwell_details(recording: Recording, dynamics: Dynamics) -> Account:
 def identify_frf(path: Path, out: Path | None, *, component: str = "AF", mass: str) -> Account:
     """Stiffness and damping from a published frequency response AF/F."""
     _known(component)
+    check_out(out, path, _file(mass))
     weighed = parse_mass(mass, component)
     if weighed is None:
         raise ValueError(
@@ -332,6 +380,7 @@ def force(
 ) -> Account:
     """Force applied, with its uncertainty, from the loads felt."""
     check_output(out)
+    check_out(out, path, dynamics, channel_map)
     known = read_dynamics(dynamics)
     with doubts() as collected:
         recording = recording_of(path, channel_map)

@@ -24,6 +24,9 @@ from aerobalance.weighing import AXES, MovingMass
 SCHEMA: Final = 1
 """Version of the structure of the artefacts."""
 
+FREQUENCY_AGREEMENT: Final = 0.01
+"""Relative difference up to which a natural frequency in dynamics.json may be a rounded one."""
+
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -58,6 +61,7 @@ class _ComponentDynamics(_Loose):
     stiffness: _PositiveValue
     damping: _NotNegativeValue
     delay: _Value = _Value(value=0.0)
+    natural_frequency: _PositiveValue | None = None
     covariance: _Covariance | None = None
 
 
@@ -290,7 +294,20 @@ def read_dynamics(path: Path | str) -> dict[str, Dynamics]:
             )
         except ValueError as error:
             raise ReadError(file, key, str(error)) from None
+        _check_frequency(file, key, entry, result[name])
     return result
+
+
+def _check_frequency(path: Path, key: str, entry: _ComponentDynamics, dynamics: Dynamics) -> None:
+    """Refuse a natural frequency that contradicts mass and stiffness: one of the three was altered by mistake."""
+    given = entry.natural_frequency
+    if given is not None and abs(given.value / dynamics.natural_frequency - 1) > FREQUENCY_AGREEMENT:
+        raise ReadError(
+            path,
+            f"{key}.natural_frequency.value",
+            f"is {given.value:g} Hz, but mass and stiffness give {dynamics.natural_frequency:g} Hz; "
+            "correct the one that is wrong, or leave natural_frequency out",
+        )
 
 
 def read_mass(path: Path | str) -> dict[str, MovingMass]:
