@@ -104,7 +104,7 @@ class Reading:
     @property
     def least_noise(self) -> float:
         """Noise below which double precision cannot tell a reading from its prediction [N]."""
-        return 1e-7 * float(np.nanmax(np.abs(self.values))) + 1e-300
+        return 1e-7 * float(np.nanmax(np.abs(self.values))) + 1e-100
 
     def system(self, prior: ForcePrior, noise: float) -> StateSpace:
         """The state space of this reading under a prior."""
