@@ -216,7 +216,7 @@ def test_one_point_a_recording_with_roll():
 def test_uncertainty_of_a_mean_holds_for_correlated_noise():
     entropy = np.random.SeedSequence().entropy
     rng = np.random.default_rng(entropy)
-    from scipy.signal import lfilter  # noqa: PLC0415
+    from scipy.signal import lfilter
 
     scores = []
     for _ in range(300):

@@ -265,6 +265,7 @@ def identify_rig(
     with doubts() as collected:
         recording = recording_of(path, channel_map)
         fit = fit_rig(recording, component=component, mass=weighed)
+        by_dwells = _dwell_details(recording, fit.dynamics)
     details: Account = {
         "method": "shaken ground end, maximum likelihood of the complex response",
         "mass_identified": fit.mass_identified,
@@ -272,7 +273,7 @@ def identify_rig(
         "chi2": fit.chi2,
         "degrees_of_freedom": fit.degrees_of_freedom,
         "coloured_residuals": fit.coloured,
-        **_dwell_details(recording, fit.dynamics),
+        **by_dwells,
     }
     if fit.live is not None:
         details["live_accelerometer"] = {
@@ -294,6 +295,14 @@ def _dwell_details(recording: Recording, dynamics: Dynamics) -> Account:
     except FitError as problem:
         return {"dwells": [], "reference": {"method": "(13)-(16)", "failed": str(problem)}}
     checks = harmonic_check(recording, dwells, dynamics=dynamics)
+    unsteady = [f"{check.frequency:.4g}" for check in checks if not check.steady]
+    if unsteady:
+        warnings.warn(
+            f"the dwells at {', '.join(unsteady)} Hz are not steady: (12) to (16) do not hold there; the fit of the "
+            "whole response takes the unsteadiness into account",
+            DoubtWarning,
+            stacklevel=3,
+        )
     return {
         "dwells": [
             {

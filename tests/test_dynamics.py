@@ -1,0 +1,230 @@
+"""The balance as a damped spring: closed forms against integration, transforms and each other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+
+from aerobalance.dynamics import PARAMETERS, Dynamics, extremum_ratio, stiffness_from_damped_frequency
+
+T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
+RIG = Dynamics("AF", 0.68, 11.43e6, 371.98)
+HEAVY = Dynamics("AF", 2.0, 800.0, 160.0)  # damping ratio 2
+CRITICAL = Dynamics("AF", 2.0, 800.0, 80.0)  # damping ratio 1
+
+
+def integrated(dynamics: Dynamics, time: np.ndarray, force, start=(0.0, 0.0)) -> np.ndarray:
+    """Load felt AF = k x by an independent integrator of Eq. (8); start is AF and AF' / w0."""
+    w0, ratio = np.sqrt(dynamics.stiffness / dynamics.mass), dynamics.damping / dynamics.mass
+
+    def slope(t, state):
+        load, rate = state
+        return [w0 * rate, w0 * (force(t) - load) - ratio * rate]
+
+    solution = solve_ivp(slope, (time[0], time[-1]), start, t_eval=time, method="DOP853", rtol=1e-11, atol=1e-12)
+    return solution.y[0]
+
+
+@pytest.mark.parametrize("dynamics", [T128, RIG, HEAVY], ids=["6-EB-128-1", "6F-540", "overdamped"])
+def test_free_decay_is_the_released_oscillator(dynamics):
+    time = np.linspace(0, 5 / dynamics.natural_frequency, 400)
+    # 1e-8: the integrator's tolerance of 1e-11 a step over about 500 steps
+    assert dynamics.free_decay(time) == pytest.approx(integrated(dynamics, time, lambda t: 0.0, (1.0, 0.0)), abs=1e-8)
+
+
+def test_critical_damping_is_the_limit():
+    time = np.linspace(0, 1, 200)
+    w0 = CRITICAL.angular_frequency
+    exact = (1 + w0 * time) * np.exp(-w0 * time)  # double pole
+    # The pole is split by 1e-6 w0: the truncation is of second order in 1e-6, the cancellation eps / 1e-6 = 2e-10.
+    assert CRITICAL.free_decay(time) == pytest.approx(exact, abs=1e-8)
+    assert CRITICAL.damping_ratio == pytest.approx(1.0, rel=1e-12)
+
+
+def test_load_is_held_before_the_release():
+    assert (T128.free_decay([-1.0, -1e-9, 0.0]) == 1.0).all()
+    assert (T128.step_response(np.array([-1.0, 0.0])) == 0.0).all()
+    assert (T128.step_response(np.array([-1.0, 0.0]), duration=0.01) == 0.0).all()
+
+
+def test_step_response_is_the_integrated_one():
+    time = np.linspace(0, 0.1, 300)
+    # 1e-8: the integrator's tolerance of 1e-11 a step over about 500 steps
+    assert T128.step_response(time) == pytest.approx(integrated(T128, time, lambda t: 1.0), abs=1e-8)
+
+
+@pytest.mark.parametrize("duration", [0.003, 0.02])
+def test_response_to_a_ramp_is_the_mean_of_step_responses(duration):
+    # A ramp is a mean of steps spread over its duration: Gauss quadrature of order 64 over at most 1.3 periods.
+    time = np.linspace(0, 0.1, 300)
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    for t in time:
+        upper = min(t, duration)  # steps that have happened: the kink at the step itself stays outside
+        instants = upper * (nodes + 1) / 2
+        mean = weights @ T128.step_response(t - instants) * upper / 2 / duration
+        assert T128.step_response(np.array([t]), duration=duration)[0] == pytest.approx(mean, abs=1e-10)
+
+
+def test_extrema_of_the_free_decay_follow_eq_7():
+    period = 1 / T128.damped_frequency
+    n = np.arange(40)
+    extrema = T128.free_decay(n * period / 2)
+    expected = (-1.0) ** n * extremum_ratio(T128.damping, T128.mass, period, n)
+    assert extrema == pytest.approx(expected, rel=1e-10)
+    # and they are extrema: the slope there, over that of the swing, is zero to the accuracy of the difference
+    step = 1e-6 * period
+    slope = (T128.free_decay(n[1:] * period / 2 + step) - T128.free_decay(n[1:] * period / 2 - step)) / (2 * step)
+    assert np.max(np.abs(slope)) < 1e-8 * T128.angular_frequency
+
+
+def test_damped_frequency_and_stiffness_are_each_others_inverse():
+    for dynamics in (T128, RIG):
+        found = stiffness_from_damped_frequency(dynamics.damped_frequency, dynamics.mass, dynamics.damping)
+        assert found == pytest.approx(dynamics.stiffness, rel=1e-12)
+        square = dynamics.angular_frequency**2 - (dynamics.damping / 2 / dynamics.mass) ** 2  # Eq. (19)
+        assert dynamics.damped_angular_frequency == pytest.approx(np.sqrt(square), rel=1e-12)
+
+
+def test_stiffness_from_the_printed_frequency():
+    # METHOD: (20) with f = 66.4 gives 3.096e7, to half the last digit.
+    assert abs(stiffness_from_damped_frequency(66.4, 177.87, 828.21) - 3.096e7) <= 0.0005e7
+
+
+def test_response_is_the_transform_of_the_impulse_response():
+    for frequency in (10.0, T128.natural_frequency, 200.0):
+
+        def impulse(t):  # of Eq. (8) for AF/F, from the textbook
+            w0, wd = T128.angular_frequency, T128.damped_angular_frequency
+            return w0**2 / wd * np.exp(-T128.decay_rate * t) * np.sin(wd * t)
+
+        end = 30 / T128.decay_rate
+        time = np.arange(0, end, 2e-5)
+        real = np.trapezoid(impulse(time) * np.cos(2 * np.pi * frequency * time), time)
+        imaginary = -np.trapezoid(impulse(time) * np.sin(2 * np.pi * frequency * time), time)
+        # trapezoidal rule: error near w0 h^2 slope / 12 = 6e-6 w0 h of the impulse's first slope
+        assert T128.response(frequency) == pytest.approx(complex(real, imaginary), rel=1e-4, abs=1e-4)
+
+
+def test_response_solves_eq_8():
+    f = np.array([0.0, 100.0, 652.5, 900.0])
+    w = 2 * np.pi * f
+    left = 1 + RIG.damping / RIG.stiffness * 1j * w - RIG.mass / RIG.stiffness * w**2
+    assert RIG.response(f) * left == pytest.approx(np.ones(4), abs=1e-12)
+
+
+def test_amplitude_and_lag_are_eqs_12_and_11():
+    f = np.array([30.0, 500.0, RIG.natural_frequency, 752.0, 1500.0])
+    w, w0 = 2 * np.pi * f, RIG.angular_frequency
+    root = np.sqrt((w0**2 - w**2) ** 2 + (RIG.damping * w / RIG.mass) ** 2)
+    assert RIG.amplitude(f, 3.0) == pytest.approx(RIG.stiffness * 3.0 / root, rel=1e-12)
+    assert np.cos(RIG.extension_lag(f)) == pytest.approx((w0**2 - w**2) / root, abs=1e-12)
+    assert (RIG.extension_lag(f) > 0).all()
+    assert np.abs(RIG.base_response(f)) == pytest.approx(RIG.amplitude(f, 1.0), rel=1e-12)
+
+
+def test_load_of_a_slow_ground_acceleration_is_minus_mass():
+    assert RIG.base_response(0.0) == pytest.approx(-RIG.mass)
+
+
+def test_delay_turns_the_phase_back():
+    late = replace(RIG, delay=1e-4)
+    turn = late.base_response(500.0) / RIG.base_response(500.0)
+    assert turn == pytest.approx(np.exp(-2j * np.pi * 500 * 1e-4), rel=1e-12)
+    assert late.response(500.0) == RIG.response(500.0)
+
+
+@pytest.mark.parametrize("dynamics", [T128, HEAVY, CRITICAL], ids=["light", "overdamped", "critical"])
+def test_load_felt_is_the_integrated_one(dynamics):
+    generator = np.random.default_rng(np.random.SeedSequence().entropy)
+    interval = 0.1 / dynamics.natural_frequency
+    net = generator.normal(size=40)
+    time = np.arange(net.size) * interval
+    load, state = [net[0]], (net[0], 0.0)
+    w0 = dynamics.angular_frequency
+    for k in range(net.size - 1):  # one call an interval: the force has corners at the samples
+        solution = solve_ivp(
+            lambda t, s, k=k: [
+                w0 * s[1],
+                w0 * (net[k] + (net[k + 1] - net[k]) * t / interval - s[0]) - dynamics.damping / dynamics.mass * s[1],
+            ],
+            (0, interval), state, method="DOP853", rtol=1e-11, atol=1e-12,
+        )  # fmt: skip
+        state = tuple(solution.y[:, -1])
+        load.append(state[0])
+    # critical damping: poles split by 1e-6 cancel to about eps / 1e-6 times a sum over 40 samples
+    assert dynamics.load_felt(net, interval=interval) == pytest.approx(np.array(load), abs=1e-7), time[-1]
+
+
+def test_load_felt_under_a_ramp_is_the_step_response_over_a_duration():
+    interval = 1 / 1600
+    net = np.clip(np.arange(400) - 3.0, 0, 10) / 10
+    expected = T128.step_response(np.arange(400) * interval - 3 * interval, duration=10 * interval)
+    # both exact; rounding of 400 recursions
+    assert T128.load_felt(net, interval=interval) == pytest.approx(expected, abs=1e-10)
+
+
+def test_load_felt_of_a_constant_is_the_constant():
+    assert T128.load_felt(np.full(50, 7.5), interval=1e-3) == pytest.approx(np.full(50, 7.5), abs=1e-12)
+
+
+@pytest.mark.parametrize("quantity", [*PARAMETERS, "natural_frequency", "damping_ratio"])
+def test_gradients_are_finite_differences(quantity):
+    base = replace(T128, delay=2e-4)
+    for place, name in enumerate(PARAMETERS):
+        step = 1e-6 * getattr(base, name)
+        up, down = (replace(base, **{name: getattr(base, name) + sign * step}) for sign in (1, -1))
+        numerical = (getattr(up, quantity) - getattr(down, quantity)) / (2 * step)
+        # central difference: relative truncation 1e-12, rounding eps / 1e-6 of the value over the relative slope
+        scale = abs(getattr(base, quantity) / getattr(base, name))
+        assert base.gradient(quantity)[place] == pytest.approx(numerical, rel=1e-8, abs=1e-8 * scale)
+
+
+def test_uncertainty_carries_the_covariance():
+    covariance = np.diag([0.1, 3e4, 5.0, 0.0]) ** 2
+    covariance[0, 1] = covariance[1, 0] = 0.9 * 0.1 * 3e4
+    found = replace(T128, covariance=covariance)
+    assert found.uncertainty("stiffness") == pytest.approx(3e4)
+    assert found.uncertainty("delay") == 0.0
+    m, k = 0.1 / T128.mass, 3e4 / T128.stiffness
+    relative = np.sqrt(m**2 + k**2 - 2 * 0.9 * m * k) / 2  # f0 = sqrt(k / M) / 2 pi
+    assert found.uncertainty("natural_frequency") == pytest.approx(relative * T128.natural_frequency, rel=1e-9)
+
+
+def test_damping_ratio_and_rates():
+    assert T128.damping_ratio == pytest.approx(T128.damping / (2 * np.sqrt(T128.stiffness * T128.mass)))
+    power, _ = quad(lambda t: float(T128.free_decay(t)) ** 2, 0, 20 / T128.decay_rate, limit=4000)
+    # energy of a light decay: 1 / (4 a), up to the square of the damping ratio and the integration
+    assert power == pytest.approx(1 / (4 * T128.decay_rate), rel=1e-3)
+    assert T128.natural_frequency == pytest.approx(T128.angular_frequency / (2 * np.pi))
+
+
+@pytest.mark.parametrize("dynamics", [HEAVY, CRITICAL])
+def test_no_free_oscillation_at_or_above_critical(dynamics):
+    with pytest.raises(ValueError, match="no free oscillation"):
+        _ = dynamics.damped_frequency
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"component": "XX"}, "component must be one of"),
+        ({"mass": 0.0}, "mass must be positive"),
+        ({"mass": float("nan")}, "mass must be positive"),
+        ({"stiffness": -1.0}, "stiffness must be positive"),
+        ({"stiffness": float("inf")}, "stiffness must be positive"),
+        ({"damping": -1.0}, "damping must be zero or more"),
+        ({"delay": float("inf")}, "delay must be finite"),
+        ({"covariance": np.zeros((3, 3))}, "shape"),
+        ({"covariance": np.diag([-1.0, 0, 0, 0])}, "variances of zero or more"),
+        ({"covariance": np.full((4, 4), np.nan)}, "finite"),
+    ],
+)
+def test_unphysical_dynamics_are_refused(changes, words):
+    with pytest.raises(ValueError, match=words):
+        replace(T128, **changes)
+
+
+def test_unknown_parameter_is_refused():
+    with pytest.raises(ValueError, match="parameter must be one of"):
+        T128.gradient("colour")

@@ -1,0 +1,274 @@
+"""Identification from a free decay: accuracy, uncertainty, and records that are not as the textbook has them."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerobalance.dynamics import Dynamics
+from aerobalance.identification.decay import identify_decay
+from aerobalance.identification.extrema import extrema_fit
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording import Channel, Recording
+from aerobalance.rigs import CableCut, Sensor
+
+T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
+RATE = 1600.0
+HEIGHT = 1020.0
+RELEASE = 0.50021
+
+
+def fresh() -> tuple[np.random.Generator, int]:
+    seed = np.random.SeedSequence().entropy
+    return np.random.default_rng(seed), seed
+
+
+def clock(seconds: float) -> np.ndarray:
+    return np.arange(round(seconds * RATE)) / RATE
+
+
+def record(load: np.ndarray) -> Recording:
+    return Recording.from_columns(np.arange(load.size) / RATE, {"AF": Channel("AF", load, "N")}, name="decay")
+
+
+def release(seconds: float = 3.0, *, dynamics: Dynamics = T128, height: float = -HEIGHT) -> np.ndarray:
+    """Load of a clean release, without noise."""
+    return height * dynamics.free_decay(clock(seconds) - RELEASE)
+
+
+def bound(dynamics: Dynamics, time: np.ndarray, *, instant: float, noise: float) -> tuple[float, float]:
+    """Cramer-Rao bound of stiffness and damping: offset, drift, height, instant, decay rate and frequency free."""
+    origin = np.array([0.0, 0.0, HEIGHT, instant, dynamics.decay_rate, dynamics.damped_angular_frequency])
+
+    def model(p: np.ndarray) -> np.ndarray:
+        s = np.maximum(time - p[3], 0.0)
+        return p[0] + p[1] * time + p[2] * np.exp(-p[4] * s) * (np.cos(p[5] * s) + p[4] / p[5] * np.sin(p[5] * s))
+
+    J = np.empty((time.size, 6))
+    for k, step in enumerate((1e-3, 1e-3, 1e-2, 1e-8, 1e-5, 1e-5)):
+        shift = step * np.eye(6)[k]
+        J[:, k] = (model(origin + shift) - model(origin - shift)) / (2 * step)
+    size = np.linalg.norm(J, axis=0)
+    covariance = np.linalg.inv((J / size).T @ (J / size)) / np.outer(size, size) * noise**2
+    mass, a, wd = dynamics.mass, origin[4], origin[5]
+    stiffness = np.array([0, 0, 0, 0, 2 * mass * a, 2 * mass * wd])  # k = M (wd^2 + a^2), Eq. (19)
+    damping = np.array([0, 0, 0, 0, 2 * mass, 0])  # b = 2 M a
+    return tuple(float(np.sqrt(slope @ covariance @ slope)) for slope in (stiffness, damping))
+
+
+def test_stiffness_and_damping_of_varied_balances():
+    generator, seed = fresh()
+    for _ in range(4):
+        mass, stiffness = (value * generator.uniform(0.5, 1.5) for value in (T128.mass, T128.stiffness))
+        truth = Dynamics("AF", mass, stiffness, T128.damping)
+        instant = 1 + generator.uniform(0, 1) / RATE
+        rig = CableCut(dynamics=truth, release=instant, sensors={"AF": Sensor(noise=10.0)})
+        fit = identify_decay(rig.run(5.0, generator).recording, mass=mass)
+        # The bounds sought; the Cramer-Rao bound is about 1e-5 and 1.5e-3 at worst here.
+        assert fit.dynamics.stiffness == pytest.approx(stiffness, rel=1e-4), seed
+        assert fit.dynamics.damping == pytest.approx(truth.damping, rel=5e-3), seed
+        assert fit.residual_deviation == pytest.approx(10.0, rel=5 / np.sqrt(2 * 8000)), seed
+        assert fit.release is not None
+        assert abs(fit.release[0] - instant) < 6 * fit.release[1], seed
+
+
+@pytest.mark.slow
+def test_scatter_is_the_cramer_rao_bound_and_is_what_is_stated():
+    generator, seed = fresh()
+    draws, noise, exact = 200, 10.0, release(2.0)
+    found, scores = np.empty((draws, 2)), np.empty((draws, 2))
+    truth = np.array([T128.stiffness, T128.damping])
+    for draw in range(draws):
+        fit = identify_decay(record(exact + generator.normal(0, noise, exact.size)), mass=T128.mass).dynamics
+        found[draw] = fit.stiffness, fit.damping
+        scores[draw] = (found[draw] - truth) / [fit.uncertainty("stiffness"), fit.uncertainty("damping")]
+    least = bound(T128, clock(2.0), instant=RELEASE, noise=noise)
+    # A standard deviation from 200 draws scatters by 1 / sqrt(400) = 5 %: three of these for the bound sought at 1.1,
+    # and for the z-scores around 1; their mean by 1 / sqrt(200) = 0.07, four of these.
+    ratio = np.sqrt(np.mean((found - truth) ** 2, axis=0)) / least
+    assert (ratio < 1.1 * 1.15).all(), (ratio, seed)
+    assert (ratio > 0.8).all(), (ratio, seed)  # below the bound by four deviations: the bound would be wrong
+    assert (np.abs(scores.std(axis=0) - 1) < 0.2).all(), (scores.std(axis=0), seed)
+    assert (np.abs(scores.mean(axis=0)) < 0.28).all(), (scores.mean(axis=0), seed)
+
+
+def test_exact_without_noise():
+    fit = identify_decay(record(release()), mass=T128.mass)
+    # least squares ends at a relative change of 1e-12; rounding of a residual of 1e-13 of the height
+    assert fit.dynamics.stiffness == pytest.approx(T128.stiffness, rel=1e-8)
+    assert fit.dynamics.damping == pytest.approx(T128.damping, rel=1e-7)
+    assert fit.height == pytest.approx(-HEIGHT, rel=1e-7)
+    assert fit.release[0] == pytest.approx(RELEASE, abs=1e-9)
+    assert fit.release_duration == 0.0
+    assert fit.damped_frequency == pytest.approx(T128.damped_frequency, rel=1e-8)
+
+
+def noisy(load: np.ndarray, noise: float = 10.0) -> tuple[Recording, int]:
+    generator, seed = fresh()
+    return record(load + generator.normal(0, noise, load.size)), seed
+
+
+def meets(found: Dynamics, seed: int, truth: Dynamics = T128) -> None:
+    """Within five standard uncertainties, which are themselves small."""
+    for name, largest in (("stiffness", 1e-4), ("damping", 2e-2)):
+        error, u = getattr(found, name) - getattr(truth, name), found.uncertainty(name)
+        assert abs(error) < 5 * u, (name, error / u, seed)
+        assert u < largest * getattr(truth, name), (name, seed)
+
+
+def test_hum_is_found():
+    time = clock(3.0)
+    hum = 25 * np.sin(2 * np.pi * 50 * time + 0.4) + 12 * np.cos(2 * np.pi * 150.3 * time)
+    recording, seed = noisy(release() + hum)
+    fit = identify_decay(recording, mass=T128.mass)
+    meets(fit.dynamics, seed)
+    # u of a line: amplitude noise sqrt(2 / n) = 0.2 N; frequency 0.78 noise / (amplitude T sqrt(n/2)) < 5e-3 Hz; six
+    for frequency, level in ((50.0, 25.0), (150.3, 12.0)):
+        near = [line for line in fit.hum if abs(line[0] - frequency) < 0.03]
+        assert len(near) == 1, (fit.hum, seed)
+        assert near[0][1] == pytest.approx(level, abs=1.2 + 0.02 * level), seed
+
+
+def test_offset_and_drift_are_found():
+    recording, seed = noisy(release() + 55 - 20 * clock(3.0))
+    fit = identify_decay(recording, mass=T128.mass)
+    meets(fit.dynamics, seed)
+    assert fit.residual_deviation == pytest.approx(10.0, rel=5 / np.sqrt(2 * 4800)), seed
+
+
+def test_second_mode_is_found_and_warned_about():
+    other = Dynamics("AF", 1.0, (2 * np.pi * 171.0) ** 2, 2 * 0.008 * 2 * np.pi * 171.0)
+    load = 0.9 * release() + 0.1 * release(dynamics=other)
+    recording, seed = noisy(load, 5.0)
+    with pytest.warns(DoubtWarning, match="further mode at 171"):
+        fit = identify_decay(recording, mass=T128.mass)
+    meets(fit.dynamics, seed)
+    (mode,) = fit.further_modes
+    # its amplitude is 20 times the noise over 1 / (0.008 * 2 pi 171) = 0.12 s: frequency to 0.02 Hz, damping 2 %
+    assert mode[0] == pytest.approx(other.damped_frequency, abs=0.15), seed
+    assert mode[1] == pytest.approx(0.008, rel=0.15), seed
+
+
+def test_release_duration_is_found():
+    generator, seed = fresh()
+    rig = CableCut(release=0.5, release_duration=0.004, sensors={"AF": Sensor(noise=5.0)})
+    fit = identify_decay(rig.run(3.0, generator).recording, mass=T128.mass)
+    meets(fit.dynamics, seed)
+    # slope of the amplitude by the duration (pi f)^2 T / 3 = 58 1/s, amplitude known to 5 / 1020 / 18 = 3e-4: 5 us
+    assert fit.release_duration == pytest.approx(0.004, abs=3e-5), seed
+
+
+def test_tap_is_fitted_freely():
+    since = np.maximum(clock(3.0) - RELEASE, 0.0)
+    load = 900 * np.exp(-T128.decay_rate * since) * np.sin(T128.damped_angular_frequency * since)  # from an impulse
+    recording, seed = noisy(load)
+    with pytest.warns(DoubtWarning, match="not that of a clean release"):
+        fit = identify_decay(recording, mass=T128.mass)
+    meets(fit.dynamics, seed)
+    assert fit.release is None
+    assert fit.height == 0.0
+
+
+def test_record_may_start_after_the_release():
+    recording, seed = noisy(release()[round(0.55 * RATE) :])
+    fit = identify_decay(recording, mass=T128.mass)
+    meets(fit.dynamics, seed)
+    assert fit.release is None
+
+
+def test_second_event_is_cut_from_the_window():
+    load = release(5.0)
+    time = clock(5.0)
+    load = load + 400 * T128.step_response(time - 3.5003)
+    recording, seed = noisy(load)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        fit = identify_decay(recording, mass=T128.mass)
+    meets(fit.dynamics, seed)
+    # It ends with the block of three periods (0.045 s) that holds the event at the latest, and keeps most of the 3 s
+    # of ringing: the first fit, which still holds the event, may call blocks shortly before it strange.
+    assert 1.5 < fit.window[1] < 3.56, seed
+
+
+def test_saturated_samples_are_left_out():
+    generator, seed = fresh()
+    load = np.clip(release() + generator.normal(0, 2.0, 4800), None, 700.0)
+    with pytest.warns(DoubtWarning, match="rest on a limit"):
+        fit = identify_decay(record(load), mass=T128.mass)
+    # near the limit lie readings that noise kept below it: a bias of 2 N there, 2e-3 of the height, at a few extrema
+    assert fit.dynamics.stiffness == pytest.approx(T128.stiffness, rel=1e-4), seed
+    assert fit.dynamics.damping == pytest.approx(T128.damping, rel=1e-2), seed
+
+
+def test_missing_samples_are_left_out():
+    recording, seed = noisy(release())
+    load = recording.channel("AF").values.copy()
+    load[np.random.default_rng(seed).choice(load.size, 300, replace=False)] = np.nan
+    meets(identify_decay(record(load), mass=T128.mass).dynamics, seed)
+
+
+def test_uncertain_mass_is_carried():
+    recording, seed = noisy(release())
+    exact = identify_decay(recording, mass=T128.mass).dynamics
+    unsure = identify_decay(recording, mass=(T128.mass, 0.5)).dynamics
+    relative = 0.5 / T128.mass
+    assert unsure.uncertainty("mass") == pytest.approx(0.5)
+    for name in ("stiffness", "damping"):  # both are the mass times what the ringing tells
+        expected = np.hypot(exact.uncertainty(name), relative * getattr(exact, name))
+        assert unsure.uncertainty(name) == pytest.approx(expected, rel=1e-6), seed
+    # and the frequency does not depend on the mass
+    assert unsure.uncertainty("natural_frequency") == pytest.approx(exact.uncertainty("natural_frequency"), rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["noise", "constant", "sine", "short"])
+def test_records_without_a_decay_are_refused(kind):
+    generator, seed = fresh()
+    time = clock(2.0)
+    load = {
+        "noise": generator.normal(0, 10, time.size),
+        "constant": np.full(time.size, 42.0),
+        "sine": 500 * np.sin(2 * np.pi * 66.4 * time) + generator.normal(0, 10, time.size),
+        "short": generator.normal(0, 10, 12),
+    }[kind]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        with pytest.raises(FitError) as caught:
+            identify_decay(record(load), mass=T128.mass)
+    assert "decay" in str(caught.value), seed  # the name of the record
+
+
+@pytest.mark.parametrize("mass", [0.0, -1.0, float("nan"), (5.0, -1.0)])
+def test_impossible_masses_are_refused(mass):
+    with pytest.raises(ValueError, match="mass must be positive"):
+        identify_decay(record(release()), mass=mass)
+
+
+def test_extrema_are_exact_without_noise():
+    recording = record(release())
+    found = extrema_fit(recording, identify_decay(recording, mass=T128.mass))
+    # The vertex of a parabola through samples 1/24 period apart: cos is a parabola to (w h)^2 / 12 of its drop, which
+    # is the same share of every extremum on average; what is left scatters by (w h)^4 / 500 = 1e-5 over the many.
+    assert found.frequency == pytest.approx(T128.damped_frequency, rel=1e-4)
+    assert found.damping == pytest.approx(T128.damping, rel=1e-2)
+    assert found.stiffness == pytest.approx(T128.stiffness, rel=2e-4)
+
+
+def test_noise_makes_extrema_too_large_and_the_damping_low():
+    generator, seed = fresh()
+    errors = []
+    for _ in range(6):
+        recording = record(release() + generator.normal(0, 20, 4800))
+        errors.append(extrema_fit(recording, identify_decay(recording, mass=T128.mass)).damping / T128.damping - 1)
+    # noise is picked at the extrema: late, small ones are raised by more than early ones
+    assert np.mean(errors) < 0, (errors, seed)
+
+
+def test_clean_result_says_nothing_of_doubt():
+    recording, seed = noisy(release())
+    fit = identify_decay(recording, mass=T128.mass)
+    assert fit.notes == (), seed
+    assert fit.hum == (), seed
+    assert fit.further_modes == (), seed
+    assert fit.residuals.shape == fit.residual_time.shape
+    assert replace(fit.dynamics, delay=0.0).covariance.shape == (4, 4)
