@@ -102,10 +102,7 @@ def find_steps(reading: Reading) -> tuple[list[Step], Learned]:
             return sorted(steps, key=lambda step: step.instant), learned
         else:
             learned, thorough = learn(reading, columns=columns), True
-            for place in range(len(steps)):
-                others = columns_of(steps[:place] + steps[place + 1 :], reading)
-                placed = _refine(reading, learned, others, steps[place], ramps=True)
-                steps[place] = replace(placed, evidence=steps[place].evidence)
+            steps = _refined(reading, learned, steps)
 
 
 def _taken_up(
@@ -133,10 +130,21 @@ def _settle(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list
             near = before
         # the first prior still holds the step's own trace and would read a ramp into it
         steps = [*steps[:-1], _refine(reading, learned, others, near, ramps=turn > 0)]
+        if turn > 0:
+            steps = _refined(reading, learned, steps)
         learned = guess(reading, columns=columns_of(steps, reading))
         if turn > 0 and abs(steps[-1].instant - before.instant) < 0.01 * reading.interval:
             break
     return steps, learned
+
+
+def _refined(reading: Reading, learned: Learned, steps: list[Step]) -> list[Step]:
+    """Every step placed again beside the others: an early one was placed while later ones still bent the record."""
+    steps = list(steps)
+    for place, step in enumerate(steps):
+        others = columns_of(steps[:place] + steps[place + 1 :], reading)
+        steps[place] = replace(_refine(reading, learned, others, step, ramps=True), evidence=step.evidence)
+    return steps
 
 
 def _scan(reading: Reading, learned: Learned, columns: Array) -> tuple[Step, float]:
@@ -174,7 +182,7 @@ def _refine(reading: Reading, learned: Learned, columns: Array, step: Step, *, r
         column = response_to(Step(instant - origin, duration), local)
         return generalised_least_squares(filter_, local.filled, np.column_stack([fixed, column]))[2]
 
-    grid = step.instant + interval * np.linspace(-1.5, 1.5, 13)
+    grid = np.arange(step.instant - 1.5 * interval, step.instant + step.duration + 1.5 * interval, 0.25 * interval)
     coarse = float(grid[np.argmin([squares(instant, 0.0) for instant in grid])])
     sharp = minimize_scalar(
         squares,
