@@ -128,32 +128,23 @@ def _free_free(frequency: Account, mass: Account) -> Account:
 
 def _meets(name: str, printed: Printed, quantity: Account, *, scale: float = 1.0) -> Account:
     value, u = quantity["value"], quantity["u"]
-    return {
-        "name": name,
-        "printed": printed.value,
-        "half_digit": printed.half_digit,
-        "unit": printed.unit,
-        "where": printed.where,
-        "computed": value,
-        "u": u,
-        "scale": scale,
-        "limit": False,
-        "agrees": bool(printed.overlaps(value - COVERAGE * u, value + COVERAGE * u)),
-    }
+    agrees = printed.overlaps(value - COVERAGE * u, value + COVERAGE * u)
+    return _row(name, printed) | {"computed": value, "u": u, "scale": scale, "limit": False, "agrees": bool(agrees)}
 
 
 def _below(name: str, printed: Printed, value: float) -> Account:
+    agrees = value <= printed.high
+    return _row(name, printed) | {"computed": value, "u": 0.0, "scale": 1.0, "limit": True, "agrees": bool(agrees)}
+
+
+def _row(name: str, printed: Printed) -> Account:
+    """The printed half of a row."""
     return {
         "name": name,
         "printed": printed.value,
         "half_digit": printed.half_digit,
         "unit": printed.unit,
         "where": printed.where,
-        "computed": value,
-        "u": 0.0,
-        "scale": 1.0,
-        "limit": True,
-        "agrees": bool(value <= printed.high),
     }
 
 

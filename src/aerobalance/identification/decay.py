@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from aerobalance.dynamics import Dynamics
+from aerobalance.identification.onset import first_look
 from aerobalance.identification.ring import (
     EVIDENCE,
     HEAVIEST,
     Ring,
-    first_look,
     fit_ring,
     freed,
     leftover_line,
