@@ -19,6 +19,9 @@ from aerobalance.recording import Array, Channel, Recording
 FINE: Final = 8
 """Steps into which a sampling interval is divided where a known motion drives the balance between samples."""
 
+AT_REST: Final = 1.25
+"""Variance of an acceleration over that of its own noise, below which the ground end is at rest."""
+
 AXES: Final = {"NF": "_z", "SF": "_y"}
 """Ending of the acceleration channel that drives a component; the others are driven along the balance axis."""
 
@@ -65,6 +68,10 @@ class GroundMotion:
             acceleration = _bridged(recording, channel)
             noise, relative, delay = channel_noise(channel), channel.relative_uncertainty, channel.delay
             coupling = channel.coupling
+            if coupling == "kinematic" and float(np.var(acceleration)) < AT_REST * noise**2:
+                # adding a sensor's noise to the force would only spoil it
+                acceleration, noise = np.zeros(recording.samples), 0.0
+                assumptions.append(f"{name} shows nothing beyond its noise; the ground end is taken to be at rest")
             if coupling == "ac":
                 warnings.warn(
                     f"{name} is ac-coupled: ground motion below its corner of {channel.corner:g} Hz is not in the "

@@ -255,7 +255,7 @@ def _notes(ring: Ring, dynamics: Dynamics, recording: Recording) -> list[str]:
         ground = recording.channel("ground_acceleration")
         after = ground.values[int(np.ceil(ring.start * recording.rate)) :]
         after = after[np.isfinite(after)]
-        moving = np.sqrt(max(float(np.var(after)) - 1.1 * channel_noise(ground) ** 2, 0.0)) if after.size else 0.0
+        moving = np.sqrt(max(float(np.var(after)) - 1.25 * channel_noise(ground) ** 2, 0.0)) if after.size else 0.0
         if dynamics.mass * moving > 0.02 * abs(ring.amplitude):
             notes.append(
                 f"the ground end moves after the release ({moving:.2g} m/s^2 rms, a load of "
