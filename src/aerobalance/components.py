@@ -6,6 +6,7 @@ positive aft; NF is positive up, SF positive to the right, pitch is positive nos
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 COMPONENTS: Final = ("NF", "PM", "SF", "YM", "RM", "AF")
@@ -16,6 +17,14 @@ MOMENTS: Final = ("PM", "YM", "RM")
 
 STANDARD_GRAVITY: Final = 9.80665
 """Standard acceleration of gravity [m/s^2] (3rd CGPM, 1901); used where no local value is given."""
+
+
+_GAUGE: Final = re.compile(r"r[A-Z]\w*")
+
+
+def is_gauge(name: str) -> bool:
+    """Say whether a channel name is that of a gauge output: ``r`` and the component as the balance names it (rN1)."""
+    return _GAUGE.fullmatch(name) is not None
 
 
 def si_unit(component: str) -> str:

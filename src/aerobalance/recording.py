@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.components import COMPONENTS, si_unit
+from aerobalance.components import COMPONENTS, is_gauge, si_unit
 from aerobalance.problems import DoubtWarning, FitError
 
 Array = NDArray[np.float64]
@@ -23,8 +23,14 @@ QUANTITIES: Final[Mapping[str, str]] = {
     **{f"{end}_acceleration{axis}": "m/s^2" for end in ("ground", "live") for axis in ("", "_y", "_z")},
     "pitch": "rad",
     "roll": "rad",
+    "excitation": "V",
+    "temperature": "degC",
 }
-"""The channel names that the program understands, and the unit that each has inside."""
+"""The channel names that the program understands, and the unit that each has inside.
+
+Beside the gauge outputs listed, ``r`` and any component as the balance names it is one (rN1, rAft_Pitch): in mV/V,
+or in V until `aerobalance.gauges.gauge_outputs` has divided it by the excitation.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,9 +71,9 @@ class Channel:
     file_unit: str = ""
 
     def __post_init__(self) -> None:
-        expected = QUANTITIES.get(self.name)
-        if expected is not None and self.unit != expected:
-            raise ValueError(f"channel {self.name} must be in {expected} inside, not {self.unit}")
+        expected = ("mV/V", "V") if is_gauge(self.name) else (QUANTITIES.get(self.name, self.unit),)
+        if self.unit not in expected:
+            raise ValueError(f"channel {self.name} must be in {' or '.join(expected)} inside, not {self.unit}")
         if self.values.ndim != 1:
             raise ValueError(f"channel {self.name} must have shape (n,), not {self.values.shape}")
         if self.noise is not None and not self.noise >= 0:

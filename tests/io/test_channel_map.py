@@ -138,7 +138,6 @@ CHANNEL = '[file]\nrate = 1.0\n[channels.AF]\ncolumn = 1\nunit = "N"\n'
         (CHANNEL + "corner = 1.0\n", ["channels.AF.corner", 'coupling = "ac"']),
         (CHANNEL.replace('"N"', '"kg"'), ["channels.AF.unit", "a force is expected", "lbf"]),
         (CHANNEL.replace("column = 1", "column = 0"), ["channels.AF.column", "0"]),
-        (CHANNEL.replace("rate = 1.0", ""), ["file", "either time", "rate"]),
         (CHANNEL.replace("rate = 1.0", "rate = 1.0\ntime = 1"), ["file", "either time", "rate"]),
         (CHANNEL.replace("rate = 1.0", "rate = 0.0"), ["file.rate", "greater than 0"]),
         (CHANNEL.replace("rate = 1.0", 'time = 1\ntime_unit = "N"'), ["file.time_unit", "a time is expected"]),
@@ -155,6 +154,80 @@ def test_bad_maps_are_refused_with_key_and_what_is_allowed(tmp_path, text, said)
     for words in ["map.toml", *said]:
         assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+GAUGE = '[file]\nrate = 1.0\n[channels.rN1]\ncolumn = 1\nunit = "V"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (GAUGE + "shunt_expected = 1.0\n", ["channels.rN1", "shunt_expected and shunt_measured", "needed together"]),
+        (GAUGE + "shunt_measured = 1.0\n", ["channels.rN1", "needed together"]),
+        (GAUGE + "shunt_expected = 1.0\nshunt_measured = 0.0\n", ["channels.rN1", "must not be zero"]),
+        (GAUGE + "shunt_expected = 1.0\nshunt_measured = 0.8\n", ["rN1.shunt_measured", "1.25", "20%", "dead bridge"]),
+        (GAUGE + "shunt_expected = 1.0\nshunt_measured = -1.0\n", ["rN1.shunt_measured", "ratio of -1", "sign"]),
+        (GAUGE + "shunt_expected = 1.0\nshunt_measured = 1e-9\n", ["rN1.shunt_measured", "resistor"]),
+        (GAUGE + "excitation = 0.0\n", ["channels.rN1.excitation", "greater than 0"]),
+        (GAUGE.replace('"V"', '"mV/V"') + "excitation = 10.0\n", ["rN1.unit", "over excitation already"]),
+        (GAUGE.replace('"V"', '"N"'), ["rN1.unit", "is a force", "uV/V", "excitation [V]"]),
+        (CHANNEL + "excitation = 10.0\n", ["channels.AF", "for gauge outputs, such as rAF"]),
+        (CHANNEL + "shunt_expected = 1.0\nshunt_measured = 1.0\n", ["channels.AF", "for gauge outputs"]),
+        (CHANNEL.replace("rate = 1.0", "rate = 1.0\ntime = 1"), ["file", "not both"]),
+    ],
+)
+def test_bad_gauge_settings(tmp_path, text, said):
+    path = tmp_path / "map.toml"
+    path.write_text(text)
+    with pytest.raises(ReadError) as caught:
+        load_channel_map(path)
+    for words in ["map.toml", *said]:
+        assert words in str(caught.value)
+
+
+def test_a_text_file_needs_a_time_column_or_a_rate(tmp_path):
+    with pytest.raises(
+        ReadError, match=r"map\.toml: file: needs either time .* or rate .*: foreign\.txt does not state"
+    ):
+        mapped(tmp_path, CHANNEL.replace("rate = 1.0", ""), "F\n1\n2\n")
+
+
+def test_shunt_readings_and_a_nominal_excitation(tmp_path):
+    settings = "shunt_expected = 1.01\nshunt_measured = 1.0\nnoise = 1e-6\nrelative_uncertainty = 1e-3\n"
+    volts = mapped(tmp_path, GAUGE + settings, "F\n0.001\n0.002\n").channel("rN1")
+    assert (volts.unit, volts.file_unit) == ("V", "V")
+    np.testing.assert_allclose(volts.values, [0.00101, 0.00202], rtol=1e-14)
+    over = mapped(tmp_path, GAUGE + settings + "excitation = 5.0\n", "F\n0.001\n0.002\n").channel("rN1")
+    assert (over.unit, over.file_unit) == ("mV/V", "mV/V")
+    np.testing.assert_allclose(over.values, [0.202, 0.404], rtol=1e-14)
+    assert (over.noise, over.relative_uncertainty) == (pytest.approx(1e-6 / 5 * 1e3 * 1.01), 1e-3)
+
+
+@pytest.mark.parametrize(("measured", "doubted"), [(1.0, False), (0.981, False), (0.97, True), (1.19, True)])
+def test_a_shunt_ratio_beyond_two_percent_is_doubted(tmp_path, measured, doubted):
+    text = GAUGE.replace('"V"', '"mV/V"') + f"shunt_expected = 1.0\nshunt_measured = {measured}\n"
+    if doubted:
+        with pytest.warns(DoubtWarning, match=r"foreign\.txt: the shunt readings multiply rN1 by"):
+            found = mapped(tmp_path, text, "F\n1\n2\n")
+    else:
+        found = mapped(tmp_path, text, "F\n1\n2\n")
+    np.testing.assert_allclose(found.channel("rN1").values, np.array([1, 2]) / measured, rtol=1e-14)
+
+
+def test_temperatures_and_voltages_come_out_as_they_went_in(tmp_path):
+    header = "time [s],temperature [degF],excitation [mV],rAx [uV],u_temperature [K]\n"
+    path = tmp_path / "plain.csv"
+    path.write_text(header + "0,32,9999.5,125,0.5\n1,212,10000,250,0.25\n2,-40,10000,250,0.25\n")
+    recording = read(path)
+    # Water freezes and boils at 32 and 212 degF; both scales meet at -40.
+    np.testing.assert_allclose(recording.channel("temperature").values, [0, 100, -40], rtol=1e-14, atol=1e-13)
+    np.testing.assert_allclose(recording.channel("excitation").values, [9.9995, 10, 10], rtol=1e-15)
+    np.testing.assert_allclose(recording.channel("rAx").values, [125e-6, 250e-6, 250e-6], rtol=1e-15)
+    assert recording.channel("u_temperature").values.tolist() == [0.5, 0.25, 0.25]
+    write_recording(tmp_path / "again.csv", recording)
+    again = np.loadtxt(tmp_path / "again.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(again, np.loadtxt(path, delimiter=",", skiprows=1), rtol=1e-15)
+    assert (tmp_path / "again.csv").read_text().splitlines()[0] + "\n" == header
 
 
 def test_missing_or_binary_map(tmp_path):

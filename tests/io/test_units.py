@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aerobalance.io.units import ALLOWED, Conversion, conversion, edge_unit, expected_unit, readable
+from aerobalance.io.units import ALLOWED, Conversion, conversion, conversion_for, edge_unit, expected_unit, readable
 
 POUND_FORCE = 0.45359237 * 9.80665  # international pound (1959) and standard gravity (1901), both exact
 INCH = 0.0254
@@ -38,6 +38,9 @@ TABLE = [
     ("1", ["%"], 0.01),
     ("m/s", ["m/s"], 1),
     ("m", ["mm"], 1e-3),
+    ("V", ["V", "volt", "Volts"], 1),
+    ("V", ["mV"], 1e-3),
+    ("V", ["uV", "µV"], 1e-6),
 ]
 
 
@@ -73,6 +76,12 @@ def test_units_that_are_named_as_allowed_are_read(expected):
         ("", "N", "unknown unit"),
         ("KN", "N", "a force is expected|unknown unit"),
         ("xyz", "N", "unknown unit"),
+        ("V", "mV/V", "is a voltage, but a gauge output"),
+        ("mV/V", "V", "is a gauge output, but a voltage"),
+        ("A", "V", "a voltage is expected"),
+        ("V", "degC", "is a voltage, but a temperature"),
+        ("C", "degC", "a temperature is expected"),
+        ("K/m", "degC", "a temperature is expected"),
     ],
 )
 def test_units_of_another_kind_are_refused_with_what_is_allowed(text, expected, said):
@@ -92,6 +101,38 @@ def test_what_is_no_unit(text):
         conversion(text)
 
 
+FIXED_POINTS = {"degC": (0, 100), "K": (273.15, 373.15), "degF": (32, 212), "degR": (491.67, 671.67)}
+"""Ice point and steam point, by the definitions of the scales: 1 K = 1.8 degF, 0 degC = 273.15 K = 32 degF."""
+
+
+@pytest.mark.parametrize("spelt", ["degC", "°C", "celsius", "deg C", "K", "kelvin", "degF", "°F", "deg F", "degR"])
+def test_temperatures_have_a_factor_and_an_offset(spelt):
+    unit = {"°C": "degC", "celsius": "degC", "deg C": "degC", "kelvin": "K", "°F": "degF", "deg F": "degF"}
+    points = FIXED_POINTS[unit.get(spelt, spelt)]
+    change = conversion(spelt, expected="degC")
+    # Twice the rounding of a number near 700.
+    np.testing.assert_allclose(change.inside(points), [0, 100], rtol=0, atol=2.3e-13)
+    np.testing.assert_allclose(change.outside([0, 100]), points, rtol=0, atol=2.3e-13)
+
+
+def test_an_uncertainty_of_a_temperature_is_a_difference():
+    assert conversion_for("u_temperature", "K") == Conversion("degC", 1.0)
+    assert conversion_for("u_temperature", "degF").inside(1.8) == pytest.approx(1, rel=1e-15)
+
+
+@pytest.mark.parametrize("name", ["rNF", "rAF", "rN1", "rAft_Pitch", "rAx", "rRoll", "u_rRoll"])
+def test_gauge_outputs_are_over_excitation_or_in_volts(name):
+    assert expected_unit(name) == "mV/V"
+    assert conversion_for(name, "uV/V") == Conversion("mV/V", 1e-3)
+    assert conversion_for(name, "V/V") == Conversion("mV/V", 1e3)
+    assert conversion_for(name, "V") == Conversion("V", 1.0)
+    assert conversion_for(name, "mV") == Conversion("V", 1e-3)
+    with pytest.raises(ValueError, match=r"is a force, but a gauge output.*mV/V, uV/V, V/V; or V, mV, uV beside"):
+        conversion_for(name, "N")
+    with pytest.raises(ValueError, match="is a ratio"):
+        conversion_for(name, "1")
+
+
 def test_milliseconds_stay_the_decimal_they_were():
     texts = [f"{i * 0.625:.3f}" for i in range(2000)]
     inside = conversion("ms", expected="s").inside([float(text) for text in texts])
@@ -103,7 +144,9 @@ def test_expected_units_by_name():
     assert expected_unit("u_AF") == "N"
     assert expected_unit("u_phase") == "rad"
     assert expected_unit("rPM") == "mV/V"
-    assert expected_unit("temperature") is None
+    assert expected_unit("temperature") == "degC"
+    assert expected_unit("excitation") == "V"
+    assert expected_unit("humidity") is None
     assert edge_unit("pitch", "rad") == "deg"
     assert edge_unit("AF", "N") == "N"
     with pytest.raises(ValueError, match="expected must be one of"):

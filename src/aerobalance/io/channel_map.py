@@ -11,18 +11,27 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from aerobalance.io.columns import RawColumn, RawColumns, split_label
+from aerobalance.components import is_gauge
+from aerobalance.io.clocks import of_one_length, on_one_clock
+from aerobalance.io.columns import RawColumn, RawColumns
 from aerobalance.io.messages import first_fault
 from aerobalance.io.table import Column, check_time, on_clock
-from aerobalance.io.text_table import SEPARATORS, Layout, read_labels
-from aerobalance.io.units import conversion, expected_unit, readable
+from aerobalance.io.text_table import SEPARATORS, Layout
+from aerobalance.io.units import Conversion, conversion, conversion_for
 from aerobalance.problems import DoubtWarning, ReadError
 from aerobalance.recording import QUANTITIES, Array, Channel, Coupling, Recording
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Position = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
 
-_DERIVED_FROM: Final = {0: "m/s^2", 1: "m/s", 2: "m"}
+SHUNT_DOUBTED: Final = 0.02
+"""Departure of a shunt ratio from 1 that is warned of."""
+
+SHUNT_REFUSED: Final = 0.2
+"""Departure of a shunt ratio from 1 that no working bridge with the right resistor has."""
+
+_DERIVED_FROM: Final = {1: "m/s", 2: "m"}
+_EITHER: Final = "either time (the time column) or rate (samples per second, evenly spaced)"
 
 
 class _Strict(BaseModel):
@@ -45,7 +54,9 @@ class FileLayout(_Strict):
 class MappedChannel(_Strict):
     """Table ``[channels.NAME]``: where a channel comes from and what it is.
 
-    The channel's value is ``sign * (scale * cell + offset)`` in `unit`, differentiated `derivative` times.
+    The channel's value is ``sign * (scale * cell + offset)`` in `unit`, differentiated `derivative` times. A gauge
+    output in volts is divided by `excitation` [V] where that is given, and any gauge output is multiplied by
+    ``shunt_expected / shunt_measured`` [mV/V].
     """
 
     column: Position
@@ -59,6 +70,16 @@ class MappedChannel(_Strict):
     coupling: Coupling = "kinematic"
     corner: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     derivative: Literal[0, 1, 2] = 0
+    excitation: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    shunt_expected: Number | None = None
+    shunt_measured: Number | None = None
+
+    @property
+    def shunt_ratio(self) -> float:
+        """Factor that the shunt readings give; 1 where there are none."""
+        if self.shunt_expected is None or not self.shunt_measured:
+            return 1.0
+        return self.shunt_expected / self.shunt_measured
 
 
 class _Contents(_Strict):
@@ -133,10 +154,8 @@ def load_channel_map(path: Path | str) -> ChannelMap:
 def _check(chosen: ChannelMap) -> None:
     """Refuse settings that contradict each other."""
     path, file = chosen.path, chosen.file
-    if (file.time is None) == (file.rate is None):
-        raise ReadError(
-            path, "file", "needs either time (the time column) or rate (samples per second, evenly spaced)"
-        )
+    if file.time is not None and file.rate is not None:
+        raise ReadError(path, "file", f"takes {_EITHER}, not both")
     if file.time_unit is not None:
         _converted(chosen, "file.time_unit", file.time_unit, "s")
     for name, channel in chosen.channels.items():
@@ -148,13 +167,53 @@ def _check(chosen: ChannelMap) -> None:
         accelerometer = QUANTITIES.get(name) == "m/s^2"
         if not accelerometer and (channel.coupling != "kinematic" or channel.derivative):
             raise ReadError(path, key, "coupling and derivative are for accelerations, such as ground_acceleration")
+        _check_gauge(path, name, channel)
         if channel.unit is not None:
-            _converted(chosen, f"{key}.unit", channel.unit, _column_unit(name, channel))
+            try:
+                _conversion(name, channel, channel.unit)
+            except ValueError as error:
+                raise ReadError(path, f"{key}.unit", str(error)) from None
 
 
-def _column_unit(name: str, channel: MappedChannel) -> str | None:
-    """Unit inside of a channel before it is differentiated."""
-    return _DERIVED_FROM[channel.derivative] if channel.derivative else expected_unit(name)
+def _check_gauge(path: Path, name: str, channel: MappedChannel) -> None:
+    """Refuse gauge settings of other channels, and shunt readings that no working bridge gives."""
+    key = f"channels.{name}"
+    settings = (channel.excitation, channel.shunt_expected, channel.shunt_measured)
+    if settings == (None, None, None):
+        return
+    if not is_gauge(name):
+        raise ReadError(
+            path, key, "excitation, shunt_expected and shunt_measured are for gauge outputs, such as rAF or rN1"
+        )
+    if (channel.shunt_expected is None) != (channel.shunt_measured is None):
+        raise ReadError(path, key, "shunt_expected and shunt_measured [mV/V] are needed together")
+    if channel.shunt_expected == 0 or channel.shunt_measured == 0:
+        raise ReadError(path, key, "shunt_expected and shunt_measured must not be zero")
+    departure = abs(channel.shunt_ratio - 1)
+    if departure > SHUNT_REFUSED:
+        raise ReadError(
+            path,
+            f"{key}.shunt_measured",
+            f"the shunt reads {channel.shunt_measured:g} mV/V where {channel.shunt_expected:g} is expected, a ratio "
+            f"of {channel.shunt_ratio:.4g}; within {SHUNT_REFUSED:.0%} is allowed: look for a wrong resistor, a wrong "
+            "sign or a dead bridge",
+        )
+
+
+def _conversion(name: str, channel: MappedChannel, unit: str) -> Conversion:
+    """Conversion of a channel's cells, before they are differentiated or divided by an excitation.
+
+    Raises
+    ------
+    ValueError
+        The unit is not of the kind that the channel asks for.
+    """
+    if channel.derivative:
+        return conversion(unit, expected=_DERIVED_FROM[channel.derivative])
+    found = conversion_for(name, unit)
+    if channel.excitation is not None and found.unit != "V":
+        raise ValueError(f"unit [{unit}] is over excitation already; remove excitation, or give a voltage (V, mV, uV)")
+    return found
 
 
 def _converted(chosen: ChannelMap, where: str, unit: str, expected: str | None) -> None:
@@ -172,9 +231,11 @@ def mapped_recording(raw: RawColumns, chosen: ChannelMap) -> Recording:
     ReadError
         A column is not there, has no unit, or has one of another kind; the time column is not steady.
     """
+    own = chosen.file.time is None and chosen.file.rate is None
+    raw = _on_own_clocks(raw, chosen) if own else of_one_length(raw)
     stamps, time_unit = _stamps(raw, chosen)
     channels = {name: _channel(raw, chosen, name) for name in chosen.channels}
-    recording = on_clock(raw.path, stamps, channels, time_unit=time_unit)
+    recording = on_clock(raw.path, stamps, channels, time_unit=time_unit, rate=raw.rate)
     derived = {name: channel.derivative for name, channel in chosen.channels.items() if channel.derivative}
     if not derived:
         return recording
@@ -192,6 +253,15 @@ def mapped_recording(raw: RawColumns, chosen: ChannelMap) -> Recording:
     )
 
 
+def _on_own_clocks(raw: RawColumns, chosen: ChannelMap) -> RawColumns:
+    """Put columns on one clock by what the file says of each."""
+    if all(column.clock is None for column in raw.columns):
+        raise ReadError(
+            chosen.path, "file", f"needs {_EITHER}: {raw.path.name} does not state the rate of these columns itself"
+        )
+    return on_one_clock(raw)
+
+
 def _stamps(raw: RawColumns, chosen: ChannelMap) -> tuple[Array, str]:
     """Time of every row [s], and the unit it had in the file."""
     if chosen.file.rate is not None:
@@ -199,7 +269,7 @@ def _stamps(raw: RawColumns, chosen: ChannelMap) -> tuple[Array, str]:
             raise ReadError(raw.path, "", f"has {raw.rows} row(s) of samples; a recording needs at least two")
         return np.arange(raw.rows) / chosen.file.rate, "s"
     if chosen.file.time is None:
-        raise ReadError(chosen.path, "file", "needs either time or rate")
+        return raw.start + np.arange(raw.rows) / (raw.rate or np.nan), "s"
     column = raw.find(chosen.file.time, where="header")
     unit = chosen.file.time_unit or column.unit
     if not unit:
@@ -223,21 +293,36 @@ def _channel(raw: RawColumns, chosen: ChannelMap, name: str) -> Channel:
             chosen.path, f"channels.{name}.unit", f"is needed: the header {column.label!r} does not say the unit"
         )
     try:
-        change = conversion(unit, expected=_column_unit(name, given))
+        change = _conversion(name, given, unit)
     except ValueError as error:
         raise ReadError(raw.path, f"header, {column.place}", f"{error} for {name}") from None
-    derived = given.derivative > 0
+    values = change.inside(given.sign * (given.scale * column.values + given.offset))
+    gain = _gain(raw.path, name, given)
+    inside = "mV/V" if given.excitation is not None else change.unit
     return Channel(
         name,
-        change.inside(given.sign * (given.scale * column.values + given.offset)),
-        "m/s^2" if derived else change.unit,
-        noise=None if given.noise is None else given.noise * change.factor,
+        values if gain == 1.0 else values * gain,
+        "m/s^2" if given.derivative else inside,
+        noise=None if given.noise is None else given.noise * change.factor * gain,
         relative_uncertainty=given.relative_uncertainty,
-        delay=given.delay,
+        delay=given.delay + (column.delay if raw.rate is not None else 0.0),
         coupling=given.coupling,
         corner=given.corner,
-        file_unit="" if derived else unit,
+        file_unit="" if given.derivative else inside if given.excitation is not None else unit,
     )
+
+
+def _gain(path: Path, name: str, given: MappedChannel) -> float:
+    """Factor of a gauge output by its nominal excitation and its shunt readings; 1 for other channels."""
+    ratio = given.shunt_ratio
+    if abs(ratio - 1) > SHUNT_DOUBTED:
+        warnings.warn(
+            f"{path.name}: the shunt readings multiply {name} by {ratio:.4g}; more than {SHUNT_DOUBTED:.0%} is more "
+            "than gains drift, so check the resistor and the bridge: a mistake there is a mistake in all its loads",
+            DoubtWarning,
+            stacklevel=4,
+        )
+    return ratio if given.excitation is None else ratio * 1e3 / given.excitation
 
 
 def _differentiated(channel: Channel, order: int, rate: float) -> Channel:
@@ -260,88 +345,3 @@ def _differentiated(channel: Channel, order: int, rate: float) -> Channel:
         )
     settings = {slot: getattr(channel, slot) for slot in Channel.__slots__ if slot != "values"}
     return Channel(**settings, values=values)
-
-
-def template(path: Path | str) -> str:
-    """Write a channel map for a foreign file, made from its header, to be completed by hand.
-
-    Parameters
-    ----------
-    path
-        The foreign file.
-
-    Returns
-    -------
-    str
-        TOML with comments; every column that is not the time is a commented table.
-
-    Raises
-    ------
-    ReadError
-        The file is no text, or has no header.
-    """
-    file = Path(path)
-    labels = read_labels(file)
-    time = next((i for i, label in enumerate(labels) if _is_time(label)), None)
-    blocks = [_HEAD.format(names=", ".join(QUANTITIES), file=_quoted(file.name)[1:-1])]
-    if time is None:
-        blocks.append(
-            "# time = 1          # header text or number of the time column, or give the rate\nrate = 1000.0  # Hz"
-        )
-    else:
-        blocks.append(f"time = {_quoted(labels[time])}")
-        if not split_label(labels[time])[1]:
-            blocks.append('time_unit = "s"')
-    blocks.append(_FILE_KEYS)
-    for i, label in enumerate(labels):
-        if i != time:
-            blocks.append(_block(i + 1, label))
-    return "\n".join(blocks)
-
-
-def _is_time(label: str) -> bool:
-    name, unit = split_label(label)
-    return name.lower().startswith("time") and (
-        not unit or (readable(unit) and unit in ("s", "ms", "us", "min", "sec"))
-    )
-
-
-def _quoted(text: str) -> str:
-    """Write a TOML string."""
-    escaped = "".join(
-        "\\\\" if sign == "\\" else '\\"' if sign == '"' else sign if sign.isprintable() else f"\\u{ord(sign):04x}"
-        for sign in text
-    )
-    return f'"{escaped}"'
-
-
-def _block(number: int, label: str) -> str:
-    name, unit = split_label(label)
-    known = name if name in QUANTITIES else f"column_{number}"
-    lines = [f"[channels.{known}]", f"column = {_quoted(label) if label else number}"]
-    lines.append(f"unit = {_quoted(unit)}" if unit else 'unit = "N"  # the header does not say it')
-    return "\n".join(["", *(line if known == name else f"# {line}" for line in lines)])
-
-
-_HEAD: Final = """\
-# Channel map for {file}.
-# Rename each table that is needed to what the channel is, and remove the "# " before it:
-#   {names}
-# Any other name is passed on untouched. Columns without a table are ignored.
-
-[file]"""
-
-_FILE_KEYS: Final = """\
-# separator = "tab"   # comma, semicolon, tab, space; recognised if left out
-# decimal = "."       # or ","
-# header_line = 1     # 0: no header, columns by number
-# skip_lines = 0      # lines between the header and the first row of numbers
-# encoding = "utf-8"
-
-# Every channel may have, beside column and unit:
-#   scale = 1.0, offset = 0.0, sign = 1   value = sign * (scale * cell + offset), in unit
-#   delay = 0.0                 time by which the readings lag the clock [s]
-#   noise = 0.1                 standard uncertainty of one reading, in unit; estimated if left out
-#   relative_uncertainty = 0.0  standard uncertainty of the gain [1]
-#   derivative = 0              1: a velocity, 2: a position, to be turned into an acceleration
-#   coupling = "kinematic"      or "dc" (reads gravity too) or "ac" (then corner = high-pass corner [Hz])"""

@@ -19,6 +19,53 @@ _SQUARE: Final = re.compile(r"(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 _ROUND: Final = re.compile(r"(?P<name>.*?)\s*\((?P<unit>.*)\)\s*")
 
 
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """When the cells of a column were read, where the file states it column by column.
+
+    Attributes
+    ----------
+    start
+        Time of the first cell [s], on one time scale for the whole file.
+    interval
+        Time from cell to cell [s].
+    """
+
+    start: float
+    interval: float
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """What a file says about one of its columns, read without the cells.
+
+    Attributes
+    ----------
+    label
+        The column's header as the file has it.
+    name
+        The header without its unit.
+    unit
+        The unit; an empty string where there is none.
+    number
+        Position in the file, counted from 1.
+    note
+        What else is good to know when making a channel map: rate, number of samples.
+    clocked
+        Whether the file states the column's own sampling rate.
+    usable
+        Whether the column holds numbers.
+    """
+
+    label: str
+    name: str
+    unit: str
+    number: int
+    note: str = ""
+    clocked: bool = False
+    usable: bool = True
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RawColumn:
     """One column of a file.
@@ -35,6 +82,12 @@ class RawColumn:
         Cells, shape (n,), in the file's unit; NaN where missing.
     number
         Position in the file, counted from 1.
+    alias
+        Another name that a channel map may give; an empty string where there is none.
+    clock
+        When the cells were read; None where a time column, or a rate for the whole file, says it.
+    delay
+        Time by which the readings lag the rows they stand in [s].
     """
 
     label: str
@@ -42,6 +95,9 @@ class RawColumn:
     unit: str
     values: Array
     number: int
+    alias: str = ""
+    clock: Clock | None = None
+    delay: float = 0.0
 
     @property
     def place(self) -> str:
@@ -58,17 +114,20 @@ class RawColumns:
     path
         The file.
     columns
-        Its columns, in the file's order, of n cells each.
+        Its columns, in the file's order, of n cells each (of any length where each has a clock of its own).
     lines
         Line (or row, for a binary file) that each of the n cells stands in, counted from 1.
     rate
-        Sampling rate [Hz] where the file itself states it; None where a time column has to.
+        Sampling rate of all columns [Hz] where the file itself states it; None where a time column has to.
+    start
+        Time of the first row [s], where `rate` is given.
     """
 
     path: Path
     columns: tuple[RawColumn, ...]
     lines: Sequence[int] | NDArray[np.intp]
     rate: float | None = None
+    start: float = 0.0
 
     @property
     def rows(self) -> int:
@@ -93,7 +152,7 @@ class RawColumns:
                     return column
             last = max((column.number for column in self.columns), default=0)
             raise ReadError(self.path, where, f"there is no column {key}; the file has {last} columns")
-        for attribute in ("label", "name"):
+        for attribute in ("label", "name", "alias"):
             found = [column for column in self.columns if getattr(column, attribute) == key.strip()]
             if len(found) == 1:
                 return found[0]

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.io.columns import RawColumns, split_label
+from aerobalance.io.columns import Heading, RawColumns, split_label
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.table import Table, table_from
 from aerobalance.io.text_table import Layout, guess_encoding, read_labels, read_text_columns
@@ -32,15 +32,15 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
     return read_text_columns(path, layout, wanted=wanted)
 
 
-def column_names(path: Path | str) -> tuple[str, ...]:
-    """Read the names in the header of a plain CSV file, without their units.
+def headings(path: Path) -> tuple[Heading, ...]:
+    """Read what the header says of the columns.
 
     Raises
     ------
     ReadError
         The file is no text, or has no header.
     """
-    return tuple(split_label(label)[0] for label in read_labels(Path(path)) if label)
+    return tuple(Heading(label, *split_label(label), i + 1) for i, label in enumerate(read_labels(path)))
 
 
 def read_table(path: Path | str, *, required: Sequence[str] = (), missing_allowed: bool = False) -> Table:

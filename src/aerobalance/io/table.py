@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.io.columns import RawColumn, RawColumns
-from aerobalance.io.units import ALLOWED, conversion, expected_unit
+from aerobalance.io.units import ALLOWED, conversion_for, expected_unit
 from aerobalance.problems import DoubtWarning, FitError, ReadError
 from aerobalance.recording import Array, Channel, Recording
 
@@ -33,6 +33,8 @@ class Column:
         Unit in the file.
     place
         The column as a place in an error message.
+    delay
+        Time by which the cells lag the rows they stand in [s].
     """
 
     name: str
@@ -40,6 +42,7 @@ class Column:
     unit: str
     file_unit: str
     place: str
+    delay: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,15 +108,20 @@ def table_from(raw: RawColumns, *, required: Sequence[str] = (), missing_allowed
         required column is not there; a cell is missing.
     """
     columns: dict[str, Column] = {}
+    if raw.rate is not None:
+        stamps = raw.start + np.arange(raw.rows) / raw.rate
+        columns["time"] = Column("time", stamps, "s", "s", "the clock that the file states")
     for column in raw.columns:
         if not column.label and not np.isfinite(column.values).any():
             continue  # the separator at the end of every line that some programs write
         name = _checked_name(raw.path, column, columns)
         try:
-            change = conversion(column.unit, expected=expected_unit(name))
+            change = conversion_for(name, column.unit)
         except ValueError as error:
             raise ReadError(raw.path, f"header, {column.place}", str(error)) from None
-        columns[name] = Column(name, change.inside(column.values), change.unit, column.unit, column.place)
+        columns[name] = Column(
+            name, change.inside(column.values), change.unit, column.unit, column.place, column.delay
+        )
     table = Table(raw.path, columns, raw.lines)
     for name in required:
         table.column(name)
@@ -144,8 +152,15 @@ def _checked_name(path: Path, column: RawColumn, known: Mapping[str, Column]) ->
     return column.name
 
 
-def recording_from(table: Table) -> Recording:
+def recording_from(table: Table, *, rate: float | None = None) -> Recording:
     """Put the columns of a table on the clock of its column ``time``.
+
+    Parameters
+    ----------
+    table
+        With a column ``time``.
+    rate
+        Sampling rate that the file states [Hz], of which ``time`` was made; None where ``time`` was read.
 
     Raises
     ------
@@ -154,7 +169,7 @@ def recording_from(table: Table) -> Recording:
     """
     time = table.column("time") if "time" in table else _no_time(table)
     channels = {
-        name: Channel(name, column.values, column.unit, file_unit=column.file_unit)
+        name: Channel(name, column.values, column.unit, delay=column.delay, file_unit=column.file_unit)
         for name, column in table.columns.items()
         if name != "time"
     }
@@ -163,7 +178,7 @@ def recording_from(table: Table) -> Recording:
             table.path, "header", "has a time column only; at least one channel is needed, for example AF [N]"
         )
     check_time(table.path, time, table.lines)
-    return on_clock(table.path, time.values, channels, time_unit=time.file_unit)
+    return on_clock(table.path, time.values, channels, time_unit=time.file_unit, rate=rate)
 
 
 def _no_time(table: Table) -> NoReturn:
@@ -199,8 +214,12 @@ def check_time(path: Path, time: Column, lines: Sequence[int] | NDArray[np.intp]
         )
 
 
-def on_clock(path: Path, stamps: Array, channels: Mapping[str, Channel], *, time_unit: str = "s") -> Recording:
+def on_clock(
+    path: Path, stamps: Array, channels: Mapping[str, Channel], *, time_unit: str = "s", rate: float | None = None
+) -> Recording:
     """Make the recording; warn of samples that are missing or rest on a limit.
+
+    Where the file states the rate, that is the clock, and none is fitted to the stamps.
 
     Raises
     ------
@@ -219,7 +238,11 @@ def on_clock(path: Path, stamps: Array, channels: Mapping[str, Channel], *, time
                 stacklevel=3,
             )
     try:
-        recording = Recording.from_columns(stamps, channels, name=path.name, time_unit=time_unit)
+        if rate is None:
+            recording = Recording.from_columns(stamps, channels, name=path.name, time_unit=time_unit)
+        else:
+            rows = np.arange(stamps.size)
+            recording = Recording(path.name, stamps, rows, float(stamps[0]), rate, channels, time_unit=time_unit)
     except FitError as error:
         text = str(error).removeprefix(f"{path.name}: ")
         raise ReadError(path, "time column", text) from None

@@ -8,6 +8,7 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Final, NoReturn
 
@@ -111,7 +112,7 @@ def read_text_columns(
     """
     layout = layout or Layout()
     body, header, first = _body(path, layout)
-    separator = layout.separator or _separator(header if header is not None else body[:4000].decode())
+    separator = layout.separator or separator_of(header if header is not None else body[:4000].decode())
     labels = _labels(path, header, body, separator)
     start = 1 if header is None else first
     columns = [(i, label, *split_label(label)) for i, label in enumerate(labels)]
@@ -138,7 +139,48 @@ def read_labels(path: Path, layout: Layout | None = None) -> list[str]:
     """Read only the header cells of a text file."""
     layout = layout or Layout()
     body, header, _ = _body(path, layout)
-    return _labels(path, header, body, layout.separator or _separator(header or body[:4000].decode()))
+    return _labels(path, header, body, layout.separator or separator_of(header or body[:4000].decode()))
+
+
+def read_text(path: Path) -> str:
+    """Read a text file whole: encoding recognised, byte order mark left out, every line ended by a line feed.
+
+    Raises
+    ------
+    ReadError
+        The file is missing, empty or no text.
+    """
+    return _utf8(path, None).decode()
+
+
+def separator_of(line: str) -> str:
+    """Recognise the separator from a header line: tab before semicolon before comma, brackets and quotes left out."""
+    bare = re.sub(r"\[[^\]]*\]|\"[^\"]*\"|\([^)]*\)", "", line)
+    return next((sign for sign in "\t;," if sign in bare), ",")
+
+
+def split_line(line: str, separator: str) -> list[str]:
+    """Split a line into cells; quoted cells may hold the separator, and a space stands for any number of them."""
+    if separator == " ":
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:  # a cell of more than a hundred thousand characters
+        return line.split(separator)
+
+
+def number_in(cell: str, *, decimal: str = ".") -> float | None:
+    """Read the number in a cell; None where the cell holds none, or one that no reading is (beyond `LARGEST`)."""
+    if not _number_pattern(decimal).fullmatch(cell):
+        return None
+    value = float(cell.strip().replace(decimal, "."))
+    return value if abs(value) <= LARGEST else None
+
+
+@cache
+def _number_pattern(decimal: str) -> re.Pattern[str]:
+    sign = re.escape(decimal)
+    return re.compile(rf"\s*[+-]?(\d+{sign}?\d*|{sign}\d+)([eE][+-]?\d+)?\s*", re.ASCII)
 
 
 def _bytes(path: Path) -> bytes:
@@ -210,12 +252,6 @@ def _body(path: Path, layout: Layout) -> tuple[bytes, str | None, int]:
     return text[position:], header, line
 
 
-def _separator(header: str) -> str:
-    """Recognise the separator from the header: tab before semicolon before comma, brackets and quotes left out."""
-    bare = re.sub(r"\[[^\]]*\]|\"[^\"]*\"|\([^)]*\)", "", header)
-    return next((sign for sign in "\t;," if sign in bare), ",")
-
-
 def _decimal(body: bytes, separator: str) -> str:
     """Recognise the decimal sign."""
     if separator == "," and b'"' not in body:
@@ -231,8 +267,8 @@ def _labels(path: Path, header: str | None, body: bytes, separator: str) -> list
     if header is None:
         end = body.find(b"\n")
         first = body[: end if end >= 0 else None].decode()
-        return [str(i + 1) for i in range(len(_split(first, separator)))]
-    labels = [cell.strip() for cell in _split(header, separator)]
+        return [str(i + 1) for i in range(len(split_line(first, separator)))]
+    labels = [cell.strip() for cell in split_line(header, separator)]
     if all(re.fullmatch(r"[+-]?[\d.,]+([eE][+-]?\d+)?", cell) for cell in labels if cell) and any(labels):
         raise ReadError(
             path,
@@ -241,12 +277,6 @@ def _labels(path: Path, header: str | None, body: bytes, separator: str) -> list
             "for example time [s],AF [N]",
         )
     return labels
-
-
-def _split(line: str, separator: str) -> list[str]:
-    if separator == " ":
-        return line.split()
-    return next(csv.reader([line], delimiter=separator), [])
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,7 +348,7 @@ def _find_ragged(path: Path, body: bytes, grid: _Grid) -> None:
     for number, line in enumerate(body.decode().split("\n"), start=grid.first):
         if not line.strip():
             continue
-        found = len(_split(line, grid.separator))
+        found = len(split_line(line, grid.separator))
         if found != grid.width:
             named = {",": "comma", ";": "semicolon", "\t": "tab"}.get(grid.separator, repr(grid.separator))
             raise ReadError(
@@ -332,11 +362,11 @@ def _find_ragged(path: Path, body: bytes, grid: _Grid) -> None:
 def _find_fault(path: Path, body: bytes, grid: _Grid, reason: str) -> NoReturn:
     """Find the cell that is no number, and say where it is."""
     _find_ragged(path, body, grid)
-    number = re.compile(rf"\s*[+-]?(\d+{re.escape(grid.decimal)}?\d*|{re.escape(grid.decimal)}\d+)([eE][+-]?\d+)?\s*")
+    number = _number_pattern(grid.decimal)
     for line, text in enumerate(body.decode().split("\n"), start=grid.first):
         if not text.strip():
             continue
-        cells = _split(text, grid.separator)
+        cells = split_line(text, grid.separator)
         for i in grid.chosen:
             if not number.fullmatch(cells[i]) and cells[i].strip().lower() not in MISSING:
                 raise ReadError(

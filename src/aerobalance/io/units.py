@@ -1,21 +1,23 @@
 """Units at the edge: what a file says, turned into the SI units used inside.
 
-Inside, forces are in N, moments in N*m, accelerations in m/s^2, angles in rad, gauge outputs in mV/V, times in s,
-frequencies in Hz. `conversion` also tells units apart that have the same dimension but do not mean the same (an
-angle, a ratio and a gauge output), and reads ``g`` and ``lb`` by what is expected.
+Inside, forces are in N, moments in N*m, accelerations in m/s^2, angles in rad, gauge outputs in mV/V, voltages in V,
+temperatures in degC, times in s, frequencies in Hz. `conversion` also tells units apart that have the same dimension
+but do not mean the same (an angle, a ratio and a gauge output), and reads ``g`` and ``lb`` by what is expected.
 """
 
 from __future__ import annotations
 
+import contextlib
 import re
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aerobalance.components import is_gauge
 from aerobalance.recording import QUANTITIES, Array
 
 if TYPE_CHECKING:
@@ -32,6 +34,8 @@ ALLOWED: Final = {
     "s": "s, ms, us, min",
     "Hz": "Hz, kHz",
     "1": "1, %",
+    "V": "V, mV, uV, kV",
+    "degC": "degC, degF, K",
 }
 """Units that may be given where the unit inside is the key; others of the same kind are read too."""
 
@@ -46,6 +50,8 @@ _MEASURES: Final = {
     "s": "a time",
     "Hz": "a frequency",
     "1": "a ratio",
+    "V": "a voltage",
+    "degC": "a temperature",
 }
 
 _EXPECTED: Final = {
@@ -76,7 +82,22 @@ _SPELLINGS: Final = {
     "g_0": "g",
     "V/V": "volt/V",
     "degs": "deg",
+    "Volt": "V",
+    "Volts": "V",
+    "deg*C": "degC",
+    "deg*F": "degF",
 }
+
+_WORDS: Final = (
+    (re.compile(r"(?<=[A-Za-z])\.$"), ""),
+    (re.compile(r"(?<![A-Za-z])(lbs|Lbs?|LBS?|pounds?|Pounds?)(?![A-Za-z])"), "lb"),
+    (re.compile(r"(?<![A-Za-z])(lbsf|lbfs|LBF|Lbf)(?![A-Za-z])"), "lbf"),
+    (re.compile(r"(?<![A-Za-z])(IN|In|inch|Inch|inches|Inches|INCHES)(?![A-Za-z])"), "in"),
+    (re.compile(r"(?<![A-Za-z])(FT|Ft)(?![A-Za-z])"), "ft"),
+    (re.compile(r"(?<![A-Za-z])(in|ft)(lbf?)s?(?![A-Za-z])"), r"\1*\2"),
+    (re.compile(r"(?<![A-Za-z])(Volts?|VOLTS?|volts)(?![A-Za-z])"), "volt"),
+)
+"""Words for units in test halls: plurals, capitals, and dots that only end an abbreviation."""
 
 _IMPLIED: Final = {
     ("g", "m/s^2"): "standard_gravity",
@@ -104,14 +125,20 @@ class Conversion:
         Unit inside; the file's own where the program has no use for the quantity.
     factor
         Value of one of the file's units in `unit`.
+    offset
+        What the file's scale reads where the value inside is zero: 32 for degF, 273.15 for K, and 0 for whatever is
+        no temperature.
     """
 
     unit: str
     factor: float
+    offset: float = 0.0
 
     def inside(self, values: ArrayLike) -> Array:
         """Turn values of a file into values inside."""
         given = np.asarray(values, dtype=np.float64)
+        if self.offset:
+            given = given - self.offset
         if self.factor == 1.0:
             return given
         inverse = 1 / self.factor
@@ -121,10 +148,10 @@ class Conversion:
     def outside(self, values: ArrayLike) -> Array:
         """Turn values inside into values of a file."""
         given = np.asarray(values, dtype=np.float64)
-        if self.factor == 1.0:
-            return given
-        inverse = 1 / self.factor
-        return given * round(inverse) if _whole(inverse) else given / self.factor
+        if self.factor != 1.0:
+            inverse = 1 / self.factor
+            given = given * round(inverse) if _whole(inverse) else given / self.factor
+        return given + self.offset if self.offset else given
 
 
 def _whole(number: float) -> bool:
@@ -134,9 +161,11 @@ def _whole(number: float) -> bool:
 def expected_unit(name: str) -> str | None:
     """Return the unit that a column of this name has inside; None where any unit will do.
 
-    A column ``u_NAME`` is the standard uncertainty of ``NAME`` and has its unit.
+    A column ``u_NAME`` is the standard uncertainty of ``NAME`` and has its unit. A gauge output may be in V as well,
+    as long as it has not been divided by the excitation; see `conversion_for`.
     """
-    return _EXPECTED.get(name.removeprefix("u_"))
+    bare = name.removeprefix("u_")
+    return "mV/V" if is_gauge(bare) else _EXPECTED.get(bare)
 
 
 def edge_unit(name: str, inside: str) -> str:
@@ -174,7 +203,38 @@ def conversion(text: str, *, expected: str | None = None) -> Conversion:
     if kind != expected:
         found = f"is {_MEASURES[kind]}" if kind else f"is not {_MEASURES[expected]}"
         raise ValueError(f"unit [{given}] {found}, but {_MEASURES[expected]} is expected{hint}")
+    if expected == "degC":
+        return _of_temperature(unit)
     return Conversion(expected, _factor(unit, expected))
+
+
+def conversion_for(name: str, text: str) -> Conversion:
+    """Find the conversion from a unit, as written in a file, for a column of this name.
+
+    A gauge output in plain volts stays in V inside. An uncertainty of a temperature is a difference: 1 K is 1 degC.
+
+    Parameters
+    ----------
+    name
+        Name of the column, such as ``AF``, ``rN1`` or ``u_AF``.
+    text
+        The unit as the file has it.
+
+    Raises
+    ------
+    ValueError
+        The unit is unknown, or is not of the kind that the name asks for; the message says what is allowed.
+    """
+    bare = name.removeprefix("u_")
+    if is_gauge(bare):
+        with contextlib.suppress(ValueError):
+            return conversion(text, expected="V")
+        try:
+            return conversion(text, expected="mV/V")
+        except ValueError as error:
+            raise ValueError(f"{error}; or V, mV, uV beside a channel excitation [V]") from None
+    found = conversion(text, expected=expected_unit(name))
+    return replace(found, offset=0.0) if bare != name else found
 
 
 def readable(text: str) -> bool:
@@ -196,6 +256,8 @@ def _spelled(text: str) -> str:
         text = text.replace(old, new)
     for old, new in (("²", "^2"), ("³", "^3"), ("−", "-"), ("‰", "permille")):
         text = text.replace(old, new)
+    for spelt, unit in _WORDS:
+        text = spelt.sub(unit, text)
     text = re.sub(r"(?<=[A-Za-z0-9])[ .]*[-. ](?=[A-Za-z])", "*", text)
     text = re.sub(r"(?<![A-Za-z0-9_^])([A-Za-z]+)(-?[1-4])(?![0-9A-Za-z_])", r"\1^\2", text)
     text = text.replace("**", "^").replace("^", "**").replace(" ", "")
@@ -226,6 +288,8 @@ _ROOTS: Final = {
     "Hz": "1/s",
     "rad": "rad",
     "1": "dimensionless",
+    "V": "V",
+    "degC": "K",
 }
 
 
@@ -252,6 +316,13 @@ def _factor(unit: pint.Unit, kind: str) -> float:
     short = float(f"{factor:.12g}")
     # A factor that is a rounding error from a short decimal (N*m by way of grams) is that decimal.
     return short if abs(short - factor) < 4e-16 * factor else factor
+
+
+def _of_temperature(unit: pint.Unit) -> Conversion:
+    """Find factor and offset between a scale of temperature and degC."""
+    zero, one = (float(str(_registry().Quantity(value, "degC").to(unit).magnitude)) for value in (0.0, 1.0))
+    # The scales are defined by short decimals; the library returns them with rounding errors.
+    return Conversion("degC", 1 / float(f"{one - zero:.10g}"), float(f"{zero:.10g}"))
 
 
 def _root(unit: pint.Unit) -> float:

@@ -1,0 +1,391 @@
+"""LabVIEW TDMS: groups of channels, each with its own rate, start time and unit in its properties."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import struct
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
+
+import numpy as np
+
+from aerobalance.components import is_gauge
+from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
+from aerobalance.io.text_table import LARGEST, Layout
+from aerobalance.io.units import conversion, readable
+from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording import QUANTITIES, Array
+
+if TYPE_CHECKING:
+    from nptdms import TdmsChannel, TdmsFile
+
+NAME: Final = "LabVIEW TDMS"
+"""What to call the format in messages."""
+
+SUFFIXES: Final[Mapping[str, str]] = {}
+"""TDMS is read only."""
+
+_LEAD_IN: Final = 28
+_BIG_ENDIAN: Final = 64
+_SHORTEST: Final = 1e-12
+_LONGEST: Final = 1e6
+_SCALES: Final = "NI_Number_Of_Scales"
+_MOST_SCALES: Final = 1000
+_UNITS: Final = ("unit_string", "NI_UnitDescription")
+
+
+def can_read(head: bytes, path: Path) -> bool:
+    """Say whether a file is TDMS, from its first bytes; its name does not matter."""
+    del path
+    return head.startswith(b"TDSm")
+
+
+def write_columns(path: Path, columns: Mapping[str, Array]) -> None:
+    """Refuse to write: TDMS is read only.
+
+    Raises
+    ------
+    ValueError
+        Always.
+    """
+    raise ValueError(f"cannot write {path} ({len(columns)} columns): TDMS is read only; write .csv")
+
+
+def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[str | int] | None = None) -> RawColumns:
+    """Read channels as columns, each with its own clock; only the data of those wanted are read.
+
+    A column's label is ``group/channel``; the channel's name alone will do where it is the only one. The unit is the
+    property ``unit_string`` or ``NI_UnitDescription``, where that is a unit, or stands in the channel's name. The
+    clock comes from ``wf_increment``, ``wf_start_offset`` and ``wf_start_time``; a channel without start time starts
+    with the first of the others.
+
+    Parameters
+    ----------
+    path
+        The file.
+    layout
+        For text files only.
+    wanted
+        Channels to read, by label, name or number. None for a file that needs no channel map: then every channel of
+        numbers is read, each must have a unit, and one at least must be known to the program.
+
+    Raises
+    ------
+    ReadError
+        The file is damaged; a channel is not there, holds no numbers, or needs a channel map.
+
+    Warns
+    -----
+    DoubtWarning
+        The file was cut off while it was written.
+    """
+    del layout
+    with _opened(path) as file:
+        entries = _entries(path, file)
+        if wanted is None:
+            chosen = _described(path, entries)
+        else:
+            bare = tuple(_column(entry, np.empty(0), None) for entry in entries)
+            stub = RawColumns(path, bare, range(0))
+            numbers = {stub.find(key, where="channels").number for key in wanted}
+            chosen = [entry for entry in entries if entry.number in numbers]
+        for entry in chosen:
+            _check_usable(path, entry)
+        origin = _origin(chosen)
+        columns = tuple(_column(entry, _values(path, entry), _clock(path, entry, origin)) for entry in chosen)
+    return RawColumns(path, columns, range(1, max((column.values.size for column in columns), default=0) + 1))
+
+
+def headings(path: Path) -> tuple[Heading, ...]:
+    """Read what the file says of its channels, without their data.
+
+    Raises
+    ------
+    ReadError
+        The file is damaged.
+    """
+    with _opened(path) as file:
+        found = []
+        for entry in _entries(path, file):
+            clock = _clock(path, entry, None)
+            fault = _fault(entry)
+            rate = f"{1 / clock.interval:.9g} Hz" if clock is not None else "no rate stated"
+            note = f"cannot be used: {fault}" if fault else f"{rate}, {entry.samples} samples"
+            found.append(
+                Heading(
+                    entry.label,
+                    entry.name,
+                    entry.unit,
+                    entry.number,
+                    note,
+                    clocked=clock is not None,
+                    usable=not fault,
+                )
+            )
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """One channel of the file, not yet read."""
+
+    channel: TdmsChannel
+    label: str
+    name: str
+    unit: str
+    number: int
+    samples: int
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[TdmsFile]:
+    """Open a file; turn whatever its reader fails with into a `ReadError`, and what it says into doubts."""
+    from nptdms import TdmsFile  # noqa: PLC0415 - a third of a second, and only TDMS files need it
+
+    said: list[str] = []
+    try:
+        # A stream, as with a path the reader would trust whatever index file lies beside it.
+        with path.open("rb") as stream, _listening(said), np.errstate(all="ignore"):
+            cut_off = _cut_off(stream)
+            with TdmsFile.open(stream, raw_timestamps=True) as file:
+                yield file
+    except ReadError:
+        raise
+    except OSError as error:
+        raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise ReadError(path, "", "is damaged, or too large for the memory; read fewer channels at a time") from None
+    except Exception as error:  # noqa: BLE001 - the reader fails in a dozen ways on damaged files
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise ReadError(path, "", f"is a damaged TDMS file, or of a kind that cannot be read: {text[:200]}") from None
+    if cut_off:
+        said = ["the file was cut off while it was written; what was complete is used, and the end is missing"]
+    for text in dict.fromkeys(said):
+        warnings.warn(f"{path.name}: {text}", DoubtWarning, stacklevel=5)
+
+
+def _cut_off(stream: BinaryIO) -> bool:
+    """Say whether the last segment ends elsewhere than the file: the reader does not tell every case."""
+    size = stream.seek(0, 2)
+    place = 0
+    while place < size:
+        stream.seek(place)
+        head = stream.read(_LEAD_IN)
+        if len(head) < _LEAD_IN or not head.startswith(b"TDSm"):
+            break
+        order = ">" if head[4] & _BIG_ENDIAN else "<"
+        place += _LEAD_IN + struct.unpack_from(f"{order}Q", head, 12)[0]
+    stream.seek(0)
+    return place != size
+
+
+@contextlib.contextmanager
+def _listening(said: list[str]) -> Iterator[None]:
+    """Collect what the reader would write to standard error."""
+
+    class _Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            said.append(record.getMessage())
+
+    from nptdms.log import log_manager  # noqa: PLC0415 - comes with the reader
+
+    collector = _Collector(logging.WARNING)
+    loggers = list(log_manager.loggers.values())
+    before = [(list(logger.handlers), logger.propagate) for logger in loggers]
+    for logger in loggers:
+        logger.handlers, logger.propagate = [collector], False
+    try:
+        yield
+    finally:
+        for logger, (handlers, propagate) in zip(loggers, before, strict=True):
+            logger.handlers, logger.propagate = handlers, propagate
+
+
+def _entries(path: Path, file: TdmsFile) -> list[_Entry]:
+    """List the channels of a file."""
+    size = path.stat().st_size
+    found: list[_Entry] = []
+    for group in file.groups():
+        for channel in group.channels():
+            label = f"{group.name}/{channel.name}"
+            if len(channel) > size:
+                raise ReadError(
+                    path, label, f"claims {len(channel)} samples in a file of {size} bytes: the file is damaged"
+                )
+            for holder in (channel, group, file):
+                scales = holder.properties.get(_SCALES, 0)
+                if isinstance(scales, str | float) or scales > _MOST_SCALES:
+                    raise ReadError(path, label, f"claims {scales} scales ({_SCALES}): the file is damaged")
+            name, unit = channel.name.strip(), _unit(channel)
+            if not unit:
+                name, unit = split_label(channel.name)
+            found.append(_Entry(channel, label, name, unit, len(found) + 1, len(channel)))
+    if not found:
+        raise ReadError(path, "", "is a TDMS file without channels; at least one, of numbers, is needed")
+    return found
+
+
+def _unit(channel: TdmsChannel) -> str:
+    """Return the unit that the properties give; an empty string where they give none."""
+    for key in _UNITS:
+        text = str(channel.properties.get(key, "")).strip()
+        text = text.removeprefix("[").removesuffix("]").strip()
+        if text and readable(text):
+            return text
+    return ""
+
+
+def _fault(entry: _Entry) -> str:
+    """Say why a channel cannot be read as numbers; an empty string where it can."""
+    if entry.samples == 0:
+        return "it has no samples"
+    kind = entry.channel.dtype
+    if kind.kind == "M":
+        return ""
+    if kind.kind not in "fiub":
+        return "it holds complex numbers" if kind.kind == "c" else "it holds text or data that are no numbers"
+    return ""
+
+
+def _check_usable(path: Path, entry: _Entry) -> None:
+    fault = _fault(entry)
+    if fault:
+        raise ReadError(path, f"channel {entry.label!r}", f"{fault}; a channel of numbers is needed")
+
+
+def _described(path: Path, entries: Sequence[_Entry]) -> list[_Entry]:
+    """Choose the channels of a file that needs no channel map."""
+    usable = [entry for entry in entries if not _fault(entry)]
+    needed = "a channel map is needed, which `aerobalance map FILE` makes (then give it with --map)"
+    timed = [entry for entry in usable if not is_time(entry.name) or entry.unit]
+    for entry in timed:
+        if not entry.unit:
+            raise ReadError(
+                path, f"channel {entry.label!r}", f"the file does not say what it is: no unit is stated; {needed}"
+            )
+    if not any(entry.name in QUANTITIES or is_gauge(entry.name) for entry in timed):
+        names = ", ".join(repr(entry.label) for entry in usable) or "none with numbers"
+        raise ReadError(path, "", f"none of its channels ({names}) has a name that the program knows; {needed}")
+    clocked = [entry for entry in timed if "wf_increment" in entry.channel.properties]
+    others = [entry for entry in timed if entry not in clocked]
+    return clocked if clocked and all(is_time(entry.name) for entry in others) else timed
+
+
+def is_time(name: str) -> bool:
+    """Say whether a channel of this name is the time."""
+    return name.strip().lower() == "time"
+
+
+def _column(entry: _Entry, values: Array, clock: Clock | None) -> RawColumn:
+    unit = "s" if entry.channel.dtype.kind == "M" else entry.unit
+    return RawColumn(
+        entry.label, entry.name, unit, values, entry.number, alias=entry.channel.name.strip(), clock=clock
+    )
+
+
+def _values(path: Path, entry: _Entry) -> Array:
+    """Read the samples of one channel, scaled, shape (n,); no other channel's data are read."""
+    values = np.empty(0)
+    filled = 0
+    for chunk in entry.channel.data_chunks():
+        part = _numbers(chunk[:], path, entry)
+        if filled == 0:
+            if part.size == entry.samples:
+                values, filled = part, part.size
+                continue
+            values = np.empty(entry.samples)
+        values[filled : filled + part.size] = part
+        filled += part.size
+    if filled != entry.samples:
+        raise ReadError(
+            path, f"channel {entry.label!r}", f"has {filled} of {entry.samples} samples: the file is damaged"
+        )
+    if max(abs(float(np.nanmax(values, initial=0.0))), abs(float(np.nanmin(values, initial=0.0)))) > LARGEST:
+        return _without_infinities(path, entry, values)
+    return values
+
+
+def _numbers(part: Any, path: Path, entry: _Entry) -> Array:
+    if entry.channel.dtype.kind != "M":
+        return np.asarray(part, dtype=np.float64)
+    origin = entry.channel[0]
+    seconds = np.asarray(part["seconds"], dtype=np.float64) - float(origin.seconds)
+    fractions = np.asarray(part["second_fractions"], dtype=np.float64) - float(origin.second_fractions)
+    return np.asarray(seconds + fractions * 2.0**-64, dtype=np.float64)
+
+
+def _without_infinities(path: Path, entry: _Entry, values: Array) -> Array:
+    """Make infinities missing; refuse numbers that no reading is."""
+    found = values.copy()
+    found[np.isinf(found)] = np.nan
+    large = np.flatnonzero(np.abs(found) > LARGEST)
+    if large.size:
+        raise ReadError(
+            path,
+            f"channel {entry.label!r}, sample {large[0] + 1}",
+            f"holds {found[large[0]]:.3g}, which no reading is; allowed: numbers up to {LARGEST:.0e} either way",
+        )
+    return found
+
+
+def _origin(entries: Sequence[_Entry]) -> Any:
+    """Return the earliest start time of the channels; None where none has one."""
+    stamps = [entry.channel.properties.get("wf_start_time") for entry in entries]
+    known = [stamp for stamp in stamps if hasattr(stamp, "second_fractions")]
+    return min(known, key=lambda stamp: (stamp.seconds, stamp.second_fractions), default=None)
+
+
+def _clock(path: Path, entry: _Entry, origin: Any) -> Clock | None:
+    """Return a channel's clock, by its properties; None where it states no rate."""
+    properties = entry.channel.properties
+    if "wf_increment" not in properties:
+        return None
+    numbers = {}
+    for key in ("wf_increment", "wf_start_offset"):
+        given = properties.get(key, 0.0)
+        if isinstance(given, bool) or not isinstance(given, int | float | np.number) or not np.isfinite(given):
+            raise ReadError(path, f"channel {entry.label!r}, {key}", f"must be a number, not {given!r}")
+        numbers[key] = float(given)
+    unit = str(properties.get("wf_xunit_string", "")).strip() or "s"
+    try:
+        change = conversion(unit, expected="s")
+    except ValueError as error:
+        raise ReadError(
+            path, f"channel {entry.label!r}, wf_xunit_string", f"{error}; spectra cannot be used"
+        ) from None
+    interval = float(change.inside(round_interval(numbers["wf_increment"])))
+    if interval == 0 and entry.samples <= 1:
+        return None
+    if not _SHORTEST <= interval <= _LONGEST:
+        raise ReadError(
+            path,
+            f"channel {entry.label!r}, wf_increment",
+            f"must be above zero, from {_SHORTEST:g} to {_LONGEST:g} s, not {interval:.9g} s",
+        )
+    start = float(change.inside(numbers["wf_start_offset"]))
+    stamp = properties.get("wf_start_time")
+    if origin is not None and hasattr(stamp, "second_fractions"):
+        # Whole seconds and fractions apart, as both together leave only microseconds of a double.
+        start += (stamp.seconds - origin.seconds) + (stamp.second_fractions - origin.second_fractions) * 2.0**-64
+    return Clock(start, interval)
+
+
+def round_interval(value: float) -> float:
+    """Return the round number that a sampling interval stands for, where it went through single precision.
+
+    0.0010000000474974513 is what single precision makes of 0.001, and over 600 s at 25 kHz the difference is more
+    than a sample. A value that is exactly a single-precision number is taken as the number of at most six digits, or
+    as one over such a number (a round rate), which single precision rounds to it: float32(round) == value. Any other
+    value, a measured double-precision interval for one, stays as it is.
+    """
+    single = np.float32(value)
+    if value <= 0 or float(single) != value:
+        return value
+    for candidate in (float(f"{value:.6g}"), 1 / float(f"{1 / value:.6g}")):
+        if np.float32(candidate) == single:
+            return candidate
+    return value
