@@ -1,0 +1,185 @@
+"""Voltage calibration files (``.vol``): loads on one component at a time, bridge voltages and excitation.
+
+``key--> value`` lines say what the balance is; then comes a block per component and sign, ``[N1 pos]``, with a header
+and rows of load, bridge voltages and excitation. The sign of the loads is that of the block's title.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from aerobalance.balance import BalanceType, Geometry
+from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, load_key, settle_capacities
+from aerobalance.io.units import conversion
+from aerobalance.io.vol_blocks import Block, take_apart
+from aerobalance.io.vol_columns import (
+    Reading,
+    amount_in,
+    amounts_of,
+    block_outputs,
+    layout_of,
+    load_units_of,
+    naming_of,
+    stated_capacities,
+)
+from aerobalance.problems import DoubtWarning
+from aerobalance.recording import Array
+from aerobalance.schedule import Schedule
+
+NAME: Final = "voltage calibration file (.vol)"
+"""What to call the format in messages."""
+
+_SIGN: Final = re.compile(
+    r"voltage\s+calibration\s+file|number\s*of\s*loads\s*-+>|\[\s*maximal\s+balance\s+loads", re.I
+)
+_SPLIT: Final = re.compile(r"(?P<forces>\d+)\s*f(orces?)?\W*(?P<moments>\d+)\s*m(oments?)?", re.I)
+_DISTANCE: Final = re.compile(r"distance\s*(from|of)?\s*(?P<name>.+?)\s+to\b(?P<rest>.*)", re.I)
+_PLACES: Final = {
+    **dict.fromkeys(("forward normal", "forward pitch"), "forward_normal"),
+    **dict.fromkeys(("aft normal", "aft pitch"), "aft_normal"),
+    **dict.fromkeys(("forward side", "forward yaw"), "forward_side"),
+    **dict.fromkeys(("aft side", "aft yaw"), "aft_side"),
+}
+
+
+def can_read(text: str) -> bool:
+    """Say whether a text is a voltage calibration file."""
+    return _SIGN.search(text[:20000]) is not None
+
+
+def read_vol(path: Path, text: str, *, capacities: Capacities | None = None) -> Schedule:
+    """Make a schedule of the text of a voltage calibration file.
+
+    Every block is a series of its own. Outputs are voltages over excitation.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    text
+        Its text.
+    capacities
+        Largest allowed loads by component, in place of the file's.
+
+    Raises
+    ------
+    ReadError
+        The text is no such schedule; the message says where and what is allowed.
+    ValueError
+        `capacities` does not fit the file's loads.
+
+    Warns
+    -----
+    DoubtWarning
+        The file is cut off, signs within a block contradict its title, or names had to be guessed.
+    """
+    reading = Reading(path, take_apart(path, text))
+    blocks = reading.parts.blocks
+    layouts = [layout_of(reading, block) for block in blocks]
+    naming = naming_of(reading, layouts[0])
+    c = len(naming.components)
+    amounts = amounts_of(reading, naming.components)
+    units = load_units_of(reading, naming, layouts=layouts, amounts=amounts)
+    loads, outputs = [], []
+    for block, layout, component, unit in zip(blocks, layouts, naming.blocks, units.blocks, strict=True):
+        applied = np.zeros((len(block.lines), c))
+        change = load_conversion(unit)
+        applied[:, component] = change.inside(_signed(reading, block, loads=block.values[:, layout.load]))
+        loads.append(applied)
+        outputs.append(block_outputs(reading, block, layout=layout, first=layouts[0]))
+    stated = stated_capacities(reading, naming, amounts=amounts, units=units)
+    all_loads = np.concatenate(loads)
+    table = settle_capacities(naming.components, all_loads, moments=units.moments, stated=stated, given=capacities)
+    sizes = [len(block.lines) for block in blocks]
+    return Schedule(
+        name=path.name,
+        components=naming.components,
+        gauges=naming.components,
+        loads=all_loads,
+        outputs=np.concatenate(outputs),
+        series=np.repeat(np.arange(len(sizes), dtype=np.intp), sizes),
+        series_names=tuple(block.title for block in blocks),
+        points=tuple(f"{block.title} {i + 1}" for block in blocks for i in range(len(block.lines))),
+        capacities=table.values,
+        moments=np.array(units.moments, dtype=np.bool_),
+        load_units=units.components,
+        natural_zeros=np.empty((0, c)),
+        confirmation=np.zeros(sum(sizes), dtype=np.bool_),
+        balance_type=_balance_type(reading, naming.components, moments=units.moments),
+        geometry=_geometry(reading),
+        assumptions=(*dict.fromkeys(reading.notes), *table.assumptions),
+    )
+
+
+def _signed(reading: Reading, block: Block, *, loads: Array) -> Array:
+    """Loads with the sign of their block; doubt where the file's own signs contradict it."""
+    if block.sign == 0:
+        reading.notes.append(f"block [{block.title}] says neither pos nor neg: loads have the signs of the file")
+        return loads
+    wrong = np.flatnonzero(loads * block.sign < 0)
+    right = np.flatnonzero(loads * block.sign > 0)
+    if block.sign < 0 and wrong.size and not right.size:
+        reading.notes.append(f"block [{block.title}] lists magnitudes: its loads are taken as negative")
+    elif wrong.size:
+        lines = ", ".join(str(block.lines[i]) for i in wrong[:8]) + (" ..." if wrong.size > 8 else "")
+        word = "positive" if block.sign > 0 else "negative"
+        what = "mixes signs" if right.size else f"lists {'negative' if block.sign > 0 else 'positive'} loads"
+        warnings.warn(
+            f"{reading.path}: block [{block.title}] {what} (line(s) {lines}); all of its loads are taken as {word}, "
+            f"as the title says; if the title is wrong, so is the sensitivity to {block.component}",
+            DoubtWarning,
+            stacklevel=3,
+        )
+    return block.sign * np.abs(loads) + 0.0
+
+
+def _balance_type(reading: Reading, names: Sequence[str], *, moments: Sequence[bool]) -> BalanceType:
+    """Which loads the gauges measure: as the file says, checked against the units of its loads."""
+    kinds: dict[int, BalanceType] = {1: "force", 3: "direct", 5: "moment"}
+    found: BalanceType = kinds.get(sum(moments), "unknown") if len(moments) == 6 else balance_type_of(names)
+    entry = next((e for e in reading.parts.description if e.key.casefold().startswith("balance type")), None)
+    said = _SPLIT.search(entry.value) if entry else None
+    whole = said is not None and int(said["forces"]) + int(said["moments"]) == len(moments)
+    if entry and said and whole and int(said["moments"]) != sum(moments):
+        warnings.warn(
+            f"{reading.path}: line {entry.line}: the balance type is {entry.value!r}, but by their units "
+            f"{sum(moments)} of the {len(moments)} loads are moments; the units are believed, so check them",
+            DoubtWarning,
+            stacklevel=2,
+        )
+    return found
+
+
+def _geometry(reading: Reading) -> Geometry | None:
+    """Distances of the gauges from the centre; None, with a note, where they are not all there."""
+    found: dict[str, float] = {}
+    for entry in reading.parts.distances:
+        match = _DISTANCE.fullmatch(entry.key)
+        place = _PLACES.get(load_key(match["name"])) if match else None
+        amount = amount_in(entry.value)
+        if match is None or place is None or not amount.value > 0:
+            continue
+        word = re.search(r"\bin\s+([A-Za-z]+)\W*$", match["rest"]) or re.search(
+            r"[\[(]([A-Za-z]+)[\])]", match["rest"]
+        )
+        unit = amount.unit or (word[1] if word else "")
+        try:
+            found[place] = float(conversion(unit, expected="m").inside(amount.value))
+        except ValueError:
+            reading.notes.append(
+                f"line {entry.line}: unit of the distance [{unit}] is not a length, so it is not used"
+            )
+    missing = [name for name in Geometry.__slots__ if name not in found]
+    if missing:
+        reading.notes.append(
+            f"distances of the gauges are not (all) in the file ({', '.join(missing)}): loads cannot be turned into "
+            "those of another kind of balance"
+        )
+        return None
+    return Geometry(**found)

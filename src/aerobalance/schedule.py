@@ -1,0 +1,105 @@
+"""A load schedule: what was put on the balance and what its gauges read, point by point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.balance import BalanceType, Geometry
+from aerobalance.recording import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Schedule:
+    """Static loads and gauge outputs of one calibration: n points, c components with one gauge bridge each.
+
+    Attributes
+    ----------
+    name
+        What the calibration is called in messages (its file).
+    components
+        Names of the c loads as the file has them, for example N1 N2 S1 S2 RM AF.
+    gauges
+        Names of the c bridges, in the same order: bridge i answers mainly to load i.
+    loads
+        Loads applied, without fixtures (tares), shape (n, c) [N, N*m].
+    outputs
+        Gauge outputs over excitation, zeros not removed, shape (n, c) [mV/V].
+    series
+        Load series of every point, shape (n,): 0, 1, ...; fixtures stay the same within a series.
+    series_names
+        What the file calls each series.
+    points
+        What the file calls each point.
+    capacities
+        Largest allowed loads, shape (c,), positive [N, N*m].
+    moments
+        True for the components that are moments, shape (c,).
+    load_units
+        Unit of each load in the file.
+    natural_zeros
+        Outputs of the bare balance at several roll angles, shape (k, c) [mV/V]; k = 0 where none were read.
+    confirmation
+        True for points that are kept out of the fit, to test it, shape (n,).
+    temperature
+        Temperature of the balance at every point, shape (n,) [degC]; None where not recorded.
+    balance_type
+        Which loads the gauges measure.
+    geometry
+        Distances of the gauges from the balance's centre; None where unknown.
+    assumptions
+        What the reader had to take for granted.
+    """
+
+    name: str
+    components: tuple[str, ...]
+    gauges: tuple[str, ...]
+    loads: Array
+    outputs: Array
+    series: NDArray[np.intp]
+    series_names: tuple[str, ...]
+    points: tuple[str, ...]
+    capacities: Array
+    moments: NDArray[np.bool_]
+    load_units: tuple[str, ...]
+    natural_zeros: Array
+    confirmation: NDArray[np.bool_]
+    temperature: Array | None = None
+    balance_type: BalanceType = "unknown"
+    geometry: Geometry | None = None
+    assumptions: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n, c = self.outputs.shape if self.outputs.ndim == 2 else (0, 0)
+        shapes = {
+            "loads": (n, c),
+            "series": (n,),
+            "confirmation": (n,),
+            "capacities": (c,),
+            "moments": (c,),
+            "natural_zeros": (self.natural_zeros.shape[0], c),
+        }
+        for field, shape in shapes.items():
+            if getattr(self, field).shape != shape:
+                raise ValueError(f"{field} must have shape {shape}, not {getattr(self, field).shape}")
+        for field in ("components", "gauges", "load_units"):
+            if len(getattr(self, field)) != c or (field != "load_units" and len(set(getattr(self, field))) != c):
+                raise ValueError(f"{field} must be {c} different names, not {getattr(self, field)}")
+        if self.temperature is not None and self.temperature.shape != (n,):
+            raise ValueError(f"temperature must have shape {(n,)}, not {self.temperature.shape}")
+        if len(self.points) != n:
+            raise ValueError(f"points must be {n} names, not {len(self.points)}")
+        if n and not (self.series.min() >= 0 and self.series.max() < len(self.series_names)):
+            raise ValueError("series must number series_names from 0")
+        if not ((self.capacities > 0) & np.isfinite(self.capacities)).all():
+            raise ValueError("capacities must be positive and finite")
+        for field in ("loads", "outputs", "natural_zeros"):
+            if not np.isfinite(getattr(self, field)).all():
+                raise ValueError(f"{field} must be finite")
+
+    @property
+    def fitted(self) -> NDArray[np.bool_]:
+        """True for the points that take part in the fit, shape (n,)."""
+        return ~self.confirmation
