@@ -51,6 +51,44 @@ Mass = Annotated[str, typer.Option("--mass", help="Moving mass in kg: a number (
 Rec = Annotated[Path, typer.Argument(metavar="REC", help="A recording.")]
 
 
+Balance = Annotated[
+    Path, typer.Option("--balance", help="balance.json from calibrate, or a matrix in BALFIT's text layout.")
+]
+MaybeBalance = Annotated[
+    Path | None,
+    typer.Option("--balance", help="balance.json, for recordings of gauge outputs (rAF ...) instead of loads."),
+]
+Zero = Annotated[
+    list[Path] | None,
+    typer.Option("--zero", help="Recording of the unloaded balance before the run (may be given again), or 'none'."),
+]
+ZeroAfter = Annotated[
+    list[Path] | None, typer.Option("--zero-after", help="The same after the run: the drift is taken off.")
+]
+Tare = Annotated[
+    list[Path] | None,
+    typer.Option("--tare", help="Wind-off recording, its loads taken off at the same pitch (may be given again)."),
+]
+
+
+class Model(StrEnum):
+    """Which terms a balance matrix may have."""
+
+    LINEAR = "linear"
+    QUADRATIC = "quadratic"
+    ABS = "abs"
+    SIX_BY_27 = "27"
+    SIX_BY_96 = "96"
+    AUTO = "auto"
+
+
+class Way(StrEnum):
+    """Which way a balance matrix goes."""
+
+    ITERATIVE = "iterative"
+    NON_ITERATIVE = "non-iterative"
+
+
 class Method(StrEnum):
     """How the force is worked out."""
 
@@ -96,9 +134,9 @@ def info(
     file: Annotated[Path, typer.Argument(metavar="FILE")], channel_map: Map = None, as_json: Json = False
 ) -> None:
     """Show channels, units, rate, duration, gaps and saturation of a recording."""
-    from aerobalance import commands
+    from aerobalance.commands import recordings
 
-    show(lambda: commands.info(file, channel_map=channel_map), as_json, doing="reading")
+    show(lambda: recordings.info(file, channel_map=channel_map), as_json, doing="reading")
 
 
 @app.command(epilog=example("convert run.txt --map map.toml -o run.csv"))
@@ -106,9 +144,9 @@ def convert(
     file: Annotated[Path, typer.Argument(metavar="IN")], out: NeededOut, channel_map: Map = None, as_json: Json = False
 ) -> None:
     """Convert a recording to the format of the output's ending."""
-    from aerobalance import commands
+    from aerobalance.commands import recordings
 
-    show(lambda: commands.convert(file, out, channel_map=channel_map), as_json, doing="converting")
+    show(lambda: recordings.convert(file, out, channel_map=channel_map), as_json, doing="converting")
 
 
 @app.command("map", epilog=example("map run.txt -o map.toml"))
@@ -118,25 +156,107 @@ def channel_map(
     as_json: Json = False,
 ) -> None:
     """Make a channel map, to be filled in, for a foreign file."""
-    from aerobalance import commands
+    from aerobalance.commands import recordings
 
-    show(lambda: commands.channel_map_for(file, out), as_json, doing="reading", plain="map")
+    show(lambda: recordings.channel_map_for(file, out), as_json, doing="reading", plain="map")
+
+
+@app.command(epilog=example("calibrate schedule.csv --model auto -o balance.json --report calibration.html"))
+def calibrate(
+    schedule: Annotated[
+        Path, typer.Argument(metavar="SCHEDULE", help="Loads and gauge outputs: BALFIT csv, .vol or plain csv.")
+    ],
+    out: Out = None,
+    model: Annotated[
+        Model, typer.Option("--model", help="Terms offered: 96 of AIAA R-091, or fewer; auto chooses among them.")
+    ] = Model.AUTO,
+    way: Annotated[
+        Way, typer.Option("--way", help="Fit outputs on loads (iterative) or loads on outputs (non-iterative).")
+    ] = Way.ITERATIVE,
+    keep_aside: Annotated[
+        float, typer.Option("--keep-aside", help="Share of the points kept out of the fit to confirm it.")
+    ] = 0.0,
+    report: Annotated[Path | None, typer.Option("--report", help="Write a page with figures and tables.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Make a balance matrix from a load schedule, with its statistics."""
+    from aerobalance.commands import calibration
+
+    show(
+        lambda: calibration.calibrate(
+            schedule, out, model=model.value, way=way.value, keep_aside=keep_aside, report=report
+        ),
+        as_json,
+        doing="fitting the matrix",
+        plain="summary",
+    )
+
+
+@app.command("compare-calibrations", epilog=example("compare-calibrations 2022.json 2025.json"))
+def compare_calibrations(
+    before: Annotated[Path, typer.Argument(metavar="BEFORE", help="balance.json, or a load schedule.")],
+    after: Annotated[Path, typer.Argument(metavar="AFTER", help="The later one of the same balance.")],
+    out: Out = None,
+    model: Annotated[Model, typer.Option("--model", help="Terms offered where a schedule is given.")] = Model.AUTO,
+    as_json: Json = False,
+) -> None:
+    """Show what has changed between two calibrations of one balance, and whether it is more than chance."""
+    from aerobalance.commands import calibration
+
+    show(lambda: calibration.compare(before, after, out, model=model.value), as_json, doing="comparing")
+
+
+@app.command(epilog=example("loads run.csv --balance balance.json --zero windoff.csv -o loads.csv"))
+def loads(
+    rec: Rec,
+    balance: Balance,
+    out: NeededOut,
+    zero: Zero = None,
+    zero_after: ZeroAfter = None,
+    tare: Tare = None,
+    mass: Annotated[
+        Path | None, typer.Option("--mass", help="mass.json of a weighing, whose weight is taken off.")
+    ] = None,
+    channel_map: Map = None,
+    as_json: Json = False,
+) -> None:
+    """Turn gauge outputs into the loads that the balance feels, with their uncertainty."""
+    from aerobalance.commands import loads as command
+
+    files = command.BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare, mass=mass)
+    show(lambda: command.loads(rec, out, files=files, channel_map=channel_map), as_json, doing="solving for the loads")
 
 
 @app.command(epilog=example("weigh points.csv -o mass.json"))
 def weigh(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Static points, or recordings.")],
     out: Out = None,
-    component: Component = "AF",
+    component: Annotated[
+        str | None,
+        typer.Option("--component", help="Weigh with this force alone: AF, SF or NF; all loads if left out."),
+    ] = None,
     gravity: Gravity = STANDARD_GRAVITY,
+    balance: MaybeBalance = None,
+    zero: Zero = None,
     channel_map: Map = None,
     as_json: Json = False,
 ) -> None:
-    """Find the moving mass from readings at several pitch (and roll) angles."""
-    from aerobalance import commands
+    """Find mass and centre of gravity from readings at several pitch (and roll) angles."""
+    from aerobalance.commands import weighing
+    from aerobalance.commands.loads import BalanceFiles
+
+    if balance is None and zero:
+        raise ValueError("--zero goes with --balance: it is a zero of gauge outputs")
 
     show(
-        lambda: commands.weigh(files, out, component=component, gravity=gravity, channel_map=channel_map),
+        lambda: weighing.weigh(
+            files,
+            out,
+            component=component,
+            gravity=gravity,
+            files=None if balance is None else BalanceFiles.of(balance, zero=zero),
+            channel_map=channel_map,
+        ),
         as_json,
         doing="weighing",
     )
@@ -147,10 +267,10 @@ def identify_decay(
     rec: Rec, mass: Mass, out: Out = None, component: Component = "AF", channel_map: Map = None, as_json: Json = False
 ) -> None:
     """Identify from a free decay: a load that is held and released."""
-    from aerobalance import commands
+    from aerobalance.commands import identify
 
     show(
-        lambda: commands.identify_decay(rec, out, component=component, mass=mass, channel_map=channel_map),
+        lambda: identify.identify_decay(rec, out, component=component, mass=mass, channel_map=channel_map),
         as_json,
         doing="fitting the decay",
     )
@@ -169,10 +289,10 @@ def identify_rig(
     as_json: Json = False,
 ) -> None:
     """Identify from a shaken ground end: stepped sine, sweep or random."""
-    from aerobalance import commands
+    from aerobalance.commands import identify
 
     show(
-        lambda: commands.identify_rig(rec, out, component=component, mass=mass, channel_map=channel_map),
+        lambda: identify.identify_rig(rec, out, component=component, mass=mass, channel_map=channel_map),
         as_json,
         doing="fitting the response",
     )
@@ -187,9 +307,9 @@ def identify_frf(
     as_json: Json = False,
 ) -> None:
     """Identify from a published sine calibration: the response AF/F at some frequencies."""
-    from aerobalance import commands
+    from aerobalance.commands import identify
 
-    show(lambda: commands.identify_frf(table, out, component=component, mass=mass), as_json, doing="fitting the table")
+    show(lambda: identify.identify_frf(table, out, component=component, mass=mass), as_json, doing="fitting the table")
 
 
 @app.command(epilog=example("force run.csv --dynamics dynamics.json -o force.csv"))
@@ -204,20 +324,29 @@ def force(
         float | None, typer.Option("--bandwidth", help="Give the inverse limited to this band in Hz instead.")
     ] = None,
     gravity: Gravity = STANDARD_GRAVITY,
+    balance: MaybeBalance = None,
+    zero: Zero = None,
+    zero_after: ZeroAfter = None,
+    tare: Tare = None,
     channel_map: Map = None,
     as_json: Json = False,
 ) -> None:
     """Work out the force that was applied, with the standard uncertainty of every sample."""
-    from aerobalance import commands
+    from aerobalance.commands import force as command
+    from aerobalance.commands.loads import BalanceFiles
+
+    if balance is None and (zero or zero_after or tare):
+        raise ValueError("--zero, --zero-after and --tare go with --balance: they are of gauge outputs")
 
     show(
-        lambda: commands.force(
+        lambda: command.force(
             rec,
             out,
             dynamics=dynamics,
             method=method.value,
             bandwidth=bandwidth,
             gravity=gravity,
+            files=None if balance is None else BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare),
             channel_map=channel_map,
         ),
         as_json,
@@ -232,6 +361,7 @@ def show(work: Callable[[], dict[str, Any]], as_json: bool, *, doing: str, plain
     if as_json:
         from aerobalance.io.artefacts import json_text
 
+        account.pop("summary", None)  # a table for people
         typer.echo(json_text(account), nl=False)
     elif plain is not None:
         typer.echo(account[plain], nl=False)
@@ -252,7 +382,7 @@ def _lines(item: Any, prefix: str = "") -> list[tuple[str, str]]:
             return [(prefix, _quantity(item))]
         lines = []
         for key, value in item.items():
-            if key not in {"covariance", "warnings", "residuals"}:
+            if key not in {"covariance", "warnings", "residuals", "model"}:
                 lines += _lines(value, f"{prefix}.{key}" if prefix else str(key))
         return lines
     if isinstance(item, list) and item and isinstance(item[0], dict):

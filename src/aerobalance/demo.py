@@ -13,7 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from aerobalance import __version__, commands
+from aerobalance import __version__
+from aerobalance.commands import force, identify, weighing
 from aerobalance.comparison import (
     COVERAGE,
     agreements_of,
@@ -181,7 +182,7 @@ def _weigh(
     lines += [f"{angle:g},{force:.5f},{deviation:.5f}" for angle, force in zip(pitch, load, strict=True)]
     with replacing(path) as beside:
         beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return run.note(f"weigh {path.name}", commands.weigh([path], run.path(f"mass_{name}.json")))
+    return run.note(f"weigh {path.name}", weighing.weigh([path], run.path(f"mass_{name}.json")))
 
 
 def _shake(
@@ -204,7 +205,7 @@ def _shake(
     write_recording(path, VibrationRig(sensors=sensors).run(drive, generator).recording)
     account = run.note(
         f"identify rig {path.name}",
-        commands.identify_rig(path, run.path(f"dynamics_rig_{name}.json"), mass=str(run.path("mass_rig.json"))),
+        identify.identify_rig(path, run.path(f"dynamics_rig_{name}.json"), mass=str(run.path("mass_rig.json"))),
     )
     found: Account = account["components"]["AF"]
     return found
@@ -222,7 +223,7 @@ def _cut(run: _Run, noise: float, generator: np.random.Generator) -> Account:
     )
     account = run.note(
         f"identify decay {path.name}",
-        commands.identify_decay(path, dynamics, mass=str(run.path("mass_cut.json"))),
+        identify.identify_decay(path, dynamics, mass=str(run.path("mass_cut.json"))),
     )
     methods: tuple[tuple[str, str, Method, float | None], ...] = (
         ("central differences", "paper", "paper", None),
@@ -234,7 +235,7 @@ def _cut(run: _Run, noise: float, generator: np.random.Generator) -> Account:
         out = run.path(f"force_{short}_{tag}.csv")
         result = run.note(
             f"force {path.name}, {words}",
-            commands.force(path, out, dynamics=dynamics, method=method, bandwidth=bandwidth),
+            force.force(path, out, dynamics=dynamics, method=method, bandwidth=bandwidth),
         )
         for text in result["components"]["AF"]["assumptions"]:
             if text not in run.assumptions:
@@ -248,7 +249,7 @@ def _cut(run: _Run, noise: float, generator: np.random.Generator) -> Account:
 def _figures(run: _Run, steady: Account, unsteady: Account, cuts: Sequence[Account]) -> dict[str, str]:
     dwells = find_dwells(read(run.path("rig_steady.csv")))
     relative, absolute = (
-        reference_fit(dwells, mass=steady["mass"]["value"], phase=phase) for phase in commands.PHASES
+        reference_fit(dwells, mass=steady["mass"]["value"], phase=phase) for phase in identify.PHASES
     )
     rows, noisy = steady["fit"]["dwells"], unsteady["fit"]["dwells"]
     resonance = ResonanceFigure(

@@ -7,7 +7,7 @@ a band. Each gives every sample a standard uncertainty.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -122,6 +122,28 @@ def reconstruct(
     if method == "smoother":
         return _optimal(job)
     raise ValueError(f"method must be smoother or paper, not {method!r}")
+
+
+def with_balance(estimate: ForceEstimate, static: Array) -> ForceEstimate:
+    """Add the uncertainty of the balance matrix, its zeros and tares to an estimate.
+
+    The error of a matrix is a function of the load: to first order a gain and an offset. Both go through Eq. (17) of
+    [Gorbushin2020]_ unchanged, as it is linear, so the error of the force is that of a static load of its size.
+
+    Parameters
+    ----------
+    estimate
+        The force from loads that were taken as exact but for their noise.
+    static
+        Standard uncertainty of a static load of the force's size, shape (n,) [N]; NaN counts as the largest.
+    """
+    known = np.isfinite(static)
+    filled = np.where(known, static, np.max(static[known], initial=0.0))
+    return replace(
+        estimate,
+        uncertainty=np.hypot(estimate.uncertainty, filled),
+        budget={**estimate.budget, "balance matrix, zeros and tares": float(np.sqrt(np.mean(filled**2)))},
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -106,12 +106,23 @@ def _gravity(recording: Recording, component: str, gravity: float, assumptions: 
     channel = recording.channel("pitch")
     pitch = _bridged(recording, channel)
     noise = gravity * channel_noise(channel)
-    if component not in AXES:
-        return gravity * np.sin(pitch), noise * float(np.mean(np.abs(np.cos(pitch))))
     roll = _bridged(recording, recording.channel("roll")) if "roll" in recording else np.zeros(recording.samples)
+    pull = gravity * gravity_share(component, pitch=pitch, roll=roll)
+    if component not in AXES:
+        return pull, noise * float(np.mean(np.abs(np.cos(pitch))))
+    return pull, noise if component == "SF" else noise * float(np.mean(np.abs(np.sin(pitch))))
+
+
+def gravity_share(component: str, *, pitch: Array, roll: Array) -> Array:
+    """Share of gravity along a component, of the shape of the angles [1]; angles in rad.
+
+    Along the balance it is sin(pitch), to the right cos(pitch) sin(roll), up -cos(pitch) cos(roll).
+    """
+    if component not in AXES:
+        return np.sin(pitch)
     if component == "SF":
-        return gravity * np.cos(pitch) * np.sin(roll), noise
-    return -gravity * np.cos(pitch) * np.cos(roll), noise * float(np.mean(np.abs(np.sin(pitch))))
+        return np.asarray(np.cos(pitch) * np.sin(roll))
+    return np.asarray(-np.cos(pitch) * np.cos(roll))
 
 
 def _bridged(recording: Recording, channel: Channel) -> Array:

@@ -1,6 +1,6 @@
 """Files: `read` one into a recording, write recordings, forces, and the JSON artefacts.
 
-A format is one module with ``NAME``, ``SUFFIXES`` (endings it writes), ``can_read(head, path)``,
+A format is one module with ``NAME``, ``SUFFIXES`` (endings it writes), ``can_read(head, path)``, ``headings(path)``,
 ``read_columns(path, layout, wanted=...)`` and ``write_columns(path, columns)``; listing it in `FORMATS` is all it
 takes. Units, the clock, the channel map and the warnings are common to all.
 """
@@ -13,16 +13,19 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from aerobalance.components import si_unit
-from aerobalance.io import csv_file
-from aerobalance.io.channel_map import ChannelMap, load_channel_map, mapped_recording, template
-from aerobalance.io.columns import RawColumns
-from aerobalance.io.csv_file import column_names, read_table
+from aerobalance.components import is_gauge, si_unit
+from aerobalance.io import csv_file, tdms_file
+from aerobalance.io.channel_map import ChannelMap, load_channel_map, mapped_recording
+from aerobalance.io.clocks import of_one_length, on_one_clock
+from aerobalance.io.columns import Heading, RawColumns
+from aerobalance.io.csv_file import read_table
+from aerobalance.io.map_template import map_text
 from aerobalance.io.table import Column, Table, recording_from, table_from
 from aerobalance.io.text_table import Layout
-from aerobalance.io.units import conversion, edge_unit
+from aerobalance.io.units import conversion, conversion_for, edge_unit
+from aerobalance.loads import LoadsFelt
 from aerobalance.problems import ReadError
-from aerobalance.recording import Array, Force, Recording
+from aerobalance.recording import Array, Channel, Force, Recording
 
 __all__ = [
     "FORMATS",
@@ -32,11 +35,13 @@ __all__ = [
     "Table",
     "check_output",
     "column_names",
+    "is_text",
     "load_channel_map",
     "read",
     "read_table",
     "template",
     "write_force",
+    "write_loads",
     "write_recording",
 ]
 
@@ -55,6 +60,9 @@ class Format(Protocol):
     def can_read(self, head: bytes, path: Path) -> bool:
         """Say whether a file is of this format, from its first bytes."""
 
+    def headings(self, path: Path) -> tuple[Heading, ...]:
+        """Read what the file says of its columns, without their cells."""
+
     def read_columns(
         self, path: Path, layout: Layout | None = None, *, wanted: Sequence[str | int] | None = None
     ) -> RawColumns:
@@ -64,11 +72,11 @@ class Format(Protocol):
         """Write columns under their headers."""
 
 
-FORMATS: Final[tuple[Format, ...]] = (csv_file,)
+FORMATS: Final[tuple[Format, ...]] = (tdms_file, csv_file)
 """The formats, in the order in which they are asked; text comes last, as it takes what the others leave."""
 
 _SIGNATURES: Final = (
-    (b"TDSm", "a LabVIEW TDMS file"),
+    (b"TDSh", "the index that LabVIEW keeps beside a TDMS file (give the .tdms file itself)"),
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
     (b"MATLAB 5.0", "a MATLAB file"),
     (b"PK\x03\x04", "a zip archive (a spreadsheet, perhaps)"),
@@ -114,9 +122,59 @@ def read(path: Path | str, *, channel_map: ChannelMap | None = None) -> Recordin
     file = Path(path)
     chosen = _format(file)
     if channel_map is None:
-        return recording_from(table_from(chosen.read_columns(file), missing_allowed=True))
+        columns = chosen.read_columns(file)
+        clocked = any(column.clock is not None for column in columns.columns)
+        columns = on_one_clock(columns) if clocked else of_one_length(columns)
+        return recording_from(table_from(columns, missing_allowed=True), rate=columns.rate)
     raw = chosen.read_columns(file, channel_map.layout, wanted=channel_map.wanted)
     return mapped_recording(raw, channel_map)
+
+
+def column_names(path: Path | str) -> tuple[str, ...]:
+    """Read the names of a file's columns: without units for a text file, ``group/channel`` for TDMS.
+
+    Raises
+    ------
+    ReadError
+        The file is of no known format, or has no header.
+    """
+    file = Path(path)
+    text = is_text(file)
+    found = _format(file).headings(file)
+    return tuple(heading.name if text else heading.label for heading in found if heading.label)
+
+
+def is_text(path: Path | str) -> bool:
+    """Say whether a file is a text table, which may be something else than a recording.
+
+    Raises
+    ------
+    ReadError
+        The file is of no known format.
+    """
+    return _format(Path(path)) is csv_file
+
+
+def template(path: Path | str) -> str:
+    """Write a channel map for a foreign file, made from its header, to be completed by hand.
+
+    Parameters
+    ----------
+    path
+        The foreign file.
+
+    Returns
+    -------
+    str
+        TOML with comments; every column that is not the time is a commented table.
+
+    Raises
+    ------
+    ReadError
+        The file is of no known format, or has no header.
+    """
+    file = Path(path)
+    return map_text(file, _format(file).headings(file), text=is_text(file))
 
 
 def _format(path: Path) -> Format:
@@ -192,11 +250,16 @@ def write_recording(path: Path | str, recording: Recording) -> None:
     file = check_output(path)
     columns = _time_column(recording)
     for channel in recording:
-        unit = channel.file_unit or edge_unit(channel.name, channel.unit)
-        change = conversion(unit, expected=channel.unit) if unit != channel.unit else None
-        values = channel.values[recording.rows]
-        columns[f"{channel.name} [{unit}]"] = values if change is None else change.outside(values)
+        columns.update(_column(channel, recording))
     _writer(file).write_columns(file, columns)
+
+
+def _column(channel: Channel, recording: Recording) -> dict[str, Array]:
+    """Give a channel as a column of the rows of its recording, in the unit it had in its file."""
+    unit = channel.file_unit or edge_unit(channel.name, channel.unit)
+    change = conversion_for(channel.name, unit) if unit != channel.unit else None
+    values = channel.values[recording.rows]
+    return {f"{channel.name} [{unit}]": values if change is None else change.outside(values)}
 
 
 def write_force(path: Path | str, recording: Recording, force: Force) -> None:
@@ -229,4 +292,36 @@ def write_force(path: Path | str, recording: Recording, force: Force) -> None:
         change = conversion(unit, expected=inside)
         columns[f"{name} [{unit}]"] = change.outside(force.values[recording.rows, index])
         columns[f"u_{name} [{unit}]"] = change.outside(force.uncertainty[recording.rows, index])
+    _writer(file).write_columns(file, columns)
+
+
+def write_loads(path: Path | str, recording: Recording, felt: LoadsFelt) -> None:
+    """Write the loads felt beside the time column of their recording, and the channels that were no gauge outputs.
+
+    Each load is followed by its standard uncertainty: ``time [s],NF [N],u_NF [N]``; the recording's pitch,
+    accelerations and other channels come after, so that the file can go on to `force`.
+
+    Parameters
+    ----------
+    path
+        The file; its ending chooses the format.
+    recording
+        The recording that the loads were computed from.
+    felt
+        Loads on the recording's clock, n samples.
+
+    Raises
+    ------
+    ValueError
+        The ending stands for no format, or the file cannot be written.
+    """
+    file = check_output(path)
+    columns = _time_column(recording)
+    uncertainty = felt.uncertainty
+    for index, (name, unit) in enumerate(zip(felt.components, felt.units, strict=True)):
+        columns[f"{name} [{unit}]"] = felt.values[recording.rows, index]
+        columns[f"u_{name} [{unit}]"] = uncertainty[recording.rows, index]
+    for channel in recording:
+        if not is_gauge(channel.name) and channel.name != "excitation" and channel.name not in felt.components:
+            columns.update(_column(channel, recording))
     _writer(file).write_columns(file, columns)

@@ -33,55 +33,67 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
-class _Loose(BaseModel):
+class Loose(BaseModel):
+    """Part of an artefact; keys that are not known are ignored."""
+
     model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
 
 
-class _Value(_Loose):
+class Value(Loose):
+    """A number with its standard uncertainty and unit."""
+
     value: Finite
     u: NotNegative = 0.0
     unit: str | None = None
 
 
-class _PositiveValue(_Value):
+class PositiveValue(Value):
+    """A number above zero."""
+
     value: Positive
 
 
-class _NotNegativeValue(_Value):
+class NotNegativeValue(Value):
+    """A number of zero or more."""
+
     value: NotNegative
 
 
-class _Covariance(_Loose):
+class Covariance(Loose):
+    """A covariance matrix with the names of its rows."""
+
     parameters: list[str]
     matrix: list[list[Finite]]
 
 
-class _ComponentDynamics(_Loose):
-    mass: _PositiveValue
-    stiffness: _PositiveValue
-    damping: _NotNegativeValue
-    delay: _Value = _Value(value=0.0)
-    natural_frequency: _PositiveValue | None = None
-    covariance: _Covariance | None = None
+class _ComponentDynamics(Loose):
+    mass: PositiveValue
+    stiffness: PositiveValue
+    damping: NotNegativeValue
+    delay: Value = Value(value=0.0)
+    natural_frequency: PositiveValue | None = None
+    covariance: Covariance | None = None
 
 
-class _ComponentMass(_Loose):
-    mass: _PositiveValue
-    offset: _Value = _Value(value=0.0)
-    misalignment: dict[str, _Value] = {}
-    covariance: _Covariance | None = None
+class _ComponentMass(Loose):
+    mass: PositiveValue
+    offset: Value = Value(value=0.0)
+    misalignment: dict[str, Value] = {}
+    covariance: Covariance | None = None
     residuals: list[Finite] = []
     degrees_of_freedom: Annotated[int, Field(ge=0)] = 0
-    gravity: _PositiveValue = _PositiveValue(value=STANDARD_GRAVITY)
+    gravity: PositiveValue = PositiveValue(value=STANDARD_GRAVITY)
 
 
-class _DynamicsFile(_Loose):
+class _DynamicsFile(Loose):
     kind: Literal["dynamics"] = "dynamics"
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1
     components: Annotated[dict[str, _ComponentDynamics], Field(min_length=1)]
 
 
-class _MassFile(_Loose):
+class MassFile(Loose):
+    """What every mass.json holds."""
+
     kind: Literal["mass"] = "mass"
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1
     components: Annotated[dict[str, _ComponentMass], Field(min_length=1)]
@@ -276,7 +288,7 @@ def read_dynamics(path: Path | str) -> dict[str, Dynamics]:
         The file is no such JSON, or its numbers are not physical; the message names the key and what is allowed.
     """
     file = Path(path)
-    contents = _load(file, "dynamics", _DynamicsFile)
+    contents = load(file, "dynamics", _DynamicsFile)
     result = {}
     for name, entry in contents.components.items():
         key = f"components.{name}"
@@ -285,9 +297,9 @@ def read_dynamics(path: Path | str) -> dict[str, Dynamics]:
         units = dynamics_units(name)
         given = {parameter: getattr(entry, parameter) for parameter in PARAMETERS}
         for parameter, value in given.items():
-            _check_unit(file, f"{key}.{parameter}.unit", value, units[parameter])
+            check_unit(file, f"{key}.{parameter}.unit", value, units[parameter])
         deviations = {parameter: value.u for parameter, value in given.items()}
-        covariance = _covariance(file, f"{key}.covariance", entry.covariance, deviations)
+        covariance = checked_covariance(file, f"{key}.covariance", entry.covariance, deviations)
         try:
             result[name] = Dynamics(
                 name, entry.mass.value, entry.stiffness.value, entry.damping.value, entry.delay.value, covariance
@@ -319,14 +331,14 @@ def read_mass(path: Path | str) -> dict[str, MovingMass]:
         The file is no such JSON, or its numbers are not physical; the message names the key and what is allowed.
     """
     file = Path(path)
-    contents = _load(file, "mass", _MassFile)
+    contents = load(file, "mass", MassFile)
     result = {}
     for name, entry in contents.components.items():
         key = f"components.{name}"
         if name not in AXES:
             raise ReadError(file, key, f"is no component that can be weighed; allowed: {', '.join(AXES)}")
-        _check_unit(file, f"{key}.mass.unit", entry.mass, mass_unit(name))
-        _check_unit(file, f"{key}.offset.unit", entry.offset, si_unit(name))
+        check_unit(file, f"{key}.mass.unit", entry.mass, mass_unit(name))
+        check_unit(file, f"{key}.offset.unit", entry.offset, si_unit(name))
         others = dict(entry.misalignment)
         deviations = {"mass": entry.mass.u, "offset": entry.offset.u, **{axis: v.u for axis, v in others.items()}}
         result[name] = MovingMass(
@@ -338,7 +350,7 @@ def read_mass(path: Path | str) -> dict[str, MovingMass]:
             misalignment={axis: value.value for axis, value in others.items()},
             u_misalignment={axis: value.u for axis, value in others.items()},
             parameters=tuple(deviations),
-            covariance=_covariance(file, f"{key}.covariance", entry.covariance, deviations),
+            covariance=checked_covariance(file, f"{key}.covariance", entry.covariance, deviations),
             residuals=np.array(entry.residuals, dtype=np.float64),
             degrees_of_freedom=entry.degrees_of_freedom,
             gravity=entry.gravity.value,
@@ -349,8 +361,14 @@ def read_mass(path: Path | str) -> dict[str, MovingMass]:
 _JSON_NAMES: Final = {list: "an array", str: "a string", int: "a number", float: "a number", bool: "true or false"}
 
 
-def _load(path: Path, kind: str, model: type[_Model]) -> _Model:
-    """Read and check a JSON file."""
+def load(path: Path, kind: str, model: type[_Model]) -> _Model:
+    """Read and check a JSON file.
+
+    Raises
+    ------
+    ReadError
+        The file is no such JSON.
+    """
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
@@ -387,13 +405,26 @@ def _load(path: Path, kind: str, model: type[_Model]) -> _Model:
         raise ReadError(path, where, what) from None
 
 
-def _check_unit(path: Path, where: str, value: _Value, unit: str) -> None:
+def check_unit(path: Path, where: str, value: Value, unit: str) -> None:
+    """Refuse a unit other than the one inside.
+
+    Raises
+    ------
+    ReadError
+        With the key.
+    """
     if value.unit is not None and value.unit != unit:
         raise ReadError(path, where, f"is {value.unit!r}; allowed: {unit!r} (artefacts are in SI units)")
 
 
-def _covariance(path: Path, where: str, given: _Covariance | None, deviations: Mapping[str, float]) -> Array:
-    """Put a covariance in the order of the parameters; without one, the uncertainties are uncorrelated."""
+def checked_covariance(path: Path, where: str, given: Covariance | None, deviations: Mapping[str, float]) -> Array:
+    """Put a covariance in the order of the parameters; without one, the uncertainties are uncorrelated.
+
+    Raises
+    ------
+    ReadError
+        It is no covariance, or contradicts the uncertainties.
+    """
     names = list(deviations)
     if given is None:
         return np.diag(np.array(list(deviations.values())) ** 2)

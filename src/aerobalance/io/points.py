@@ -2,42 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 
-from aerobalance.io import column_names, read, read_table
+from aerobalance.components import COMPONENTS, is_gauge
+from aerobalance.io import column_names, is_text, read, read_table
 from aerobalance.io.channel_map import ChannelMap
-from aerobalance.problems import ReadError
-from aerobalance.weighing import StaticPoints, points_from_recordings
+from aerobalance.io.table import Table
+from aerobalance.problems import FitError, ReadError
+from aerobalance.recording import Array
+from aerobalance.weighing import LoadPoints, StaticPoints, points_from_recordings
+
+Names = tuple[str, ...]
 
 
-def read_points(paths: Sequence[Path | str], component: str, *, channel_map: ChannelMap | None = None) -> StaticPoints:
-    """Read static points of one component from files.
+@overload
+def read_points(
+    paths: Sequence[Path | str], components: str, *, channel_map: ChannelMap | None = None
+) -> StaticPoints: ...
+@overload
+def read_points(
+    paths: Sequence[Path | str],
+    components: tuple[str, ...] | list[str] | None = None,
+    *,
+    channel_map: ChannelMap | None = None,
+) -> LoadPoints: ...
+def read_points(
+    paths: Sequence[Path | str],
+    components: str | tuple[str, ...] | list[str] | None = None,
+    *,
+    channel_map: ChannelMap | None = None,
+) -> StaticPoints | LoadPoints:
+    """Read static points from files.
 
     A file with a column ``time`` (or any file, with a channel map) is a recording and gives one point for every
-    stretch of steady pitch; any other is a table of points ``pitch [deg],AF [N]`` with, where known, ``roll [deg]``
-    and ``u_AF [N]``.
+    stretch of steady pitch and roll; any other is a table of points ``pitch [deg],AF [N]`` with, where known,
+    ``roll [deg]`` and ``u_AF [N]``.
 
     Parameters
     ----------
     paths
         The files.
-    component
-        Which component to take.
+    components
+        Which component to take, or several; all loads that the files have if left out.
     channel_map
         What the columns of foreign files are.
 
     Returns
     -------
-    StaticPoints
-        All points, in the order of the files; the noise is zero where a table does not give it.
+    StaticPoints or LoadPoints
+        All points, in the order of the files, of one component (given as a string) or of several; the noise is zero
+        where a table does not give it.
 
     Raises
     ------
     ReadError
-        A file is neither, or has roll where another has not.
+        A file is neither, or has roll or a load where another has not.
     FitError
         A recording has no pitch or no such component, or nowhere stands still.
     ValueError
@@ -45,39 +68,86 @@ def read_points(paths: Sequence[Path | str], component: str, *, channel_map: Cha
     """
     if not paths:
         raise ValueError("no files to take points from; give at least one")
-    parts = [_points(Path(path), component, channel_map) for path in paths]
+    names = (components,) if isinstance(components, str) else None if components is None else tuple(components)
+    files = [Path(path) for path in paths]
+    parts = [_points(file, names, channel_map) for file in files]
+    _check_alike(files, parts)
+    rolls = [part.roll for part in parts if part.roll is not None]
+    points = LoadPoints(
+        parts[0].components,
+        np.concatenate([part.pitch for part in parts]),
+        np.concatenate([part.loads for part in parts]),
+        np.concatenate(rolls) if rolls else None,
+        np.concatenate([_noise(part) for part in parts]),
+    )
+    return points.of(components) if isinstance(components, str) else points
+
+
+def _noise(points: LoadPoints) -> Array:
+    return np.zeros_like(points.loads) if points.noise is None else points.noise
+
+
+def _check_alike(files: Sequence[Path], parts: Sequence[LoadPoints]) -> None:
+    """Refuse files of which some lack roll or a load that others have."""
     with_roll = [part.roll is not None for part in parts]
     if any(with_roll) and not all(with_roll):
-        lacking, having = (Path(paths[with_roll.index(state)]) for state in (False, True))
+        lacking, having = (files[with_roll.index(state)] for state in (False, True))
         raise ReadError(lacking, "", f"has no roll, but {having.name} has; give it in all files or in none")
-    rolls = [part.roll for part in parts if part.roll is not None]
-    return StaticPoints(
-        np.concatenate([part.pitch for part in parts]),
-        np.concatenate([part.load for part in parts]),
-        np.concatenate(rolls) if rolls else None,
-        np.concatenate([part.noise for part in parts]),
-    )
+    for component in COMPONENTS:
+        there = [component in part.components for part in parts]
+        if any(there) and not all(there):
+            lacking, having = (files[there.index(state)] for state in (False, True))
+            raise ReadError(
+                lacking,
+                "",
+                f"has no {component}, but {having.name} has; give it in all files or in none, or name the one "
+                "component to weigh with",
+            )
 
 
-def _points(path: Path, component: str, channel_map: ChannelMap | None) -> StaticPoints:
+def _points(path: Path, names: Names | None, channel_map: ChannelMap | None) -> LoadPoints:
     if channel_map is not None or _is_recording(path):
-        return points_from_recordings([read(path, channel_map=channel_map)], component)
-    table = read_table(path, required=("pitch", component))
-    uncertainty = f"u_{component}"
-    noise = table.values(uncertainty) if uncertainty in table else np.zeros(table.values("pitch").size)
-    if (noise < 0).any():
-        line = table.lines[int(np.flatnonzero(noise < 0)[0])]
-        raise ReadError(
-            path, f"line {line}, {table.column(uncertainty).place}", "is negative; zero or more is allowed"
+        recording = read(path, channel_map=channel_map)
+        return points_from_recordings([recording], names or _loads_of(path, recording.channels))
+    table = read_table(path, required=("pitch", *(names or ())))
+    return _from_table(table, names or _loads_of(path, table.columns))
+
+
+def _loads_of(path: Path, there: Iterable[str]) -> Names:
+    """Give the loads among the names of columns."""
+    given = list(there)
+    names = tuple(component for component in COMPONENTS if component in given)
+    if not names:
+        gauges = any(is_gauge(name) for name in given)
+        raise FitError(
+            f"{path.name}: has none of the loads {', '.join(COMPONENTS)}; it has {', '.join(given)}"
+            + ("; gauge outputs must be turned into loads with the balance's matrix first" if gauges else "")
         )
-    return StaticPoints(
-        table.values("pitch"), table.values(component), table.values("roll") if "roll" in table else None, noise
+    return names
+
+
+def _from_table(table: Table, names: Names) -> LoadPoints:
+    noise = np.zeros((table.values("pitch").size, len(names)))
+    for column, name in enumerate(names):
+        uncertainty = f"u_{name}"
+        if uncertainty in table:
+            noise[:, column] = table.values(uncertainty)
+            negative = np.flatnonzero(noise[:, column] < 0)
+            if negative.size:
+                where = f"line {table.lines[int(negative[0])]}, {table.column(uncertainty).place}"
+                raise ReadError(table.path, where, "is negative; zero or more is allowed")
+    return LoadPoints(
+        names,
+        table.values("pitch"),
+        np.column_stack([table.values(name) for name in names]),
+        table.values("roll") if "roll" in table else None,
+        noise,
     )
 
 
 def _is_recording(path: Path) -> bool:
     """Whether a file has a time column; a format that is no text is a recording."""
     try:
-        return "time" in column_names(path)
+        return not is_text(path) or "time" in column_names(path)
     except ReadError:
         return True

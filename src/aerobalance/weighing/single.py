@@ -16,19 +16,17 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.problems import FitError
-from aerobalance.recording import Array, Recording
-
-AXES: Final[Mapping[str, str]] = {"AF": "aft", "SF": "right", "NF": "up"}
-"""Direction that each force component measures, positive."""
+from aerobalance.recording import Array
+from aerobalance.weighing.model import AXES
 
 ROLL_NEEDED: Final = np.radians(1.0)
 """Spread of roll from which misalignment is fitted [rad]."""
@@ -87,23 +85,6 @@ class MovingMass:
                 raise ValueError(f"{name} must be positive and finite, not {getattr(self, name)}")
         if not 0 <= self.u < np.inf:
             raise ValueError(f"u must be zero or more and finite, not {self.u}")
-
-
-class StaticPoints(NamedTuple):
-    """Static readings of one component: n points.
-
-    Attributes
-    ----------
-    pitch, load, roll
-        Angles [rad] and readings [N], shape (n,); roll is None where it was not recorded.
-    noise
-        Standard uncertainty of each mean reading, shape (n,) [N].
-    """
-
-    pitch: Array
-    load: Array
-    roll: Array | None
-    noise: Array
 
 
 def weigh(
@@ -259,97 +240,3 @@ def _result(
         degrees_of_freedom=residuals.size - len(names),
         gravity=gravity,
     )
-
-
-PITCH_STEADY: Final = np.radians(0.02)
-"""Change of the mean pitch from block to block that still counts as standing still [rad]."""
-
-
-def points_from_recordings(recordings: Sequence[Recording], component: str) -> StaticPoints:
-    """Average recordings at rest into static points, one for every stretch of steady pitch and roll.
-
-    Parameters
-    ----------
-    recordings
-        Recordings with the component and ``pitch``, and ``roll`` in all or none of them.
-    component
-        The component to average.
-
-    Returns
-    -------
-    StaticPoints
-        Means of the stretches; the uncertainty of each comes from the means of twenty parts of it, so it holds for
-        correlated noise (ringing, hum) too.
-
-    Raises
-    ------
-    FitError
-        A channel is missing, or pitch is nowhere steady.
-    """
-    with_roll = [recording for recording in recordings if "roll" in recording]
-    if with_roll and len(with_roll) < len(recordings):
-        lacking = next(recording.name for recording in recordings if "roll" not in recording)
-        raise FitError(f"{lacking} has no channel roll, but {with_roll[0].name} has; give it in all or in none")
-    rows: list[tuple[float, float, float, float]] = []
-    for recording in recordings:
-        load, pitch = recording.channel(component).values, recording.channel("pitch").values
-        roll = recording.channel("roll").values if with_roll else np.zeros_like(pitch)
-        found = 0
-        for stretch in _plateaus(pitch, roll):
-            valid = np.isfinite(load[stretch])
-            if np.count_nonzero(valid) < 2:
-                continue
-            mean, u = _mean(load[stretch][valid])
-            rows.append((float(np.nanmean(pitch[stretch])), mean, float(np.nanmean(roll[stretch])), u))
-            found += 1
-        if not found:
-            raise FitError(
-                f"{recording.name}: pitch is nowhere steady with {component} recorded; hold it at each angle, for "
-                "twenty samples and one part in forty of the recording at least"
-            )
-    table = np.array(rows).reshape(-1, 4)
-    return StaticPoints(table[:, 0], table[:, 1], table[:, 2] if with_roll else None, table[:, 3])
-
-
-def _plateaus(pitch: Array, roll: Array) -> list[slice]:
-    """Stretches in which pitch and roll stand still; the first and last block of a move are cut off."""
-    samples = pitch.size
-    length = max(samples // 200, 4)
-    blocks = samples // length
-    if blocks < 5:
-        still = all(np.nanmax(x) - np.nanmin(x) < 5 * PITCH_STEADY for x in (pitch, roll) if np.isfinite(x).any())
-        return [slice(0, samples)] if still and samples >= 2 else []
-    steady = np.ones(blocks - 1, dtype=bool)
-    for angle in (pitch, roll):
-        if not np.isfinite(angle).any():
-            return []
-        filled = np.where(np.isfinite(angle), angle, np.interp(np.arange(samples), *_known(angle)))
-        parts = filled[: blocks * length].reshape(blocks, length)
-        noise = float(np.median(np.std(np.diff(parts, axis=1), axis=1))) / np.sqrt(length)
-        steady &= np.abs(np.diff(parts.mean(axis=1))) < PITCH_STEADY + 5 * noise
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], steady.astype(np.int8), [0]))))
-    stretches = []
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
-        # Steady steps first..last-1 join the blocks first..last; those beside a move may hold a part of it.
-        begin, end = first + (first > 0), last - (last < blocks - 1)
-        if end - begin >= 4:
-            stretches.append(slice(begin * length, samples if end == blocks - 1 else (end + 1) * length))
-    return stretches
-
-
-def _known(values: Array) -> tuple[Array, Array]:
-    index = np.flatnonzero(np.isfinite(values))
-    return index.astype(np.float64), values[index]
-
-
-BATCHES: Final = 20
-"""Parts of a stretch whose means tell the uncertainty of the mean of the whole."""
-
-
-def _mean(values: Array) -> tuple[float, float]:
-    """Mean and its standard uncertainty, by the method of batch means."""
-    if values.size < 2 * BATCHES:
-        return float(values.mean()), float(values.std(ddof=1) / np.sqrt(values.size))
-    length = values.size // BATCHES
-    means = values[: length * BATCHES].reshape(BATCHES, length).mean(axis=1)
-    return float(values.mean()), float(means.std(ddof=1) / np.sqrt(BATCHES))

@@ -1,0 +1,240 @@
+"""Commands of the calibration: calibrate, compare-calibrations, and matrices from one layout to another."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from aerobalance.balance import BalanceMatrix, Model, Way
+from aerobalance.calibration.drift import compare_calibrations
+from aerobalance.calibration.faults import UNLOADED
+from aerobalance.calibration.fit import Calibration
+from aerobalance.calibration.fit import calibrate as fit_matrix
+from aerobalance.calibration.quality import Quality, assess
+from aerobalance.calibration.terms import HIGHEST_INFLATION
+from aerobalance.commands.loads import read_matrix
+from aerobalance.commands.shared import Account, check_out, doubts
+from aerobalance.io.artefacts import provenance, write_json
+from aerobalance.io.balance_file import calibration_payload, write_balance
+from aerobalance.io.balfit_matrix import is_balfit_matrix
+from aerobalance.io.schedule import read_schedule
+from aerobalance.io.text_table import read_text
+from aerobalance.problems import DoubtWarning
+from aerobalance.recording import Array
+from aerobalance.schedule import Schedule
+
+MOST_KEPT_ASIDE: Final = 0.5
+"""Largest share of the points that may be kept for confirmation."""
+
+
+def calibrate(
+    path: Path,
+    out: Path | None,
+    *,
+    model: Model = "auto",
+    way: Way = "iterative",
+    keep_aside: float = 0.0,
+    report: Path | None = None,
+) -> Account:
+    """Balance matrix from a load schedule."""
+    check_out(out, path)
+    check_out(report, path)
+    with doubts() as collected:
+        schedule = keeping_aside(read_schedule(path), keep_aside)
+        calibration = fit_matrix(schedule, model=model, way=way)
+        quality = assess(calibration)
+        _doubt_quality(calibration, quality)
+    found = calibration_payload(calibration, quality)
+    settings = {"model": model, "way": way, "keep_aside": keep_aside}
+    if out is not None:
+        write_balance(out, calibration.matrix, found=found, inputs=[path], settings=settings, warnings=collected)
+    if report is not None:
+        from aerobalance.calibration_report import write_calibration_report  # noqa: PLC0415 - plotting is slow
+
+        write_calibration_report(report, calibration, quality, warnings=collected, source=path)
+    return {**found, "warnings": collected, "summary": summary(calibration, quality)}
+
+
+def keeping_aside(schedule: Schedule, share: float) -> Schedule:
+    """Mark a share of the loaded points for confirmation, evenly over the schedule."""
+    if not 0 <= share <= MOST_KEPT_ASIDE:
+        raise ValueError(f"--keep-aside must lie between 0 and {MOST_KEPT_ASIDE}, not {share}")
+    if not share:
+        return schedule
+    loaded = np.flatnonzero((np.abs(schedule.loads) > UNLOADED * schedule.capacities).any(axis=1) & schedule.fitted)
+    chosen = loaded[np.unique(np.floor(np.arange(0.5, loaded.size, 1 / share)).astype(int).clip(0, loaded.size - 1))]
+    confirmation = schedule.confirmation.copy()
+    confirmation[chosen] = True
+    return replace(schedule, confirmation=confirmation)
+
+
+def _doubt_quality(calibration: Calibration, quality: Quality) -> None:
+    """Warn of what makes the matrix worse than it looks."""
+    schedule, matrix = calibration.schedule, calibration.matrix
+    if quality.outliers:
+        worst = quality.outliers[0]
+        _doubt(
+            f"{schedule.name}: {len(quality.outliers)} readings do not go with the others, most "
+            f"{schedule.components[worst.component]} at point {schedule.points[worst.point]} of series "
+            f"{schedule.series_names[schedule.series[worst.point]]!r} ({1e3 * worst.residual:+.2g} uV/V, "
+            f"{abs(worst.studentised):.2g} standard deviations); they are in the fit and widen its uncertainty"
+        )
+    if calibration.unidentified:
+        labels = calibration.unidentified_labels
+        _doubt(
+            f"{schedule.name}: the schedule cannot identify {len(labels)} terms, which are left out: "
+            f"{', '.join(labels[:6])}{' ...' if len(labels) > 6 else ''}. Loads that bring them out (combined loads) "
+            "have an error that the uncertainty does not show"
+        )
+    one_way = [name for name, d in zip(schedule.components, quality.directions, strict=True) if not d.known]
+    if one_way:
+        _doubt(
+            f"{schedule.name}: {', '.join(one_way)} loaded in one direction only; whether the bridge is bidirectional "
+            "is not known, and loads the other way are extrapolated"
+        )
+    missed = [
+        (name, 100 * d.difference)
+        for i, (name, d) in enumerate(zip(schedule.components, quality.directions, strict=True))
+        if d.bidirectional and not _has_direction(matrix, calibration.regressions[i].included, i)
+    ]
+    if missed:
+        texts = ", ".join(f"{name} ({difference:+.2g} %)" for name, difference in missed)
+        _doubt(
+            f"{schedule.name}: bridges with different sensitivities to + and - loads: {texts}; the model has no term "
+            "for that. Use --model abs, 96 or auto"
+        )
+    inflated = [float(np.nanmax(fit.vif)) for fit in calibration.regressions]
+    if max(inflated) > HIGHEST_INFLATION and calibration.model != "auto":
+        _doubt(
+            f"{schedule.name}: some terms are near copies of each other (variance inflation factor up to "
+            f"{max(inflated):.3g}, above {HIGHEST_INFLATION:g}); their coefficients mean little one by one. "
+            "--model auto leaves out those that do not pay"
+        )
+
+
+def _has_direction(matrix: BalanceMatrix, included: NDArray[np.bool_], index: int) -> bool:
+    """Whether the model of a component has a term that can stand for its direction: |F|, F*F or |F*F*F|."""
+    return any(
+        used and term.first == term.second == index and term.kind in (1, 2, 9)
+        for term, used in zip(matrix.terms, included, strict=True)
+    )
+
+
+def _doubt(text: str) -> None:
+    warnings.warn(text, DoubtWarning, stacklevel=3)
+
+
+def summary(calibration: Calibration, quality: Quality) -> str:
+    """Lay the calibration out as a table for people, one component a line."""
+    schedule = calibration.schedule
+    table = Table(
+        title=f"{schedule.name}: model {calibration.model}, {calibration.way}", box=None, title_justify="left"
+    )
+    for heading in ("load", "terms", "std", "largest", "PRESS", "hysteresis", "repeats", "+/- differ", "R2"):
+        table.add_column(heading, justify="left" if heading == "load" else "right")
+    table.add_row("", "", *["% cap."] * 5, "%", "")
+    for i, name in enumerate(schedule.components):
+        fit, direction = calibration.regressions[i], quality.directions[i]
+        marks = (
+            f"{100 * direction.difference:+.2f}{'*' if direction.bidirectional else ' '}" if direction.known else "-"
+        )
+        table.add_row(
+            name,
+            str(int(fit.included.sum())),
+            *(
+                "-" if np.isnan(value) else f"{100 * value:.3f}"
+                for value in (
+                    quality.deviation[i],
+                    quality.largest[i],
+                    fit.press,
+                    quality.hysteresis[i],
+                    quality.repeatability[i],
+                )
+            ),
+            marks,
+            f"{fit.r_squared:.7f}",
+        )
+    console = Console(width=110, record=True, file=io.StringIO())
+    console.print(table)
+    left_out = calibration.unidentified_labels
+    lines = [console.export_text().rstrip(), "  * bidirectional (AIAA R-091)"]
+    if left_out:
+        lines.append(f"terms that the schedule cannot identify, left out: {', '.join(left_out)}")
+    if calibration.tares_by_iteration is not None:
+        difference = np.nanmax(np.abs(calibration.tares - calibration.tares_by_iteration) / schedule.capacities)
+        lines.append(
+            f"tares of {len(schedule.series_names)} series; both ways of finding them agree to "
+            f"{100 * difference:.2g} % of capacity"
+        )
+    if quality.confirmation is not None and quality.confirmation_covered is not None:
+        errors = ", ".join(
+            f"{name} {100 * value:.3f}" for name, value in zip(schedule.components, quality.confirmation, strict=True)
+        )
+        lines.append(
+            f"confirmation points, std in % of capacity: {errors}; "
+            f"{100 * quality.confirmation_covered.mean():.0f} % within two u"
+        )
+    lines += [f"assumed: {text}" for text in schedule.assumptions]
+    return "\n".join(lines) + "\n"
+
+
+def compare(before: Path, after: Path, out: Path | None, *, model: Model = "auto") -> Account:
+    """What two calibrations of one balance differ in; schedules are calibrated first, with the same model."""
+    check_out(out, before, after)
+    with doubts() as collected:
+        first, second = (_matrix_of(path, model) for path in (before, after))
+        drift = compare_calibrations(first, second)
+    account: Account = {
+        "before": before.name,
+        "after": after.name,
+        "components": {
+            item.component: {
+                "sensitivity_before": item.before,
+                "sensitivity_after": item.after,
+                "unit": f"mV/V/({'N*m' if first.moments[i] else 'N'})",
+                "drift_percent": 100 * item.relative,
+                "u_percent": 100 * item.u,
+                "p": item.p,
+                "significant": item.significant,
+                "largest_load_difference_percent_of_capacity": 100 * float(drift.load_difference[i]),
+                **({} if drift.zero_change is None else {"zero_change_mV_per_V": float(drift.zero_change[i])}),
+            }
+            for i, item in enumerate(drift.sensitivities)
+        },
+        "interactions_change_percent": _interactions(first, drift.interactions, drift.u_interactions),
+        "warnings": collected,
+    }
+    if out is not None:
+        write_json(out, {"kind": "calibration comparison", **account, "provenance": provenance([before, after])})
+    return account
+
+
+def _interactions(matrix: BalanceMatrix, change: Array, u: Array) -> list[Account]:
+    """Interactions that have changed by more than three standard uncertainties."""
+    return [
+        {
+            "gauge": matrix.gauges[i],
+            "load": matrix.components[j],
+            "change_percent_of_output_at_capacity": 100 * float(change[i, j]),
+            "u": 100 * float(u[i, j]),
+        }
+        for i in range(len(matrix.gauges))
+        for j in range(len(matrix.components))
+        if i != j and abs(change[i, j]) > 3 * u[i, j]
+    ]
+
+
+def _matrix_of(path: Path, model: Model) -> BalanceMatrix:
+    """A matrix from its file, or from a schedule by calibrating."""
+    text = read_text(path)
+    if text.lstrip().startswith("{") or is_balfit_matrix(text[:4096]):
+        return read_matrix(path)
+    return fit_matrix(read_schedule(path), model=model).matrix

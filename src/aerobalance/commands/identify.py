@@ -1,0 +1,205 @@
+"""Commands that identify dynamics: from a decay, a shaken rig or a published response."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Final
+
+from aerobalance.commands.shared import Account, check_out, doubts, known_component, recording_of
+from aerobalance.commands.weighing import mass_file, parse_mass
+from aerobalance.components import si_unit
+from aerobalance.dynamics import Dynamics
+from aerobalance.identification.decay import DecayFit
+from aerobalance.identification.decay import identify_decay as fit_decay
+from aerobalance.identification.dwells import Dwell, find_dwells, harmonic_check
+from aerobalance.identification.extrema import extrema_fit
+from aerobalance.identification.frf import ResponseTable
+from aerobalance.identification.frf import identify_frf as fit_frf
+from aerobalance.identification.reference import Phase, reference_fit
+from aerobalance.identification.rig import identify_rig as fit_rig
+from aerobalance.io import (
+    read_table,
+)
+from aerobalance.io.artefacts import (
+    dynamics_payload,
+    write_dynamics,
+)
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording import Recording
+
+PHASES: Final[tuple[Phase, ...]] = ("relative", "absolute")
+"""Readings of the phase in the paper's procedures: of the extension (right) and of the live end (the text's)."""
+
+
+def identify_decay(
+    path: Path,
+    out: Path | None,
+    *,
+    component: str = "AF",
+    mass: str,
+    channel_map: Path | None = None,
+) -> Account:
+    """Stiffness and damping from a free decay."""
+    known_component(component)
+    check_out(out, path, channel_map, mass_file(mass))
+    weighed = parse_mass(mass, component)
+    if weighed is None:
+        raise ValueError("--mass is needed: a free decay tells stiffness and damping only in proportion to the mass")
+    with doubts() as collected:
+        recording = recording_of(path, channel_map)
+        fit = fit_decay(recording, component=component, mass=weighed)
+    details = {"method": "free decay, least squares on the waveform", **_decay_details(recording, fit)}
+    return _identified(path, out, fit.dynamics, details, mass=mass, collected=collected, channel_map=channel_map)
+
+
+def _decay_details(recording: Recording, fit: DecayFit) -> Account:
+    details: Account = {
+        "damped_frequency": {"value": fit.damped_frequency, "u": fit.damped_frequency_uncertainty, "unit": "Hz"},
+        "release": None if fit.release is None else {"value": fit.release[0], "u": fit.release[1], "unit": "s"},
+        "release_duration": {"value": fit.release_duration, "unit": "s"},
+        "height": {"value": fit.height, "unit": si_unit(fit.dynamics.component)},
+        "window": {"value": list(fit.window), "unit": "s"},
+        "hum": [{"frequency": frequency, "amplitude": size} for frequency, size in fit.hum],
+        "further_modes": [
+            {"natural_frequency": frequency, "damping_ratio": ratio, "share": share}
+            for frequency, ratio, share in fit.further_modes
+        ],
+        "residual_standard_deviation": {"value": fit.residual_deviation, "unit": si_unit(fit.dynamics.component)},
+        "degrees_of_freedom": fit.degrees_of_freedom,
+    }
+    try:
+        reference = extrema_fit(recording, fit)
+    except FitError as problem:
+        details["reference"] = {"method": "extrema (7), (20)", "failed": str(problem)}
+    else:
+        details["reference"] = {
+            "method": "extrema (7), (20)",
+            "frequency": {"value": reference.frequency, "unit": "Hz"},
+            "stiffness": {"value": reference.stiffness, "unit": "N/m"},
+            "damping": {"value": reference.damping, "unit": "N*s/m"},
+        }
+    return details
+
+
+def identify_rig(
+    path: Path,
+    out: Path | None,
+    *,
+    component: str = "AF",
+    mass: str | None = None,
+    channel_map: Path | None = None,
+) -> Account:
+    """Stiffness, damping and delay (and mass where it is not given) from a shaken ground end."""
+    known_component(component)
+    check_out(out, path, channel_map, mass_file(mass))
+    weighed = parse_mass(mass, component)
+    with doubts() as collected:
+        recording = recording_of(path, channel_map)
+        fit = fit_rig(recording, component=component, mass=weighed)
+        by_dwells = _dwell_details(recording, fit.dynamics)
+    details: Account = {
+        "method": "shaken ground end, maximum likelihood of the complex response",
+        "mass_identified": fit.mass_identified,
+        "band": {"value": list(fit.band), "unit": "Hz"},
+        "chi2": fit.chi2,
+        "degrees_of_freedom": fit.degrees_of_freedom,
+        "coloured_residuals": fit.coloured,
+        **by_dwells,
+    }
+    if fit.live is not None:
+        details["live_accelerometer"] = {
+            "gain": {"value": fit.live.gain, "u": fit.live.u_gain, "unit": "1"},
+            "delay": {"value": fit.live.delay, "u": fit.live.u_delay, "unit": "s"},
+        }
+    return _identified(path, out, fit.dynamics, details, mass=mass, collected=collected, channel_map=channel_map)
+
+
+def _dwell_details(recording: Recording, dynamics: Dynamics) -> Account:
+    """The paper's procedures and the harmonic check, where the record is made of dwells."""
+    try:
+        dwells: tuple[Dwell, ...] = find_dwells(recording, component=dynamics.component)
+        fits = {
+            phase: reference_fit(dwells, mass=dynamics.mass, phase=phase)
+            for phase in PHASES
+            if phase == "relative" or "live_acceleration" in recording
+        }
+    except FitError as problem:
+        return {"dwells": [], "reference": {"method": "(13)-(16)", "failed": str(problem)}}
+    checks = harmonic_check(recording, dwells, dynamics=dynamics)
+    unsteady = [f"{check.frequency:.4g}" for check in checks if not check.steady]
+    if unsteady:
+        warnings.warn(
+            f"the dwells at {', '.join(unsteady)} Hz are not steady: (12) to (16) do not hold there; the fit of the "
+            "whole response takes the unsteadiness into account",
+            DoubtWarning,
+            stacklevel=3,
+        )
+    return {
+        "dwells": [
+            {
+                "frequency": check.frequency,
+                "measured": check.measured,
+                "calculated": check.calculated,
+                "steady": check.steady,
+                "unsteadiness": check.unsteadiness,
+                "accelerometer_noise": check.accelerometer_noise,
+                "model": check.model,
+            }
+            for check in checks
+        ],
+        "reference": {
+            name: {
+                "method": f"(13)-(16), phase of the {name} motion",
+                "natural_frequency": {"value": fit.natural_frequency, "u": fit.u_natural_frequency, "unit": "Hz"},
+                "stiffness": {"value": fit.stiffness, "unit": "N/m"},
+                "damping": {"value": fit.damping, "u": fit.u_damping, "unit": "N*s/m"},
+            }
+            for name, fit in fits.items()
+        },
+    }
+
+
+def identify_frf(path: Path, out: Path | None, *, component: str = "AF", mass: str) -> Account:
+    """Stiffness and damping from a published frequency response AF/F."""
+    known_component(component)
+    check_out(out, path, mass_file(mass))
+    weighed = parse_mass(mass, component)
+    if weighed is None:
+        raise ValueError(
+            "--mass is needed: a response AF/F tells stiffness and damping only in proportion to the mass"
+        )
+    columns = ("frequency", "amplitude", "u_amplitude", "phase", "u_phase")
+    table = read_table(path, required=columns)
+    frequency, amplitude, u_amplitude, phase, u_phase = (table.values(name) for name in columns)
+    response = ResponseTable(frequency, amplitude, u_amplitude, phase, u_phase, str(path))
+    with doubts() as collected:
+        fit = fit_frf(response, component=component, mass=weighed)
+    details = {
+        "method": "published frequency response, weighted least squares",
+        "points": int(response.frequency.size),
+        "chi2": fit.chi2,
+        "degrees_of_freedom": fit.degrees_of_freedom,
+    }
+    return _identified(path, out, fit.dynamics, details, mass=mass, collected=collected, channel_map=None)
+
+
+def _identified(
+    path: Path,
+    out: Path | None,
+    dynamics: Dynamics,
+    details: Account,
+    *,
+    mass: str | None,
+    collected: list[str],
+    channel_map: Path | None,
+) -> Account:
+    """Write dynamics.json and give the same as an account."""
+    name = dynamics.component
+    inputs = [path, *(file for file in (channel_map, mass_file(mass)) if file is not None)]
+    settings = {"component": name, "mass": mass if mass_file(mass) is None else Path(str(mass)).name}
+    if out is not None:
+        write_dynamics(
+            out, {name: dynamics}, details={name: details}, inputs=inputs, settings=settings, warnings=collected
+        )
+    return {"components": {name: dynamics_payload(dynamics, details=details)}, "warnings": collected}

@@ -1,0 +1,236 @@
+"""The command loads, and the loads that weigh and force begin with where gauge outputs were recorded."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from aerobalance.balance import TOLERANCE, BalanceMatrix
+from aerobalance.commands.shared import Account, check_out, doubts, recording_of
+from aerobalance.components import COMPONENTS
+from aerobalance.io import check_output, write_loads
+from aerobalance.io.balance_file import read_balance, write_balance
+from aerobalance.io.balfit_matrix import is_balfit_matrix, read_balfit_matrix, write_balfit_matrix
+from aerobalance.io.weighing_file import read_weighing
+from aerobalance.loads import GaugeZero, LoadsFelt, gauge_zero, loads_felt, wind_off_loads, with_loads
+from aerobalance.problems import DoubtWarning, FitError, ReadError
+from aerobalance.recording import Array, Recording
+
+
+def is_matrix(path: Path) -> bool:
+    """Say whether a file holds a balance matrix, in balance.json or in the text layout of BALFIT."""
+    head = _head(path)
+    return is_balfit_matrix(head) or (head.lstrip("\ufeff \r\n").startswith("{") and '"balance"' in head)
+
+
+def read_matrix(path: Path) -> BalanceMatrix:
+    """Read a matrix from balance.json or from the text layout of BALFIT."""
+    return read_balfit_matrix(path) if is_balfit_matrix(_head(path)) else read_balance(path)
+
+
+def _head(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return file.read(4096).decode("latin-1").replace("\x00", "")
+    except FileNotFoundError:
+        raise ReadError(path, "", "there is no such file") from None
+    except OSError as error:
+        raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+
+
+def convert_matrix(path: Path, out: Path) -> Account:
+    """Write a matrix in the other layout: balance.json as BALFIT's text, or that as balance.json."""
+    check_out(out, path)
+    with doubts() as collected:
+        matrix = read_matrix(path)
+    if out.suffix.lower() == ".json":
+        write_balance(out, matrix, found={}, inputs=[path], warnings=collected)
+    else:
+        write_balfit_matrix(out, matrix, description=f"from {path.name}")
+    return {"file": path.name, "written": out.name, "components": list(matrix.components), "warnings": collected}
+
+
+@dataclass(frozen=True, slots=True)
+class BalanceFiles:
+    """Files that gauge outputs are reduced with.
+
+    Attributes
+    ----------
+    balance
+        balance.json, or a matrix in BALFIT's text layout.
+    zero, zero_after
+        Recordings of the unloaded balance before and after the run; the word ``none`` takes outputs as they are.
+    tare
+        Wind-off recordings, whose loads are taken off at the same attitude.
+    mass
+        mass.json of a weighing, whose weight is taken off instead.
+    """
+
+    balance: Path
+    zero: tuple[Path, ...] = ()
+    zero_after: tuple[Path, ...] = ()
+    tare: tuple[Path, ...] = ()
+    mass: Path | None = None
+
+    @classmethod
+    def of(
+        cls,
+        balance: Path,
+        *,
+        zero: list[Path] | None = None,
+        zero_after: list[Path] | None = None,
+        tare: list[Path] | None = None,
+        mass: Path | None = None,
+    ) -> BalanceFiles:
+        """Take the files as the command line gives them."""
+        return cls(balance, tuple(zero or ()), tuple(zero_after or ()), tuple(tare or ()), mass)
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """All files."""
+        zeros = () if self.as_they_are else self.zero
+        return (self.balance, *zeros, *self.zero_after, *self.tare, *(() if self.mass is None else (self.mass,)))
+
+    @property
+    def as_they_are(self) -> bool:
+        """Whether the outputs are already less their zero."""
+        return [str(path) for path in self.zero] == ["none"]
+
+
+def reduced(
+    recording: Recording, files: BalanceFiles, *, channel_map: Path | None = None
+) -> tuple[LoadsFelt, BalanceMatrix]:
+    """Loads felt in a recording, with zeros and tares from their files."""
+    if files.tare and files.mass is not None:
+        raise ValueError("give --tare or --mass, not both: each takes the weight off")
+    matrix = read_matrix(files.balance)
+    zero = _zero(files, matrix, channel_map)
+    tare = None
+    if files.tare:
+        tare = wind_off_loads(recording, [recording_of(path, channel_map) for path in files.tare], matrix, zero=zero)
+    elif files.mass is not None:
+        tare = _weight(recording, files.mass, matrix)
+    return loads_felt(recording, matrix, zero=zero, tare=tare), matrix
+
+
+def _zero(files: BalanceFiles, matrix: BalanceMatrix, channel_map: Path | None) -> GaugeZero | None:
+    if files.as_they_are:
+        nothing = np.zeros(len(matrix.components))
+        return GaugeZero(nothing, nothing, "none: outputs as they are", nothing)
+    if not files.zero:
+        if files.zero_after:
+            raise ValueError("--zero-after needs --zero: the drift is what changes between the two")
+        return None
+    before, after = ([recording_of(path, channel_map) for path in paths] for paths in (files.zero, files.zero_after))
+    zero = gauge_zero(before, matrix, after=after)
+    return zero if files.mass is None else _weightless(zero, before, files.mass, matrix)
+
+
+def _weightless(zero: GaugeZero, recordings: list[Recording], mass: Path, matrix: BalanceMatrix) -> GaugeZero:
+    """Take the model's weight out of a zero that was read with the model on the balance."""
+    lacking = [recording.name for recording in recordings if "pitch" not in recording]
+    if lacking:
+        raise FitError(
+            f"{lacking[0]} has no channel pitch, so the weight in its zero is not known; record pitch with the zero, "
+            "or take wind-off recordings as --tare instead of --mass"
+        )
+    weights = [_weight(recording, mass, matrix)[0] for recording in recordings]
+    weight = np.mean([np.nanmean(table, axis=0) for table in weights], axis=0)
+    native: Array = weight if matrix.direct is None else np.linalg.solve(matrix.direct, weight).astype(np.float64)
+    outputs = matrix.outputs(native[None, :])[0]
+    return replace(zero, values=zero.values - outputs, source=f"{zero.source}, less the weight")
+
+
+def _weight(recording: Recording, path: Path, matrix: BalanceMatrix) -> tuple[Array, Array]:
+    """Weight as the balance feels it at the attitude of a recording, and its standard uncertainty."""
+    weighing = read_weighing(path)
+    names = matrix.components if matrix.direct is None else COMPONENTS
+    pitch = recording.channel("pitch").values
+    roll = recording.channel("roll").values if "roll" in recording else np.zeros_like(pitch)
+    loads = weighing.loads(pitch=pitch, roll=roll, offsets=False)
+    u = weighing.uncertainty(pitch=pitch, roll=roll, offsets=False)
+    columns = [weighing.components.index(name) if name in weighing.components else None for name in names]
+    if all(column is None for column in columns):
+        raise FitError(f"{path} weighs {', '.join(weighing.components)}, none of which are in {', '.join(names)}")
+    nothing = np.zeros_like(pitch)
+    return (
+        np.column_stack([nothing if k is None else loads[:, k] for k in columns]),
+        np.column_stack([nothing if k is None else u[:, k] for k in columns]),
+    )
+
+
+def weighed_loads(
+    paths: Sequence[Path],
+    files: BalanceFiles,
+    *,
+    channel_map: Path | None = None,
+    names: tuple[str, ...] | None = None,
+) -> tuple[list[Recording], tuple[str, ...]]:
+    """Recordings with the loads felt, for weighing, and the components that they have.
+
+    Where neither the run nor the calibration has zeros, the mean of all recordings stands for them: weighing finds the
+    offsets anyway, and only curved or bidirectional bridges care where their zero is.
+    """
+    if files.zero_after or files.tare or files.mass is not None:
+        raise ValueError("weighing takes --zero alone: tares and closing zeros would take off what is weighed")
+    recordings = [recording_of(path, channel_map) for path in paths]
+    matrix = read_matrix(files.balance)
+    zero = _zero(files, matrix, channel_map)
+    if zero is None and matrix.natural_zero is None:
+        zero = gauge_zero(recordings, matrix)
+        warnings.warn(
+            "no zero was given and the calibration has none; the mean of all recordings is taken for it. The offsets "
+            "of the weighing count from there, and curved or bidirectional bridges are read from there",
+            DoubtWarning,
+            stacklevel=2,
+        )
+    felt = [loads_felt(recording, matrix, zero=zero) for recording in recordings]
+    components = tuple(name for name in felt[0].components if name in COMPONENTS and (names is None or name in names))
+    if not components:
+        raise FitError(
+            f"the balance has {', '.join(felt[0].components)}; weighing needs "
+            f"{', '.join(names or COMPONENTS)}, for which the calibration lacks the gauges' distances"
+        )
+    return [with_loads(recording, item) for recording, item in zip(recordings, felt, strict=True)], components
+
+
+def loads(path: Path, out: Path, *, files: BalanceFiles, channel_map: Path | None = None) -> Account:
+    """Loads felt, from the gauge outputs of a recording."""
+    check_output(out)
+    check_out(out, path, channel_map, *files.paths)
+    with doubts() as collected:
+        recording = recording_of(path, channel_map)
+        felt, matrix = reduced(recording, files, channel_map=channel_map)
+    write_loads(out, recording, felt)
+    return {"written": out.name, **loads_account(felt, matrix), "warnings": collected}
+
+
+def loads_account(felt: LoadsFelt, matrix: BalanceMatrix) -> Account:
+    """Plain data on loads felt."""
+    return {
+        "components": {
+            name: {
+                "unit": felt.units[i],
+                "mean": float(np.nanmean(felt.values[:, i])),
+                "least": float(np.nanmin(felt.values[:, i])),
+                "largest": float(np.nanmax(felt.values[:, i])),
+                "rms_about_mean": float(np.nanstd(felt.values[:, i])),
+                "noise_of_reading": float(felt.noise[i]),
+                "u_calibration_rms": float(np.sqrt(np.nanmean(felt.calibration[:, i] ** 2))),
+            }
+            for i, name in enumerate(felt.components)
+        },
+        "zero": {
+            "from": felt.zero.source,
+            "outputs": dict(zip(matrix.gauges, felt.zero.values.tolist(), strict=True)),
+            "drift": dict(zip(matrix.gauges, felt.zero.drift.tolist(), strict=True)),
+            "unit": "mV/V",
+        },
+        "missing": int(np.count_nonzero(~np.isfinite(felt.values).all(axis=1))),
+        "beyond_calibrated_range": dict(felt.beyond),
+        "iteration": {"tolerance_of_capacity": TOLERANCE, "contraction": felt.contraction},
+    }

@@ -1,0 +1,76 @@
+"""Commands about recordings: info, convert, map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from aerobalance.commands.loads import convert_matrix, is_matrix
+from aerobalance.commands.shared import Account, check_out, doubts, recording_of
+from aerobalance.io import (
+    check_output,
+    column_names,
+    template,
+    write_recording,
+)
+from aerobalance.io.safe_write import replacing
+from aerobalance.noise import channel_noise
+
+
+def info(path: Path, *, channel_map: Path | None = None) -> Account:
+    """Channels, units, rate, duration, gaps and saturation of a recording."""
+    with doubts() as collected:
+        recording = recording_of(path, channel_map)
+    channels = {}
+    for channel in recording:
+        known = channel.values[~channel.missing]
+        enough = known.size >= 8 and float(np.ptp(known)) > 0
+        channels[channel.name] = {
+            "unit": channel.file_unit or channel.unit,
+            "si_unit": channel.unit,
+            "least": float(known.min()) if known.size else None,
+            "mean": float(known.mean()) if known.size else None,
+            "largest": float(known.max()) if known.size else None,
+            "noise": channel_noise(channel) if enough else None,
+            "missing": int(channel.missing.sum()),
+            "saturated": int(channel.saturated.sum()),
+        }
+    return {
+        "file": path.name,
+        "duration": recording.duration,
+        "rate": recording.rate,
+        "samples": recording.samples,
+        "start": recording.start,
+        "gaps": [{"start": start, "length": length} for start, length in recording.gaps],
+        "channels": channels,
+        "warnings": collected,
+    }
+
+
+def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Account:
+    """Write a recording in another format, or a balance matrix in the other layout."""
+    if is_matrix(path):
+        return convert_matrix(path, out)
+    check_output(out)
+    check_out(out, path, channel_map)
+    with doubts() as collected:
+        recording = recording_of(path, channel_map)
+    write_recording(out, recording)
+    return {
+        "file": path.name,
+        "written": out.name,
+        "samples": recording.samples,
+        "channels": list(recording.channels),
+        "warnings": collected,
+    }
+
+
+def channel_map_for(path: Path, out: Path | None) -> Account:
+    """Make a channel map to fill in for a foreign file."""
+    check_out(out, path)
+    text = template(path) + "\n"
+    if out is not None:
+        with replacing(out) as beside:
+            beside.write_text(text, encoding="utf-8")
+    return {"file": path.name, "columns": list(column_names(path)), "map": text}

@@ -1,0 +1,84 @@
+"""What all commands share: the account of a result, its doubts, and where it may be written."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from aerobalance.components import COMPONENTS
+from aerobalance.io import (
+    load_channel_map,
+    read,
+)
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording import Recording
+
+Account = dict[str, Any]
+"""A result as plain data."""
+
+
+@contextmanager
+def doubts() -> Iterator[list[str]]:
+    """Collect what is doubted while a result is worked out, each text once; the doubts are passed on at the end."""
+    collected: list[str] = []
+
+    def collect(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
+        text = " ".join(str(message).split())
+        if issubclass(category, DoubtWarning) and text not in collected:
+            collected.append(text)
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", DoubtWarning)
+            warnings.showwarning = collect
+            yield collected
+    except np.linalg.LinAlgError as problem:  # a ValueError by class, but no wrong call
+        raise FitError(
+            f"the equations of the fit have no solution ({problem}): the data leave too much open; "
+            "a longer record with fewer gaps would help"
+        ) from problem
+    except ArithmeticError as problem:
+        raise FitError(
+            f"the numbers leave the range that can be calculated with ({problem}); "
+            "check the units and the values of the recording, the mass and the dynamics"
+        ) from problem
+    finally:
+        for text in collected:
+            warnings.warn(text, DoubtWarning, stacklevel=4)
+
+
+def check_out(out: Path | None, *inputs: Path | None) -> None:
+    """Make sure, before any work, that the output can be written and takes the place of no input.
+
+    Raises
+    ------
+    ValueError
+        The output is an input, no ordinary file, or in a folder that does not exist.
+    """
+    if out is None:
+        return
+    if out.is_dir():
+        raise ValueError(f"{out} is a folder; the name of a file is needed")
+    if out.exists() and not out.is_file():
+        raise ValueError(f"{out} is no ordinary file and would be replaced by one; give another name")
+    if not out.parent.is_dir():
+        raise ValueError(f"cannot write {out}: there is no folder {out.parent}")
+    for file in inputs:
+        if file is not None and file.exists() and out.exists() and out.samefile(file):
+            raise ValueError(f"{out} is an input and would be overwritten; give the output another name")
+
+
+def recording_of(path: Path, channel_map: Path | None = None) -> Recording:
+    """Read a recording, through a channel map where one is given."""
+    return read(path, channel_map=None if channel_map is None else load_channel_map(channel_map))
+
+
+def known_component(component: str) -> None:
+    """Refuse a name that is no component."""
+    if component not in COMPONENTS:
+        raise ValueError(f"--component must be one of {', '.join(COMPONENTS)}, not {component}")

@@ -1,0 +1,87 @@
+"""The command weigh, and masses from the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from aerobalance.commands.loads import BalanceFiles, weighed_loads
+from aerobalance.commands.shared import Account, check_out, doubts, known_component
+from aerobalance.components import STANDARD_GRAVITY
+from aerobalance.io import (
+    load_channel_map,
+)
+from aerobalance.io.artefacts import (
+    mass_payload,
+    read_mass,
+    write_mass,
+)
+from aerobalance.io.points import read_points
+from aerobalance.io.weighing_file import weighing_payload, write_weighing
+from aerobalance.weighing import points_from_recordings, weigh_components
+from aerobalance.weighing import weigh as fit_mass
+
+
+def weigh(
+    paths: Sequence[Path],
+    out: Path | None,
+    *,
+    component: str | None = None,
+    gravity: float = STANDARD_GRAVITY,
+    files: BalanceFiles | None = None,
+    channel_map: Path | None = None,
+) -> Account:
+    """Weight, and with several loads centre of gravity, from points or recordings over pitch (and roll).
+
+    Takes all loads that the files have, unless one component is named. With a balance, the recordings are of gauge
+    outputs.
+    """
+    if component is not None:
+        known_component(component)
+    check_out(out, *paths, channel_map, *(() if files is None else files.paths))
+    chosen = None if channel_map is None else load_channel_map(channel_map)
+    names = None if component is None else (component,)
+    with doubts() as collected:
+        if files is None:
+            points = read_points(paths, names, channel_map=chosen)
+        else:
+            points = points_from_recordings(*weighed_loads(paths, files, channel_map=channel_map, names=names))
+        if len(points.components) > 1:
+            weighing = weigh_components(points, gravity=gravity)
+            settings: Account = {"components": points.components, "gravity": gravity}
+            account = weighing_payload(weighing)
+        else:
+            (single,) = points.components
+            pitch, load, roll, noise = points.of(single)
+            mass = fit_mass(pitch, load, roll=roll, component=single, gravity=gravity, noise=noise)
+            settings = {"component": single, "gravity": gravity}
+            account = {"component": single, **mass_payload(mass)}
+    inputs = [*paths, *(() if files is None else files.paths)]
+    if out is not None and len(points.components) > 1:
+        write_weighing(out, weighing, inputs=inputs, settings=settings, warnings=collected)
+    elif out is not None:
+        write_mass(out, {single: mass}, inputs=inputs, settings=settings, warnings=collected)
+    return {**account, "warnings": collected}
+
+
+def parse_mass(text: str | None, component: str) -> tuple[float, float] | None:
+    """Mass and its standard uncertainty from the command line: a number (exact) or the name of mass.json."""
+    if text is None:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        masses = read_mass(Path(text))
+        if component not in masses:
+            raise ValueError(f"{text} holds no mass of {component}; it has {', '.join(masses)}") from None
+        return masses[component].mass, masses[component].u
+    if not 0 < value < np.inf:
+        raise ValueError(f"--mass must be a positive number or a mass.json, not {text}")
+    return value, 0.0
+
+
+def mass_file(mass: str | None) -> Path | None:
+    """Return the file that a mass was given as; None where it is a number."""
+    return Path(mass) if mass is not None and Path(mass).is_file() else None

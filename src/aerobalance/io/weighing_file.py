@@ -1,0 +1,226 @@
+"""mass.json of a weighing with several components: written, and read back for the correction of later runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Final
+
+import numpy as np
+from pydantic import Field
+
+from aerobalance.components import si_unit
+from aerobalance.io import artefacts
+from aerobalance.io.artefacts import Finite, NotNegative
+from aerobalance.problems import ReadError
+from aerobalance.recording import Array
+from aerobalance.weighing import Agreement, Weighing, WeightModel
+
+UNITS: Final[Mapping[str, str]] = {"mass": "kg", "moment": "kg*m", "misalignment": "rad"}
+"""Units of the parameters by kind; offsets have that of their component."""
+
+
+class _Agreement(artefacts.Loose):
+    chi2: NotNegative
+    degrees_of_freedom: Annotated[int, Field(ge=1)]
+    p_value: Annotated[float, Field(ge=0, le=1)]
+
+
+class _Agreements(artefacts.Loose):
+    mass: _Agreement | None = None
+    centre_of_gravity: _Agreement | None = None
+
+
+class _Model(artefacts.Loose):
+    components: Annotated[list[str], Field(min_length=1)]
+    own_masses: bool
+    own_centres: bool
+    gravity: artefacts.PositiveValue
+    parameters: dict[str, artefacts.Value]
+    covariance: list[list[Finite]]
+    left_out: dict[str, artefacts.Value] = Field(default_factory=dict)
+    absorbed: list[list[Finite]]
+    degrees_of_freedom: Annotated[int, Field(ge=0)] = 0
+    residuals: list[list[Finite]] = Field(default_factory=list)
+
+
+class _WeighingFile(artefacts.MassFile):
+    common_mass: artefacts.PositiveValue | None = None
+    centre_of_gravity: dict[str, artefacts.Value] = Field(default_factory=dict)
+    offsets: dict[str, artefacts.Value] = Field(default_factory=dict)
+    misalignment: dict[str, artefacts.Value] = Field(default_factory=dict)
+    residual_standard_deviation: dict[str, artefacts.NotNegativeValue] = Field(default_factory=dict)
+    agreement: _Agreements = _Agreements()
+    unidentified: dict[str, str] = Field(default_factory=dict)
+    model: _Model | None = None
+
+
+def parameter_unit(name: str) -> str:
+    """Return the unit of a fitted parameter."""
+    kind, _, rest = name.partition(".")
+    return si_unit(rest) if kind == "offset" else UNITS[kind]
+
+
+def weighing_payload(weighing: Weighing) -> dict[str, object]:
+    """Give the contents of mass.json beside its provenance, as plain data."""
+
+    def quantities(values: Mapping[str, float], u: Mapping[str, float], unit: str | None) -> dict[str, object]:
+        return {name: {"value": value, "u": u[name], "unit": unit or si_unit(name)} for name, value in values.items()}
+
+    deviations = {name: {"value": value, "unit": si_unit(name)} for name, value in weighing.deviations.items()}
+    return {
+        "components": {name: artefacts.mass_payload(mass) for name, mass in weighing.masses.items()},
+        "common_mass": {"value": weighing.mass, "u": weighing.u_mass, "unit": "kg"},
+        "centre_of_gravity": quantities(weighing.centre_of_gravity, weighing.u_centre_of_gravity, "m"),
+        "offsets": quantities(weighing.offsets, weighing.u_offsets, None),
+        "misalignment": quantities(weighing.misalignment, weighing.u_misalignment, "rad"),
+        "agreement": {
+            "mass": _agreement_payload(weighing.mass_agreement),
+            "centre_of_gravity": _agreement_payload(weighing.centre_agreement),
+        },
+        "residual_standard_deviation": deviations,
+        "unidentified": dict(weighing.unidentified),
+        "model": _model_payload(weighing),
+    }
+
+
+def _agreement_payload(agreement: Agreement | None) -> dict[str, object] | None:
+    if agreement is None:
+        return None
+    return {
+        "chi2": agreement.chi2,
+        "degrees_of_freedom": agreement.degrees_of_freedom,
+        "p_value": agreement.p_value,
+        "agree": agreement.agree,
+    }
+
+
+def _model_payload(weighing: Weighing) -> dict[str, object]:
+    deviations = np.sqrt(np.diag(weighing.covariance)).tolist()
+    rows = zip(weighing.parameters, weighing.values.tolist(), deviations, strict=True)
+    return {
+        "components": list(weighing.components),
+        "own_masses": weighing.model.own_masses,
+        "own_centres": weighing.model.own_centres,
+        "gravity": {"value": weighing.gravity, "u": 0.0, "unit": "m/s^2"},
+        "parameters": {name: {"value": value, "u": u, "unit": parameter_unit(name)} for name, value, u in rows},
+        "covariance": weighing.covariance.tolist(),
+        "left_out": {
+            name: {"value": weighing.assumed[name], "u": size, "unit": parameter_unit(name)}
+            for name, size in weighing.left_out.items()
+        },
+        "absorbed": weighing.absorbed.tolist(),
+        "degrees_of_freedom": weighing.degrees_of_freedom,
+        "residuals": weighing.residuals.tolist(),
+    }
+
+
+def write_weighing(
+    path: Path | str,
+    weighing: Weighing,
+    *,
+    inputs: Sequence[Path] = (),
+    settings: Mapping[str, object] | None = None,
+    warnings: Sequence[str] = (),
+) -> None:
+    """Write mass.json; ``components`` in it is what `read_mass` takes, the rest is for `read_weighing`.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be written.
+    """
+    payload = {
+        "kind": "mass",
+        "schema": artefacts.SCHEMA,
+        **weighing_payload(weighing),
+        "warnings": list(warnings),
+        "provenance": artefacts.provenance(inputs, settings=settings),
+    }
+    artefacts.write_json(path, payload)
+
+
+def read_weighing(path: Path | str) -> Weighing:
+    """Read mass.json as written by `write_weighing`.
+
+    Raises
+    ------
+    ReadError
+        The file is no such JSON, holds the mass of one component alone, or its numbers are not physical.
+    """
+    file = Path(path)
+    contents = artefacts.load(file, "mass", _WeighingFile)
+    model, mass = contents.model, contents.common_mass
+    if model is None or mass is None:
+        raise ReadError(
+            file,
+            "model" if model is None else "common_mass",
+            "is missing: the file holds masses of single components; weigh with all loads to correct later runs",
+        )
+    _check_units(file, contents, model)
+    names = list(model.parameters)
+    deviations = {name: value.u for name, value in model.parameters.items()}
+    given = artefacts.Covariance(parameters=names, matrix=model.covariance)
+    covariance = artefacts.checked_covariance(file, "model.covariance", given, deviations)
+    try:
+        return Weighing(
+            model=WeightModel(
+                tuple(model.components), model.own_masses, model.own_centres, gravity=model.gravity.value
+            ),
+            masses=artefacts.read_mass(file),
+            mass=mass.value,
+            u_mass=mass.u,
+            centre_of_gravity=_values(contents.centre_of_gravity),
+            u_centre_of_gravity=_deviations(contents.centre_of_gravity),
+            offsets=_values(contents.offsets),
+            u_offsets=_deviations(contents.offsets),
+            misalignment=_values(contents.misalignment),
+            u_misalignment=_deviations(contents.misalignment),
+            mass_agreement=_agreement(contents.agreement.mass),
+            centre_agreement=_agreement(contents.agreement.centre_of_gravity),
+            parameters=tuple(names),
+            values=np.array(list(_values(model.parameters).values())),
+            covariance=covariance,
+            left_out=_deviations(model.left_out),
+            assumed=_values(model.left_out),
+            absorbed=_matrix(file, "model.absorbed", model.absorbed, (len(names), len(model.left_out))),
+            residuals=_matrix(file, "model.residuals", model.residuals, (-1, len(model.components))),
+            deviations=_values(contents.residual_standard_deviation),
+            degrees_of_freedom=model.degrees_of_freedom,
+            unidentified=contents.unidentified,
+        )
+    except ValueError as error:
+        raise ReadError(file, "model", str(error)) from None
+
+
+def _check_units(file: Path, contents: _WeighingFile, model: _Model) -> None:
+    for group, unit in (("centre_of_gravity", "m"), ("misalignment", "rad")):
+        for name, value in getattr(contents, group).items():
+            artefacts.check_unit(file, f"{group}.{name}.unit", value, unit)
+    for key, entries in (("model.parameters", model.parameters), ("model.left_out", model.left_out)):
+        for name, value in entries.items():
+            kind, _, rest = name.partition(".")
+            if kind not in {*UNITS, "offset"} or (kind == "offset" and rest not in model.components):
+                raise ReadError(file, f"{key}.{name}", "is no parameter of this model")
+            artefacts.check_unit(file, f"{key}.{name}.unit", value, parameter_unit(name))
+
+
+def _values(entries: Mapping[str, artefacts.Value]) -> dict[str, float]:
+    return {name: entry.value for name, entry in entries.items()}
+
+
+def _deviations(entries: Mapping[str, artefacts.Value]) -> dict[str, float]:
+    return {name: entry.u for name, entry in entries.items()}
+
+
+def _agreement(given: _Agreement | None) -> Agreement | None:
+    return None if given is None else Agreement(given.chi2, given.degrees_of_freedom, given.p_value)
+
+
+def _matrix(file: Path, where: str, rows: Sequence[Sequence[float]], shape: tuple[int, int]) -> Array:
+    """Make a matrix of rows of the same length."""
+    count, width = shape
+    if any(len(row) != width for row in rows) or count not in {-1, len(rows)}:
+        expected = f"rows of {width} numbers" if count < 0 else f"{count} rows of {width} numbers"
+        raise ReadError(file, where, f"must have {expected}")
+    return np.array(rows, dtype=np.float64).reshape(len(rows), width)
