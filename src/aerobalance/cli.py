@@ -176,6 +176,14 @@ def calibrate(
     keep_aside: Annotated[
         float, typer.Option("--keep-aside", help="Share of the points kept out of the fit to confirm it.")
     ] = 0.0,
+    capacity: Annotated[
+        list[str] | None,
+        typer.Option("--capacity", help="Capacity of a load, 'N1=2500 lbf', where the file lacks it (repeatable)."),
+    ] = None,
+    distances: Annotated[
+        str | None,
+        typer.Option("--distances", help="Gauges from the centre, '1.5 1.5 1.25 1.25 in': N1 N2 S1 S2 (or PM, YM)."),
+    ] = None,
     report: Annotated[Path | None, typer.Option("--report", help="Write a page with figures and tables.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -184,7 +192,14 @@ def calibrate(
 
     show(
         lambda: calibration.calibrate(
-            schedule, out, model=model.value, way=way.value, keep_aside=keep_aside, report=report
+            schedule,
+            out,
+            model=model.value,
+            way=way.value,
+            keep_aside=keep_aside,
+            capacities=capacity or (),
+            distances=distances,
+            report=report,
         ),
         as_json,
         doing="fitting the matrix",

@@ -21,6 +21,9 @@ SERIES_LOADED: Final = 0.1
 DEAD: Final = 0.02
 """Output at capacity, over the median of all bridges, below which a bridge is taken as dead."""
 
+OWN_ANSWER: Final = 0.3
+"""Sensitivity to the own load, over that to any load, below which its sign tells nothing."""
+
 SLOPE_DOUBT, SLOPE_FAULT = 0.05, 0.3
 """Relative departure of one series' sensitivity from the median that is doubted, and that is refused."""
 
@@ -31,7 +34,10 @@ UNLOADED: Final = 1e-3
 """Load, over capacity, below which a point counts as a zero reading."""
 
 DRIFT: Final = 0.005
-"""Change of a zero within a series, over the output at capacity, that is doubted."""
+"""Change of a zero within a series, over capacity, that is doubted."""
+
+DRIFT_IN_NOISE: Final = 8.0
+"""Range of zero readings, over the standard deviation of one, that noise does not reach."""
 
 
 def check_schedule(schedule: Schedule) -> None:
@@ -46,7 +52,7 @@ def check_schedule(schedule: Schedule) -> None:
     Warns
     -----
     DoubtWarning
-        A series' sensitivity departs from the others, or a zero drifts.
+        A series' sensitivity departs from the others.
     """
     used = schedule.fitted
     if np.count_nonzero(used) < schedule.loads.shape[1] + 2:
@@ -68,10 +74,9 @@ def check_schedule(schedule: Schedule) -> None:
             )
     sensitivity = _sensitivity(loads, outputs, series)
     slopes = [_slopes(loads, outputs, series, index) for index in range(loads.shape[1])]
-    _check_signs(schedule, slopes)
+    _check_signs(schedule, slopes, np.max(np.abs(sensitivity), axis=1))
     _check_wiring(schedule, sensitivity)
     _check_slopes(schedule, slopes)
-    _check_zeros(schedule, loads, outputs, series, np.abs(np.diag(sensitivity)))
 
 
 def _sensitivity(loads: Array, outputs: Array, series: NDArray[np.intp]) -> Array:
@@ -111,13 +116,15 @@ def _slopes(loads: Array, outputs: Array, series: NDArray[np.intp], index: int) 
     return found
 
 
-def _check_signs(schedule: Schedule, slopes: list[dict[int, tuple[float, float]]]) -> None:
-    """Refuse a series in which a bridge answers with the other sign."""
-    for name, found in zip(schedule.components, slopes, strict=True):
+def _check_signs(schedule: Schedule, slopes: list[dict[int, tuple[float, float]]], answers: Array) -> None:
+    """Refuse a series in which a bridge answers with the other sign; `answers` are the strongest to any load."""
+    for name, found, answer in zip(schedule.components, slopes, answers, strict=True):
         clear = {number: slope for number, (slope, u) in found.items() if abs(slope) > 5 * u}
         if len(clear) < 2:
             continue
         middle = float(np.median(np.abs(list(clear.values()))))
+        if middle < OWN_ANSWER * answer:  # it answers to another load: the wires are crossed
+            continue
         strong = {number: slope for number, slope in clear.items() if abs(slope) > 0.3 * middle}
         sign = np.sign(sum(np.sign(slope) for slope in strong.values())) or np.sign(next(iter(strong.values())))
         wrong = [number for number, slope in strong.items() if np.sign(slope) != sign]
@@ -135,6 +142,9 @@ def _check_wiring(schedule: Schedule, sensitivity: Array) -> None:
     """Refuse bridges that are dead, or that answer more to another load than to their own."""
     own = np.abs(np.diag(sensitivity))
     strongest = np.argmax(np.abs(sensitivity), axis=1)
+    # a dead bridge's noise goes with one load or another: that is no crossed wire
+    answers = np.max(np.abs(sensitivity), axis=1)
+    _check_alive(schedule, answers)
     for index, name in enumerate(schedule.components):
         other = int(strongest[index])
         if other != index and abs(sensitivity[index, other]) > 2 * own[index]:
@@ -144,11 +154,15 @@ def _check_wiring(schedule: Schedule, sensitivity: Array) -> None:
                 f"the capacity of {schedule.components[other]}, but {sensitivity[index, index]:+.4g} mV/V at that of "
                 f"{name}{back}; put the columns of the bridges in the order of the loads"
             )
-    for index, name in enumerate(schedule.components):
-        if own[index] < DEAD * np.median(own):
+    _check_alive(schedule, own)
+
+
+def _check_alive(schedule: Schedule, answers: Array) -> None:
+    for name, answer in zip(schedule.components, answers, strict=True):
+        if answer < DEAD * np.median(answers):
             raise FitError(
-                f"{schedule.name}: the bridge of {name} is dead: {own[index]:.3g} mV/V at capacity, while the others "
-                f"give about {np.median(own):.3g} mV/V"
+                f"{schedule.name}: the bridge of {name} is dead: {answer:.3g} mV/V at capacity, while the others "
+                f"give about {np.median(answers):.3g} mV/V"
             )
 
 
@@ -172,18 +186,23 @@ def _check_slopes(schedule: Schedule, slopes: list[dict[int, tuple[float, float]
             warnings.warn(f"{text}; the matrix averages over both", DoubtWarning, stacklevel=4)
 
 
-def _check_zeros(schedule: Schedule, loads: Array, outputs: Array, series: NDArray[np.intp], own: Array) -> None:
-    """Doubt bridges whose zero readings wander within a series."""
-    unloaded = (np.abs(loads) < UNLOADED).all(axis=1)
+def _check_zeros(schedule: Schedule, residuals: Array) -> None:
+    """Doubt bridges whose zero readings wander within a series by more than their noise can."""
+    used = schedule.fitted
+    series = schedule.series[used]
+    unloaded = (np.abs(schedule.loads[used]) < UNLOADED * schedule.capacities).all(axis=1)
     for index, name in enumerate(schedule.components):
+        column = residuals[:, index]
+        # neighbours differ by noise alone; the median is not moved by the few that a drift or a step lies between
+        noise = float(np.median(np.abs(np.diff(column)))) / 0.954
         worst, where = 0.0, 0
         for number in np.unique(series):
-            zeros = outputs[(series == number) & unloaded, index]
+            zeros = column[(series == number) & unloaded]
             if zeros.size > 1 and np.ptp(zeros) > worst:
                 worst, where = float(np.ptp(zeros)), int(number)
-        if worst > DRIFT * own[index]:
+        if worst > max(DRIFT, DRIFT_IN_NOISE * noise):
             warnings.warn(
-                f"{schedule.name}: the zero of {name} drifts by {100 * worst / own[index]:.2g} % of capacity within "
+                f"{schedule.name}: the zero of {name} drifts by {100 * worst:.2g} % of capacity within "
                 f"series {schedule.series_names[where]!r}; the drift goes into the residuals",
                 DoubtWarning,
                 stacklevel=4,
@@ -201,8 +220,9 @@ def check_residuals(schedule: Schedule, residuals: Array) -> None:
     Warns
     -----
     DoubtWarning
-        It is above `DOUBTFUL`.
+        It is above `DOUBTFUL`, or a zero drifts.
     """
+    _check_zeros(schedule, residuals)
     size = np.sqrt(np.mean(residuals**2, axis=0))
     bad = np.flatnonzero(size > UNFIT)
     if bad.size:

@@ -284,7 +284,7 @@ class _Data:
         each round takes off a small part of the error only, steps are put together (Anderson's acceleration).
         """
         used = self.series_used
-        outputs = self.outputs - self._warm(regressions)[self.schedule.fitted]
+        outputs = self.outputs - self._warm(terms, regressions)[self.schedule.fitted]
         tares = np.full((len(self.schedule.series_names), self.loads.shape[1]), np.nan)
         now = np.zeros((used.size, self.loads.shape[1]))
         places: list[Array] = []
@@ -339,25 +339,32 @@ class _Data:
             moments=schedule.moments,
             balance_type=schedule.balance_type,
             geometry=schedule.geometry,
-            temperature=self._temperature(regressions),
+            temperature=self._temperature(terms, regressions),
         )
 
-    def _temperature(self, regressions: tuple[Regression, ...]) -> dict[str, TemperatureEffect]:
+    def _temperature(
+        self, terms: tuple[Term, ...], regressions: tuple[Regression, ...]
+    ) -> dict[str, TemperatureEffect]:
         if self.warmth is None or self.schedule.temperature is None:
             return {}
         reference = float(self.schedule.temperature[self.schedule.fitted].mean())
         first = self.intercepts.shape[1]
-        # in the non-iterative way the terms give loads: a bridge that reads too high makes the load term negative
-        sign = 1.0 if self.way == "iterative" else -1.0
+        effects = np.array([fit.intercepts[first : first + 2] for fit in regressions])
+        u = np.array([fit.u_intercepts[first : first + 2] for fit in regressions])
+        if self.way == "non-iterative":
+            # a bridge that reads too high gives too much of every load that it takes part in, which the terms take off
+            inverse = np.linalg.inv(_linear(terms, np.column_stack([fit.coefficients for fit in regressions])))
+            effects = np.column_stack([-inverse @ effects[:, 0], -effects[:, 1]])
+            u[:, 0] = np.sqrt(inverse**2 @ u[:, 0] ** 2)
         return {
             name: TemperatureEffect(
                 reference,
-                sign * float(fit.intercepts[first]) * scale,
-                float(fit.u_intercepts[first]) * scale,
-                sign * float(fit.intercepts[first + 1]),
-                float(fit.u_intercepts[first + 1]),
+                float(effects[i, 0] * self.output_scale[i]),
+                float(u[i, 0] * self.output_scale[i]),
+                float(effects[i, 1]),
+                float(u[i, 1]),
             )
-            for name, fit, scale in zip(self.schedule.components, regressions, self.output_scale, strict=True)
+            for i, name in enumerate(self.schedule.components)
         }
 
     def residuals(self, matrix: BalanceMatrix, regressions: tuple[Regression, ...], tares: Array) -> Array:
@@ -367,7 +374,7 @@ class _Data:
         left[self.series_used] = np.column_stack([fit.intercepts[: self.intercepts.shape[1]] for fit in regressions])
         offset, tare = left[schedule.series], np.nan_to_num(tares)[schedule.series]
         # a series of confirmation points alone has no tare from the fit: its own mean stands for it
-        outputs = self.all_outputs - self._warm(regressions)
+        outputs = self.all_outputs - self._warm(matrix.terms, regressions)
         if self.way == "iterative":
             computed = _solve(matrix.terms, matrix.coefficients, outputs - np.nan_to_num(offset))
             residual = computed - schedule.loads / schedule.capacities - tare
@@ -379,9 +386,9 @@ class _Data:
             residual[inside] -= residual[inside].mean(axis=0)
         return np.asarray(residual * schedule.capacities)
 
-    def _warm(self, regressions: tuple[Regression, ...]) -> Array:
+    def _warm(self, terms: tuple[Term, ...], regressions: tuple[Regression, ...]) -> Array:
         """What temperature adds to the outputs, at all points, shape (n, c)."""
-        effects = self._temperature(regressions)
+        effects = self._temperature(terms, regressions)
         if not effects or self.schedule.temperature is None:
             return np.zeros_like(self.all_outputs)
         loads = self.schedule.loads / self.schedule.capacities

@@ -20,7 +20,7 @@ BIDIRECTIONAL_SIGNIFICANCE: Final = 0.001
 
 CURVED: Final = 0.5
 """Where a square leaves less than this share of the residual variance that an absolute value leaves, the bridge is
-curved and not bidirectional."""
+curved and not bidirectional. Above it the noise is too large to tell them apart with confidence."""
 
 OUTLIER, REPEAT_OUTLIER = 2.5e-3, 0.5e-3
 """Residual of a point, and departure of a repeated point, that AIAA R-091 looks into [mV/V]."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from aerobalance.balance import BalanceMatrix, Model, Way
+from aerobalance.balance import BalanceMatrix, Geometry, Model, Way
 from aerobalance.calibration.drift import compare_calibrations
 from aerobalance.calibration.faults import UNLOADED
 from aerobalance.calibration.fit import Calibration
@@ -27,6 +29,7 @@ from aerobalance.io.balance_file import calibration_payload, write_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix
 from aerobalance.io.schedule import read_schedule
 from aerobalance.io.text_table import read_text
+from aerobalance.io.units import conversion
 from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Array
 from aerobalance.schedule import Schedule
@@ -42,18 +45,28 @@ def calibrate(
     model: Model = "auto",
     way: Way = "iterative",
     keep_aside: float = 0.0,
+    capacities: Sequence[str] = (),
+    distances: str | None = None,
     report: Path | None = None,
 ) -> Account:
     """Balance matrix from a load schedule."""
     check_out(out, path)
     check_out(report, path)
     with doubts() as collected:
-        schedule = keeping_aside(read_schedule(path), keep_aside)
+        schedule = keeping_aside(read_schedule(path, capacities=capacities_from(capacities)), keep_aside)
+        if distances is not None:
+            schedule = replace(schedule, geometry=geometry_from(distances))
         calibration = fit_matrix(schedule, model=model, way=way)
         quality = assess(calibration)
         _doubt_quality(calibration, quality)
     found = calibration_payload(calibration, quality)
-    settings = {"model": model, "way": way, "keep_aside": keep_aside}
+    settings = {
+        "model": model,
+        "way": way,
+        "keep_aside": keep_aside,
+        "capacities": list(capacities),
+        "distances": distances,
+    }
     if out is not None:
         write_balance(out, calibration.matrix, found=found, inputs=[path], settings=settings, warnings=collected)
     if report is not None:
@@ -61,6 +74,30 @@ def calibrate(
 
         write_calibration_report(report, calibration, quality, warnings=collected, source=path)
     return {**found, "warnings": collected, "summary": summary(calibration, quality)}
+
+
+def capacities_from(texts: Sequence[str]) -> dict[str, tuple[float, str]] | None:
+    """Capacities from the command line: ``N1=2500 lbf`` each."""
+    capacities = {}
+    for text in texts:
+        match = re.fullmatch(r"\s*([^=]+?)\s*=\s*([-+.\deE]+)\s*(\S.*?)\s*", text)
+        if match is None:
+            raise ValueError(f"--capacity must be like 'N1=2500 lbf', not {text!r}")
+        capacities[match[1]] = (float(match[2]), match[3])
+    return capacities or None
+
+
+def geometry_from(text: str) -> Geometry:
+    """Distances of the gauges from the command line: four numbers and a unit, ``1.5 1.5 1.25 1.25 in``."""
+    words = text.replace(",", " ").split()
+    try:
+        values = conversion(words[-1], expected="m").inside([float(word) for word in words[:-1]])
+        return Geometry(*(float(value) for value in values))
+    except (ValueError, IndexError, TypeError) as error:
+        raise ValueError(
+            "--distances must be four distances from the balance's centre and a unit (forward and aft gauge of the "
+            f"pitch plane, then of the yaw plane), like '1.5 1.5 1.25 1.25 in', not {text!r}: {error}"
+        ) from None
 
 
 def keeping_aside(schedule: Schedule, share: float) -> Schedule:

@@ -108,6 +108,13 @@ def reduced(
     if files.tare and files.mass is not None:
         raise ValueError("give --tare or --mass, not both: each takes the weight off")
     matrix = read_matrix(files.balance)
+    if matrix.direct is None:
+        warnings.warn(
+            f"{files.balance.name} lacks the distances of the gauges: the loads stay {', '.join(matrix.components)}. "
+            "Calibrate with --distances to have NF PM SF YM RM AF",
+            DoubtWarning,
+            stacklevel=2,
+        )
     zero = _zero(files, matrix, channel_map)
     tare = None
     if files.tare:

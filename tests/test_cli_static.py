@@ -1,0 +1,222 @@
+"""The static side from outside: calibrate, loads, weigh and force by files alone, as a laboratory would."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aerobalance.balance import BalanceMatrix
+from aerobalance.cli import main
+from aerobalance.io.balance_file import read_balance
+from aerobalance.io.schedule import write_balfit_schedule
+from aerobalance.recording import Array
+from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
+
+GRAVITY = 9.80665
+MASS = 60.0
+NOISE = 2e-4
+STIFFNESS, DAMPING = 3.0e7, 800.0
+
+
+@pytest.fixture
+def seed() -> int:
+    entropy = int(np.random.SeedSequence().entropy) % 2**63
+    print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
+    return entropy
+
+
+@pytest.fixture
+def truth(seed: int) -> BalanceMatrix:
+    return random_balance(seed)
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, truth: BalanceMatrix, seed: int) -> Path:
+    monkeypatch.chdir(tmp_path)
+    write_balfit_schedule(Path("schedule.csv"), CalibrationStand(truth, confirmation=0.05).run(seed).schedule)
+    return tmp_path
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> dict[str, object]:
+    """Run one command; return its JSON where it gives one."""
+    found = main([*arguments, "--json"])
+    captured = capsys.readouterr()
+    assert found == code, captured.err
+    return json.loads(captured.out) if captured.out else {"error": captured.err}
+
+
+def write(path: str, time: Array, columns: dict[str, Array]) -> None:
+    header = ",".join(["time [s]", *columns])
+    table = np.column_stack([time, *columns.values()])
+    Path(path).write_text("\n".join([header, *(",".join(f"{x:.12g}" for x in row) for row in table)]) + "\n")
+
+
+def native(direct: Array) -> Array:
+    """N1 N2 S1 S2 RM AF of NF PM SF YM RM AF for gauges at 0.12 and 0.10 m, from NF = N1 + N2, PM = x (N1 - N2)."""
+    nf, pm, sf, ym, rm, af = direct.T
+    n, s = pm / 0.12, ym / 0.10
+    return np.column_stack([(nf + n) / 2, (nf - n) / 2, (sf + s) / 2, (sf - s) / 2, rm, af])
+
+
+def gauges(truth: BalanceMatrix, direct: Array, generator: np.random.Generator) -> dict[str, Array]:
+    outputs = truth.outputs(native(direct)) + truth.natural_zero + generator.normal(0, NOISE, direct.shape)
+    return {f"r{name} [mV/V]": outputs[:, i] for i, name in enumerate(truth.gauges)}
+
+
+def weight(pitch: Array) -> Array:
+    """Loads of the model, its centre of gravity at the balance's: level roll."""
+    zero = np.zeros_like(pitch)
+    share = MASS * GRAVITY
+    return np.column_stack([-share * np.cos(pitch), zero, zero, zero, zero, share * np.sin(pitch)])
+
+
+def test_calibrate_gives_matrix_statistics_and_warnings(here, capsys, truth):
+    account = run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
+    assert list(account["components"]) == list(truth.components)
+    for i, entry in enumerate(account["components"].values()):
+        noise = 100 * 0.7e-3 / truth.output_scale[i]
+        assert 0.6 * noise < entry["residual_std_percent_of_capacity"] < 1.1 * noise
+        assert entry["confirmation_within_two_u_percent"] > 60
+        assert {"term", "value", "u", "t", "p", "vif", "percent_contribution"} == set(entry["terms"][0])
+    assert account["unidentified_terms"] == []
+    assert account["tares"]["largest_difference_of_both_methods_percent_of_capacity"] < 0.05
+    artefact = json.loads(Path("balance.json").read_text())
+    assert artefact["kind"] == "balance"
+    assert artefact["provenance"]["inputs"][0]["name"] == "schedule.csv"
+    matrix = read_balance("balance.json")
+    x = 0.5 * np.eye(6) * CAPACITIES
+    # within six standard errors of 96 coefficients that all contribute
+    assert np.allclose(matrix.outputs(x), truth.outputs(x), atol=6 * 0.7e-3), "matrix from the file"
+
+
+def test_the_same_inputs_give_the_same_bytes(here, capsys):
+    run(capsys, "calibrate", "schedule.csv", "--model", "27", "-o", "one.json")
+    run(capsys, "calibrate", "schedule.csv", "--model", "27", "-o", "two.json")
+    one, two = (json.loads(Path(name).read_text()) for name in ("one.json", "two.json"))
+    one["provenance"].pop("created")
+    two["provenance"].pop("created")
+    assert one == two
+
+
+def test_summary_for_people(here, capsys):
+    assert main(["calibrate", "schedule.csv", "--model", "linear", "--keep-aside", "0.1"]) == 0
+    captured = capsys.readouterr()
+    assert "N1" in captured.out and "% cap." in captured.out and "confirmation points" in captured.out
+    assert captured.err.startswith("warning: ")
+
+
+def test_loads_weigh_and_force_from_gauge_outputs(here, capsys, truth, seed):
+    generator = np.random.default_rng(seed)
+    places = ["--distances", "12 12 10 10 cm"]
+    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json", *places)
+    count, rate = 800, 400.0
+    time = np.arange(count) / rate
+    names = []
+    for k, angle in enumerate(np.radians([-12.0, -6, 0, 6, 12])):
+        pitch = np.full(count, angle)
+        names.append(f"off{k}.csv")
+        write(names[-1], time, gauges(truth, weight(pitch), generator) | {"pitch [deg]": np.degrees(pitch)})
+    weighed = run(capsys, "weigh", *names, "--balance", "balance.json", "-o", "mass.json")
+    mass, u = (weighed["components"]["AF"]["mass"][key] for key in ("value", "u"))
+    # the weighed mass carries the calibration's error of AF, about one reading's worth of the range, over the sweep
+    assert abs(mass - MASS) < 5 * u + 0.01 * MASS
+
+    aero = np.column_stack(
+        [np.full(count, 800.0), np.full(count, 20.0), *[np.zeros(count)] * 3, np.full(count, 300.0)]
+    )
+    pitch = np.radians(6 * np.sin(2 * np.pi * 0.5 * time))
+    on = gauges(truth, weight(pitch) + aero, generator) | {"pitch [deg]": np.degrees(pitch)}
+    write("on.csv", time, on)
+    account = run(capsys, "loads", "on.csv", "--balance", "balance.json", "--mass", "mass.json", "-o", "loads.csv")
+    assert account["zero"]["from"] == "natural zeros of the calibration"
+    for name, expected in zip(("NF", "PM", "SF", "YM", "RM", "AF"), aero[0], strict=True):
+        entry = account["components"][name]
+        assert abs(entry["mean"] - expected) < 4 * entry["u_calibration_rms"], name
+    tare = [part for name in names for part in ("--tare", name)]
+    account = run(capsys, "loads", "on.csv", "--balance", "balance.json", *tare, "-o", "tared.csv")
+    for name, expected in zip(("NF", "PM", "SF", "YM", "RM", "AF"), aero[0], strict=True):
+        entry = account["components"][name]
+        assert abs(entry["mean"] - expected) < 4 * entry["u_calibration_rms"], name
+
+
+@pytest.mark.parametrize("zero", ["natural", "with the model on, nose up"])
+def test_force_counts_gravity_once(here, capsys, truth, seed, zero):
+    generator = np.random.default_rng(seed)
+    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
+    dynamics = {"mass": {"value": MASS}, "stiffness": {"value": STIFFNESS}, "damping": {"value": DAMPING}}
+    Path("dynamics.json").write_text(json.dumps({"components": {"AF": dynamics}}))
+    count, rate = 1200, 1000.0
+    time = np.arange(count) / rate
+    pitch = np.full(count, np.radians(4.0))
+    applied = 200 * np.sin(2 * np.pi * 3 * time)
+    felt = weight(pitch)
+    felt[:, 5] += applied  # 3 Hz is far below the 112 Hz of the balance: felt by (3 / 112)^2 = 0.07 % too large
+    write("run.csv", time, gauges(truth, felt, generator) | {"pitch [deg]": np.degrees(pitch)})
+    options = []
+    if zero != "natural":
+        up = np.full(count, np.radians(9.0))
+        write("zero.csv", time, gauges(truth, weight(up), generator) | {"pitch [deg]": np.degrees(up)})
+        options = ["--zero", "zero.csv"]
+    files = ["--dynamics", "dynamics.json", "--balance", "balance.json", "-o", "force.csv"]
+    account = run(capsys, "force", "run.csv", *files, *options)
+    assert "balance matrix, zeros and tares" in account["components"]["AF"]["uncertainty_budget_rms"]
+    table = np.genfromtxt("force.csv", delimiter=",", names=True)
+    error, u = table["AF_N"] - applied, table["u_AF_N"]
+    assert np.mean(np.abs(error) < 3 * u) > 0.9, zero
+    assert np.sqrt(np.mean(error**2)) < 0.01 * CAPACITIES[5]  # the weight is 0.013 of it at 4 deg, 0.03 at 9 deg
+
+
+def test_a_matrix_goes_to_the_text_layout_and_back(here, capsys, truth, seed):
+    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
+    run(capsys, "convert", "balance.json", "-o", "matrix.txt")
+    text = Path("matrix.txt").read_text()
+    assert "DATA_REDUCTION_MATRIX_IN_AMES_FORMAT" in text and "D0[TRANSPOSE(C1INV)]" in text
+    account = run(capsys, "convert", "matrix.txt", "-o", "back.json")
+    assert "no uncertainties" in account["warnings"][0]
+    before, after = read_balance("balance.json"), read_balance("back.json")
+    loads = np.random.default_rng(seed).uniform(-1, 1, (200, 6)) * CAPACITIES
+    assert np.allclose(before.outputs(loads), after.outputs(loads), atol=1e-12, rtol=0)  # 17 digits are printed
+
+
+def test_two_calibrations_are_compared(here, capsys, truth, seed):
+    write_balfit_schedule(Path("later.csv"), CalibrationStand(truth).run(seed + 1).schedule)
+    scale = truth.output_scale.copy()
+    scale[5] *= 1.01
+    moved = CalibrationStand(replace(truth, output_scale=scale)).run(seed + 2).schedule
+    write_balfit_schedule(Path("moved.csv"), moved)
+    same = run(capsys, "compare-calibrations", "schedule.csv", "later.csv", "--model", "96")
+    assert all(abs(entry["drift_percent"]) < 5 * entry["u_percent"] for entry in same["components"].values())
+    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "a.json")
+    run(capsys, "calibrate", "moved.csv", "--model", "96", "-o", "b.json")
+    drift = run(capsys, "compare-calibrations", "a.json", "b.json", "-o", "drift.json")["components"]["AF"]
+    assert abs(drift["drift_percent"] - 1) < 5 * drift["u_percent"]
+    assert drift["significant"] or drift["u_percent"] > 0.3
+    assert json.loads(Path("drift.json").read_text())["components"]["AF"] == drift
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["calibrate", "nowhere.csv"], 2, "no such file"),
+        (["calibrate", "schedule.csv", "--model", "cubic"], 2, "--model"),
+        (["calibrate", "schedule.csv", "--keep-aside", "0.9"], 2, "--keep-aside"),
+        (["calibrate", "schedule.csv", "--distances", "1 2 3 in"], 2, "--distances must be four"),
+        (["calibrate", "schedule.csv", "--capacity", "N1"], 2, "--capacity must be like"),
+        (["calibrate", "schedule.csv", "-o", "schedule.csv"], 2, "would be overwritten"),
+        (["loads", "run.csv", "--balance", "schedule.csv", "-o", "out.csv"], 2, "balance.json"),
+        (["loads", "run.csv", "--balance", "bad.json", "-o", "out.csv"], 2, "matrix"),
+        (["weigh", "run.csv", "--zero", "run.csv"], 2, "--balance"),
+        (["force", "run.csv", "--dynamics", "x.json", "--tare", "run.csv", "-o", "out.csv"], 2, "--balance"),
+    ],
+)
+def test_wrong_calls_say_what_is_allowed(here, capsys, arguments, code, message):
+    write("run.csv", np.arange(40) / 100, {"rAF [mV/V]": np.zeros(40)})
+    Path("bad.json").write_text(json.dumps({"kind": "balance", "schema": 1}))
+    assert main(arguments) == code
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and message in error
+    assert not Path("out.csv").exists()

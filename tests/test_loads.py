@@ -1,0 +1,248 @@
+"""Loads from gauge outputs: zeros, drift, tares, temperature, range, and what the uncertainty covers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerobalance.balance import BalanceMatrix, TemperatureEffect
+from aerobalance.calibration.fit import calibrate
+from aerobalance.loads import (
+    GaugeZero,
+    LoadsFelt,
+    gauge_table,
+    gauge_zero,
+    loads_felt,
+    static_uncertainty,
+    wind_off_loads,
+    with_loads,
+)
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording import Array, Channel, Recording
+from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
+
+RATE = 1000.0
+NOISE = 2e-4  # of a reading of a bridge [mV/V]
+
+
+@pytest.fixture
+def seed() -> int:
+    return int(np.random.SeedSequence().entropy) % 2**63
+
+
+@pytest.fixture
+def balance(seed: int) -> BalanceMatrix:
+    return replace(random_balance(seed), natural_zero=None)
+
+
+def recorded(outputs: Array, *, extra: Mapping[str, tuple[str, Array]] | None = None, name: str = "run") -> Recording:
+    """A recording of gauge outputs, in the order of the stand's balance."""
+    names = ("N1", "N2", "S1", "S2", "RM", "AF")
+    channels = {f"r{gauge}": Channel(f"r{gauge}", outputs[:, i], "mV/V") for i, gauge in enumerate(names)}
+    for key, (unit, values) in (extra or {}).items():
+        channels[key] = Channel(key, values, unit)
+    return Recording.from_columns(np.arange(len(outputs)) / RATE, channels, name=name)
+
+
+def swinging(count: int, generator: np.random.Generator) -> Array:
+    """Loads of all components that wander over 0.6 of the range, shape (n, 6)."""
+    time = np.arange(count) / RATE
+    phases, speeds = generator.uniform(0, 6, 6), generator.uniform(1, 5, 6)
+    return 0.6 * CAPACITIES * np.sin(2 * np.pi * speeds * time[:, None] + phases)
+
+
+def zeroed(outputs: Array) -> GaugeZero:
+    return GaugeZero(outputs, np.zeros(6), "known", np.zeros(6))
+
+
+NONE = zeroed(np.zeros(6))
+
+
+def in_direct(balance: BalanceMatrix, native: Array) -> Array:
+    """NF = N1 + N2, PM = x1 N1 - x2 N2, and so on, written out."""
+    g = balance.geometry
+    assert g is not None
+    n1, n2, s1, s2, rm, af = native.T
+    x1, x2 = g.normal
+    y1, y2 = g.side
+    return np.column_stack([n1 + n2, x1 * n1 - x2 * n2, s1 + s2, y1 * s1 - y2 * s2, rm, af])
+
+
+def test_loads_of_a_known_balance_come_back(balance: BalanceMatrix, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    native = swinging(500, generator)
+    zero = generator.normal(0, 0.3, 6)
+    felt = loads_felt(recorded(balance.outputs(native) + zero), balance, zero=zeroed(zero))
+    assert felt.components == ("NF", "PM", "SF", "YM", "RM", "AF")
+    assert felt.units == ("N", "N*m", "N", "N*m", "N*m", "N")
+    # the iteration ends at 1e-12 of capacity; sums of two loads, and noise-free outputs rounded at 1e-16 of 1 mV/V
+    assert np.allclose(felt.values, in_direct(balance, native), atol=1e-10 * CAPACITIES.max(), rtol=0), seed
+    assert not felt.beyond
+
+
+def test_a_zero_is_the_mean_and_its_drift_is_taken_off(balance: BalanceMatrix, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    native = swinging(2000, generator)
+    zero, drift = generator.normal(0, 0.3, 6), generator.normal(0, 0.01, 6)
+    progress = np.linspace(0, 1, 2000)[:, None]
+    run = recorded(balance.outputs(native) + zero + progress * drift)
+    before = recorded(zero + generator.normal(0, NOISE, (4000, 6)), name="before")
+    after = recorded(zero + drift + generator.normal(0, NOISE, (4000, 6)), name="after")
+    found = gauge_zero([before], balance, after=[after])
+    # the means of 4000 readings, within five standard errors
+    assert np.allclose(found.values, zero, atol=5 * NOISE / np.sqrt(4000)), seed
+    assert np.allclose(found.drift, drift, atol=5 * NOISE * np.sqrt(2 / 4000)), seed
+    felt = loads_felt(run, balance, zero=found)
+    error = np.max(np.abs(felt.values - in_direct(balance, native)), axis=0)
+    # u of the zero, through the sensitivities (capacity at about 1.1 mV/V), with ten per cent for interactions
+    allowed = 5 * NOISE * np.sqrt(2 / 4000) / balance.output_scale.min() * CAPACITIES.max() * 2 * 1.1
+    assert error.max() < allowed, seed
+    plain = loads_felt(run, balance, zero=gauge_zero([before], balance))
+    assert np.max(np.abs(plain.values - in_direct(balance, native))) > 3 * error.max()
+
+
+def test_wind_off_loads_are_taken_off_at_the_same_pitch(balance: BalanceMatrix, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+
+    def weight(pitch: Array) -> Array:
+        return np.column_stack(
+            [-50 * np.cos(pitch), -40 * np.cos(pitch), 0 * pitch, 0 * pitch, 0 * pitch, 90 * np.sin(pitch)]
+        )
+
+    def at(pitch: Array, aero: Array, name: str) -> Recording:
+        outputs = balance.outputs(weight(pitch) + aero)
+        return recorded(outputs, extra={"pitch": ("rad", pitch)}, name=name)
+
+    angles = np.radians(np.arange(-10, 11, 2.5))
+    off = [at(np.full(50, angle), np.zeros((50, 6)), f"off {angle:.3f}") for angle in angles]
+    pitch = np.radians(np.linspace(-9, 9, 400))
+    aero = swinging(400, generator) / 3
+    tare = wind_off_loads(at(pitch, aero, "on"), off, balance, zero=NONE)
+    felt = loads_felt(at(pitch, aero, "on"), balance, zero=NONE, tare=tare)
+    # a chord of weight over 2.5 deg departs from the curve by at most h^2 / 8 of the curvature
+    chord = np.radians(2.5) ** 2 / 8 * 100
+    assert np.allclose(felt.values, in_direct(balance, aero), atol=1.01 * chord + 1e-6), seed
+    with pytest.raises(FitError, match="add wind-off recordings"):
+        wind_off_loads(at(pitch * 2, aero, "steep"), off, balance, zero=NONE)
+
+
+def test_temperature_effects_are_taken_out(balance: BalanceMatrix, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    effects = {
+        name: TemperatureEffect(20.0, generator.normal(0, 1e-3), 0.0, generator.normal(0, 1e-3), 0.0)
+        for name in balance.components
+    }
+    warm = replace(balance, temperature=effects)
+    native = swinging(300, generator)
+    temperature = 25 + 5 * np.sin(np.linspace(0, 6, 300))
+    change = temperature[:, None]
+    gain = np.array([effect.sensitivity for effect in effects.values()])
+    slope = np.array([effect.zero for effect in effects.values()])
+    outputs = balance.outputs(native) * (1 + gain * (change - 20)) + slope * (change - temperature.mean())
+    run = recorded(outputs, extra={"temperature": ("degC", temperature)})
+    felt = loads_felt(run, warm, zero=NONE)
+    assert np.allclose(felt.values, in_direct(balance, native), atol=1e-10 * CAPACITIES.max()), seed
+    left = loads_felt(run, balance, zero=NONE).values - in_direct(balance, native)
+    assert np.abs(left).max() > 1e-3 * CAPACITIES.min()
+
+
+def test_noise_of_the_bridges_becomes_noise_of_the_loads(balance: BalanceMatrix, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    level = balance.outputs(0.3 * CAPACITIES[None, :])
+    outputs = level + generator.normal(0, NOISE, (20000, 6))
+    felt = loads_felt(recorded(outputs), balance, zero=NONE)
+    # the scatter of 20000 loads is known to 0.5 %; the level of white noise is read 2-5 % low by `channel_noise`
+    assert np.allclose(felt.noise, felt.values.std(axis=0), rtol=0.08), seed
+
+
+def test_uncertainty_covers_the_error_of_the_calibration(seed: int) -> None:
+    errors = []
+    for draw in range(12):
+        truth = random_balance(seed + draw, model="abs")
+        schedule = CalibrationStand(truth, noise=2e-3).run(seed + 100 + draw).schedule
+        matrix = calibrate(schedule, model="abs").matrix
+        native = swinging(200, np.random.default_rng(seed + draw))
+        felt = loads_felt(recorded(truth.outputs(native)), matrix, zero=NONE)
+        errors.append((felt.values - in_direct(truth, native)) / felt.calibration)
+    z = np.array(errors)
+    # the stated uncertainty has the scatter of a reading in it besides, so errors of the matrix stay well inside
+    assert np.sqrt(np.mean(z**2)) < 1, seed
+    assert np.mean(np.abs(z) < 2) > 0.95, seed
+
+
+def test_static_uncertainty_is_that_of_a_load_of_the_size_of_the_force(seed: int) -> None:
+    truth = random_balance(seed, model="abs")
+    matrix = calibrate(CalibrationStand(truth).run(seed).schedule, model="abs").matrix
+    native = swinging(50, np.random.default_rng(seed))
+    felt = loads_felt(recorded(truth.outputs(native)), matrix, zero=NONE)
+    same = static_uncertainty(felt, matrix, forces={})
+    assert np.allclose(np.column_stack(list(same.values())), felt.calibration, rtol=1e-9)
+    other = native.copy()
+    other[:, 5] = 0.1 * CAPACITIES[5]  # AF is a load of its own in both forms
+    forced = static_uncertainty(felt, matrix, forces={"AF": other[:, 5]})
+    there = loads_felt(recorded(truth.outputs(other)), matrix, zero=NONE)
+    # the loads found differ from the true ones by parts in a thousand of capacity, and u moves far less than loads do
+    assert np.allclose(np.column_stack(list(forced.values())), there.calibration, rtol=5e-3), seed
+
+
+def test_beyond_the_calibration_is_doubted(balance: BalanceMatrix) -> None:
+    native = np.tile(CAPACITIES * np.array([1.3, 0.1, 0.1, 0.1, 0.1, 0.1]), (40, 1))
+    with pytest.warns(DoubtWarning, match="N1 leaves the calibrated range"):
+        felt = loads_felt(recorded(balance.outputs(native)), balance, zero=NONE)
+    assert felt.beyond == {"N1": 40}
+
+
+def test_without_a_zero_it_is_said(balance: BalanceMatrix) -> None:
+    outputs = balance.outputs(np.zeros((40, 6)))
+    with pytest.warns(DoubtWarning, match="the gauge outputs are taken as they are"):
+        loads_felt(recorded(outputs), balance)
+    known = replace(balance, natural_zero=np.full(6, 0.1))
+    with pytest.warns(DoubtWarning, match="natural zeros of the calibration"):
+        felt = loads_felt(recorded(outputs + 0.1), known)
+    assert np.allclose(felt.values, 0, atol=1e-8)
+
+
+def test_missing_samples_stay_missing_and_missing_bridges_are_named(balance: BalanceMatrix) -> None:
+    outputs = balance.outputs(np.zeros((40, 6)))
+    outputs[7, 2] = np.nan
+    felt = loads_felt(recorded(outputs), balance, zero=NONE)
+    assert np.flatnonzero(np.isnan(felt.values).any(axis=1)).tolist() == [7]
+    run = recorded(outputs)
+    channels = {name: channel for name, channel in run.channels.items() if name != "rS2"}
+    with pytest.raises(FitError, match="no channel rS2 for the bridge S2"):
+        loads_felt(replace(run, channels=channels), balance, zero=NONE)
+
+
+def test_bridges_go_by_other_usual_names(balance: BalanceMatrix) -> None:
+    run = recorded(balance.outputs(np.zeros((40, 6))) + np.arange(6.0))
+    renamed = {"rAF": "rAxial", "rRM": "rRoll", "rS1": "rY1"}
+    channels = {
+        renamed.get(name, name): replace(channel, name=renamed.get(name, name))
+        for name, channel in run.channels.items()
+    }
+    table, _ = gauge_table(replace(run, channels=channels), balance)
+    assert np.allclose(table, np.arange(6.0), atol=1e-12)
+
+
+def test_outputs_far_outside_say_so(balance: BalanceMatrix) -> None:
+    wild = recorded(np.full((40, 6), 1e9))
+    with (
+        pytest.raises(FitError, match="no sample gives loads") if _unsolvable(balance) else pytest.warns(DoubtWarning)
+    ):
+        loads_felt(wild, balance, zero=NONE)
+
+
+def _unsolvable(balance: BalanceMatrix) -> bool:
+    return bool((balance.loads(np.full((1, 6), 1e9)).steps == 0).all())
+
+
+def test_a_recording_with_loads_keeps_its_other_channels(balance: BalanceMatrix) -> None:
+    pitch = np.linspace(0, 0.1, 40)
+    run = recorded(balance.outputs(np.zeros((40, 6))), extra={"pitch": ("rad", pitch)})
+    felt: LoadsFelt = loads_felt(run, balance, zero=NONE)
+    ready = with_loads(run, felt)
+    assert set(ready.channels) == {"pitch", "NF", "PM", "SF", "YM", "RM", "AF"}
+    assert np.array_equal(ready.channel("pitch").values, pitch)
