@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance import _term_kernels as kernels
-from aerobalance.components import COMPONENTS
+from aerobalance.components import COMPONENTS, MOMENTS
 from aerobalance.recording import Array
 
 BalanceType = Literal["force", "moment", "direct", "unknown"]
+Form = Literal["direct", "force", "moment"]
 Way = Literal["iterative", "non-iterative"]
 Model = Literal["linear", "quadratic", "abs", "27", "96", "auto"]
 
@@ -173,6 +174,31 @@ def to_direct(components: tuple[str, ...], geometry: Geometry | None) -> Array |
         native[row : row + 2, roles.index(f"aft {pair}")] = part[:, 1]
     complete = len(components) == 6 and np.linalg.matrix_rank(native) == 6
     return native if complete else None
+
+
+FORMS: Final[Mapping[str, tuple[str, ...]]] = {
+    "direct": COMPONENTS,
+    "force": ("N1", "N2", "S1", "S2", "RM", "AF"),
+    "moment": ("PM1", "PM2", "YM1", "YM2", "RM", "AF"),
+}
+"""The forms that six loads are given in (AIAA R-091): direct-read, force balance, moment balance."""
+
+FORM_MOMENTS: Final[Mapping[str, tuple[bool, ...]]] = {
+    "direct": tuple(name in MOMENTS for name in COMPONENTS),
+    "force": (False, False, False, False, True, False),
+    "moment": (True, True, True, True, True, False),
+}
+
+
+def between_forms(components: tuple[str, ...], form: Form, geometry: Geometry | None) -> Array:
+    """Matrix that turns the loads of a balance into another form; raises ValueError where that is not possible."""
+    T = to_direct(components, geometry)
+    back = to_direct(FORMS[form], geometry)
+    if T is None or back is None:
+        raise ValueError(
+            f"{', '.join(components)} cannot become {', '.join(FORMS[form])} without the distances of the gauges"
+        )
+    return np.asarray(np.linalg.solve(back, T))
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,11 +455,6 @@ class BalanceMatrix:
                 )
         np.fill_diagonal(cross, 0.0)
         return PaperForm(1 / own, cross / own[:, None], square / own[:, None, None])
-
-    def in_direct(self, values: Array) -> tuple[tuple[str, ...], Array]:
-        """Names and values of loads, shape (n, c), in direct-read form where that is known, else as they are."""
-        T = self.direct
-        return (self.components, values) if T is None else (COMPONENTS, values @ T.T)
 
 
 class PaperForm(NamedTuple):

@@ -82,6 +82,14 @@ class Model(StrEnum):
     AUTO = "auto"
 
 
+class LoadForm(StrEnum):
+    """Which six loads are given."""
+
+    DIRECT = "direct"
+    FORCE = "force"
+    MOMENT = "moment"
+
+
 class Way(StrEnum):
     """Which way a balance matrix goes."""
 
@@ -232,6 +240,10 @@ def loads(
     mass: Annotated[
         Path | None, typer.Option("--mass", help="mass.json of a weighing, whose weight is taken off.")
     ] = None,
+    form: Annotated[
+        LoadForm | None,
+        typer.Option("--form", help="direct: NF PM SF YM RM AF; force: N1 N2 ...; moment: PM1 PM2 ..."),
+    ] = None,
     channel_map: Map = None,
     as_json: Json = False,
 ) -> None:
@@ -239,7 +251,13 @@ def loads(
     from aerobalance.commands import loads as command
 
     files = command.BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare, mass=mass)
-    show(lambda: command.loads(rec, out, files=files, channel_map=channel_map), as_json, doing="solving for the loads")
+    show(
+        lambda: command.loads(
+            rec, out, files=files, form=None if form is None else form.value, channel_map=channel_map
+        ),
+        as_json,
+        doing="solving for the loads",
+    )
 
 
 @app.command(epilog=example("weigh points.csv -o mass.json"))

@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.balance import BalanceMatrix, role_of
-from aerobalance.components import is_gauge, si_unit
+from aerobalance.balance import FORM_MOMENTS, FORMS, BalanceMatrix, Form, between_forms, role_of
+from aerobalance.components import is_gauge
 from aerobalance.gauges import gauge_outputs
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning, FitError
@@ -76,6 +76,8 @@ class LoadsFelt:
         Largest contraction factor of the iteration ([R091]_ converges below 1).
     zero
         The gauge zeros that were taken.
+    transform
+        Matrix from the balance's own components to those of the result, shape (c, c).
     """
 
     components: tuple[str, ...]
@@ -87,6 +89,7 @@ class LoadsFelt:
     beyond: Mapping[str, int]
     contraction: float
     zero: GaugeZero
+    transform: Array
 
     @property
     def uncertainty(self) -> Array:
@@ -172,6 +175,7 @@ def loads_felt(
     *,
     zero: GaugeZero | None = None,
     tare: tuple[Array, Array] | None = None,
+    form: Form | None = None,
 ) -> LoadsFelt:
     """Work out the loads felt, Eq. (2) of [Gorbushin2020]_.
 
@@ -186,6 +190,8 @@ def loads_felt(
     tare
         Loads to take off, shape (n, 6) or (1, 6) in the components of the result, and their standard uncertainty:
         weight by `weighing`, or wind-off loads.
+    form
+        Form of the result; direct-read, where that is possible, if left out.
 
     Raises
     ------
@@ -222,20 +228,15 @@ def loads_felt(
     noise = np.array([_noise(channel) for channel in channels])
     middle = balance.sensitivity(np.median(native[known], axis=0)[None, :])[0]
     covariance = _static_covariance(balance, native, zero, channels)
-    T = np.eye(len(balance.components)) if balance.direct is None else balance.direct
-    components, values = balance.in_direct(native)
+    components, moments, T = _form_of(balance, form)
+    values = native @ T.T
     calibration = np.sqrt(np.maximum(np.einsum("ij,njk,ik->ni", T, covariance, T), 0.0))
     if tare is not None:
         values = values - tare[0]
         calibration = np.hypot(calibration, tare[1])
-    units = (
-        tuple("N*m" if moment else "N" for moment in balance.moments)
-        if balance.direct is None
-        else tuple(si_unit(name) for name in components)
-    )
     return LoadsFelt(
         components=components,
-        units=units,
+        units=tuple("N*m" if moment else "N" for moment in moments),
         values=values,
         noise=np.sqrt(np.maximum(np.diag(T @ middle @ np.diag(noise**2) @ middle.T @ T.T), 0.0)),
         calibration=calibration,
@@ -243,7 +244,16 @@ def loads_felt(
         beyond=beyond,
         contraction=contraction,
         zero=zero,
+        transform=T,
     )
+
+
+def _form_of(balance: BalanceMatrix, form: Form | None) -> tuple[tuple[str, ...], Sequence[bool], Array]:
+    """Names of the components of a form, which of them are moments, and the matrix from the balance's own."""
+    if form is None and balance.direct is None:
+        return balance.components, balance.moments.tolist(), np.eye(len(balance.components))
+    chosen: Form = form or "direct"
+    return FORMS[chosen], FORM_MOMENTS[chosen], between_forms(balance.components, chosen, balance.geometry)
 
 
 def _doubt(text: str) -> None:
@@ -385,7 +395,7 @@ def static_uncertainty(felt: LoadsFelt, balance: BalanceMatrix, *, forces: Mappi
     """
     columns = [forces.get(name, felt.values[:, i]) for i, name in enumerate(felt.components)]
     # what zeros and tares add does not depend on the load
-    T = np.eye(len(balance.components)) if balance.direct is None else balance.direct
+    T = felt.transform
     offset = felt.native @ T.T - felt.values
     native = np.linalg.solve(T, (np.column_stack(columns) + np.nan_to_num(offset)).T).T
     covariance = balance.load_covariance(np.nan_to_num(native))

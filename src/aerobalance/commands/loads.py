@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aerobalance.balance import TOLERANCE, BalanceMatrix
+from aerobalance.balance import TOLERANCE, BalanceMatrix, Form
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of
 from aerobalance.components import COMPONENTS
 from aerobalance.io import check_output, write_loads
@@ -102,7 +102,7 @@ class BalanceFiles:
 
 
 def reduced(
-    recording: Recording, files: BalanceFiles, *, channel_map: Path | None = None
+    recording: Recording, files: BalanceFiles, *, form: Form | None = None, channel_map: Path | None = None
 ) -> tuple[LoadsFelt, BalanceMatrix]:
     """Loads felt in a recording, with zeros and tares from their files."""
     if files.tare and files.mass is not None:
@@ -116,12 +116,14 @@ def reduced(
             stacklevel=2,
         )
     zero = _zero(files, matrix, channel_map)
+    if form not in (None, "direct") and (files.tare or files.mass is not None):
+        raise ValueError(f"--form {form} cannot go with --tare or --mass, which are in direct-read form")
     tare = None
     if files.tare:
         tare = wind_off_loads(recording, [recording_of(path, channel_map) for path in files.tare], matrix, zero=zero)
     elif files.mass is not None:
         tare = _weight(recording, files.mass, matrix)
-    return loads_felt(recording, matrix, zero=zero, tare=tare), matrix
+    return loads_felt(recording, matrix, zero=zero, tare=tare, form=form), matrix
 
 
 def _zero(files: BalanceFiles, matrix: BalanceMatrix, channel_map: Path | None) -> GaugeZero | None:
@@ -205,13 +207,15 @@ def weighed_loads(
     return [with_loads(recording, item) for recording, item in zip(recordings, felt, strict=True)], components
 
 
-def loads(path: Path, out: Path, *, files: BalanceFiles, channel_map: Path | None = None) -> Account:
+def loads(
+    path: Path, out: Path, *, files: BalanceFiles, form: Form | None = None, channel_map: Path | None = None
+) -> Account:
     """Loads felt, from the gauge outputs of a recording."""
     check_output(out)
     check_out(out, path, channel_map, *files.paths)
     with doubts() as collected:
         recording = recording_of(path, channel_map)
-        felt, matrix = reduced(recording, files, channel_map=channel_map)
+        felt, matrix = reduced(recording, files, form=form, channel_map=channel_map)
     write_loads(out, recording, felt)
     return {"written": out.name, **loads_account(felt, matrix), "warnings": collected}
 

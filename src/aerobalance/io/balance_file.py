@@ -127,6 +127,12 @@ def _component(calibration: Calibration, quality: Quality, index: int) -> dict[s
         "residual_std_percent_of_capacity": 100 * float(quality.deviation[index]),
         "residual_std_percent_of_half_range": 100 * float(quality.of_half_range[index]),
         "residual_largest_percent_of_capacity": 100 * float(quality.largest[index]),
+        "residual_largest_percent_of_half_range": 100
+        * float(
+            quality.largest[index] * quality.of_half_range[index] / quality.deviation[index]
+            if quality.deviation[index]
+            else 0.0
+        ),
         "press_percent_of_capacity": 100 * press,
         "r_squared": fit.r_squared,
         "degrees_of_freedom": fit.degrees_of_freedom,
