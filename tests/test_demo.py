@@ -14,8 +14,9 @@ import pytest
 from aerobalance.cli import main
 from aerobalance.comparison import split_deviation
 from aerobalance.demo import run_demo, step_data
+from aerobalance.page import PLACE_HOLDERS, number, significant, with_uncertainty
 from aerobalance.problems import DoubtWarning
-from aerobalance.report import PLACE_HOLDERS, number, significant, step_figure, with_uncertainty
+from aerobalance.report import step_figure
 
 VOID = {"meta", "br", "link", "img", "hr", "input"}
 
