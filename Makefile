@@ -10,7 +10,7 @@ demo: $(READY)
 	$(BIN)/aerobalance demo --out build/demo
 
 test: $(READY)
-	$(BIN)/python -m pytest -n auto
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
 check: $(READY)
 	$(BIN)/ruff check .
@@ -19,7 +19,7 @@ check: $(READY)
 	$(BIN)/lint-imports
 
 bench: $(READY)
-	$(BIN)/python -m pytest tests/benchmarks -o addopts="" --benchmark-disable -q
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks -o addopts="" --benchmark-disable -q
 
 docs: $(READY)
 	$(BIN)/sphinx-build -W --keep-going -b html docs build/docs

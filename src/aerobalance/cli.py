@@ -129,9 +129,17 @@ def demo(
     seed: Annotated[
         int | None, typer.Option("--seed", help="Seed of the simulated noise; fresh when not given.")
     ] = None,
+    tables: Annotated[
+        bool, typer.Option("--tables", help="Make the paper's Tables 1 and 2 instead, with every rival (tables.html).")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Run both of the paper's experiments, simulated, end to end, and write report.html."""
+    if tables:
+        from aerobalance.tables import run_tables
+
+        show(lambda: run_tables(out, seed=seed), as_json, doing="running every rival", plain="summary")
+        return
     from aerobalance.demo import run_demo
 
     show(lambda: run_demo(out, seed=seed), as_json, doing="running both experiments")
@@ -384,6 +392,86 @@ def force(
         ),
         as_json,
         doing="estimating the force",
+    )
+
+
+@app.command(epilog=example("plan --dynamics dynamics.json --noise 2 --rate 1600 --force 200"))
+def plan(
+    dynamics: Annotated[Path, typer.Option("--dynamics", help="The dynamics.json that identify wrote.")],
+    noise: Annotated[float, typer.Option("--noise", help="Standard uncertainty of one reading of the load, in N.")],
+    rate: Annotated[float, typer.Option("--rate", help="Sampling rate in Hz.")],
+    component: Annotated[
+        str | None, typer.Option("--component", help="Which component, where there are more.")
+    ] = None,
+    acceleration_noise: Annotated[
+        float, typer.Option("--acceleration-noise", help="The same of the ground accelerometer, in m/s^2.")
+    ] = 0.0,
+    force: Annotated[
+        float | None, typer.Option("--force", help="Root mean square of the force expected, in N.")
+    ] = None,
+    bandwidth: Annotated[
+        list[float] | None, typer.Option("--bandwidth", help="Highest frequency of the force in Hz (repeatable).")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Before the test: attainable uncertainty against bandwidth, and which sensor limits it."""
+    from aerobalance.commands import plan as command
+
+    show(
+        lambda: command.plan(
+            dynamics,
+            noise=noise,
+            rate=rate,
+            component=component,
+            acceleration_noise=acceleration_noise,
+            force=force,
+            bandwidths=bandwidth or (),
+        ),
+        as_json,
+        doing="planning",
+        plain="summary",
+    )
+
+
+@app.command(epilog=example("compare run.csv --dynamics dynamics.json --truth truth.csv -o compare.html"))
+def compare(
+    rec: Rec,
+    dynamics: Annotated[Path, typer.Option("--dynamics", help="The dynamics.json that identify wrote.")],
+    truth: Annotated[
+        Path | None, typer.Option("--truth", help="Force really applied, on the record's clock: time [s],AF [N].")
+    ] = None,
+    component: Component = "AF",
+    step: Annotated[
+        Path | None,
+        typer.Option("--step", help="Record of one step or impulse, for the black-box inverse; else the model's own."),
+    ] = None,
+    half_range: Annotated[
+        float | None,
+        typer.Option("--half-range", help="What percentages refer to; half of the truth's span if left out."),
+    ] = None,
+    out: Out = None,
+    gravity: Gravity = STANDARD_GRAVITY,
+    channel_map: Map = None,
+    as_json: Json = False,
+) -> None:
+    """Show this estimator and its rivals side by side on one record, with their errors where the truth is given."""
+    from aerobalance.commands import compare as command
+
+    show(
+        lambda: command.compare(
+            rec,
+            dynamics=dynamics,
+            truth=truth,
+            component=component,
+            step=step,
+            half_range=half_range,
+            gravity=gravity,
+            channel_map=channel_map,
+            out=out,
+        ),
+        as_json,
+        doing="running the rivals",
+        plain="summary",
     )
 
 

@@ -286,7 +286,10 @@ class _Data:
         used = self.series_used
         outputs = self.outputs - self._warm(terms, regressions)[self.schedule.fitted]
         tares = np.full((len(self.schedule.series_names), self.loads.shape[1]), np.nan)
-        now = np.zeros((used.size, self.loads.shape[1]))
+        now: Array = np.zeros((used.size, self.loads.shape[1]))
+        if self.way == "iterative":  # from nothing it need not settle where the fixtures are heavy
+            C, left = self._coefficients(terms, masks, np.zeros_like(tares))
+            now = np.asarray(np.linalg.solve(_linear(terms, C), left.T).T, dtype=np.float64)
         places: list[Array] = []
         steps: list[Array] = []
         for _ in range(TARE_ROUNDS):
@@ -313,7 +316,13 @@ class _Data:
         C = np.zeros((len(terms), self.loads.shape[1]))
         for i, mask in enumerate(masks):
             C[mask, i] = scipy.linalg.lstsq(design[:, mask], y[:, i], lapack_driver="gelsy")[0]
-        computed = _solve(terms, C, outputs) if self.way == "iterative" else design @ C
+        if self.way == "non-iterative":
+            computed = design @ C
+        else:
+            computed = _solve(terms, C, outputs)
+            # far from the tares the first matrices may not lead back to every load: one linear step stands in
+            near = total + np.linalg.solve(_linear(terms, C), (outputs - design @ C).T).T
+            computed = np.where(np.isfinite(computed).all(axis=1, keepdims=True), computed, near)
         return np.array([(computed - total)[series == number].mean(axis=0) for number in self.series_used])
 
     def matrix(

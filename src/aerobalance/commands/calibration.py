@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 import warnings
 from collections.abc import Sequence
@@ -12,8 +11,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from aerobalance.balance import BalanceMatrix, Geometry, Model, Way
 from aerobalance.calibration.drift import compare_calibrations
@@ -23,7 +20,7 @@ from aerobalance.calibration.fit import calibrate as fit_matrix
 from aerobalance.calibration.quality import Quality, assess
 from aerobalance.calibration.terms import HIGHEST_INFLATION
 from aerobalance.commands.loads import read_matrix
-from aerobalance.commands.shared import Account, check_out, doubts
+from aerobalance.commands.shared import Account, check_out, doubts, table_text
 from aerobalance.io.artefacts import provenance, write_json
 from aerobalance.io.balance_file import calibration_payload, write_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix
@@ -172,37 +169,22 @@ def _doubt(text: str) -> None:
 def summary(calibration: Calibration, quality: Quality) -> str:
     """Lay the calibration out as a table for people, one component a line."""
     schedule = calibration.schedule
-    table = Table(
-        title=f"{schedule.name}: model {calibration.model}, {calibration.way}", box=None, title_justify="left"
-    )
-    for heading in ("load", "terms", "std", "largest", "PRESS", "hysteresis", "repeats", "+/- differ", "R2"):
-        table.add_column(heading, justify="left" if heading == "load" else "right")
-    table.add_row("", "", *["% cap."] * 5, "%", "")
+    rows = [("", "", *["% cap."] * 5, "%", "")]
     for i, name in enumerate(schedule.components):
         fit, direction = calibration.regressions[i], quality.directions[i]
         marks = (
             f"{100 * direction.difference:+.2f}{'*' if direction.bidirectional else ' '}" if direction.known else "-"
         )
-        table.add_row(
-            name,
-            str(int(fit.included.sum())),
-            *(
-                "-" if np.isnan(value) else f"{100 * value:.3f}"
-                for value in (
-                    quality.deviation[i],
-                    quality.largest[i],
-                    fit.press,
-                    quality.hysteresis[i],
-                    quality.repeatability[i],
-                )
-            ),
-            marks,
-            f"{fit.r_squared:.7f}",
-        )
-    console = Console(width=110, record=True, file=io.StringIO())
-    console.print(table)
+        shares = (quality.deviation[i], quality.largest[i], fit.press, quality.hysteresis[i], quality.repeatability[i])
+        percent = ("-" if np.isnan(share) else f"{100 * share:.3f}" for share in shares)
+        rows.append((name, str(int(fit.included.sum())), *percent, marks, f"{fit.r_squared:.7f}"))
+    table = table_text(
+        f"{schedule.name}: model {calibration.model}, {calibration.way}",
+        ("load", "terms", "std", "largest", "PRESS", "hysteresis", "repeats", "+/- differ", "R2"),
+        rows,
+    )
     left_out = calibration.unidentified_labels
-    lines = [console.export_text().rstrip(), "  * bidirectional (AIAA R-091)"]
+    lines = [table, "  * bidirectional (AIAA R-091)"]
     if left_out:
         lines.append(f"terms that the schedule cannot identify, left out: {', '.join(left_out)}")
     if calibration.tares_by_iteration is not None:

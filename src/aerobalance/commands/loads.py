@@ -16,9 +16,18 @@ from aerobalance.io import check_output, write_loads
 from aerobalance.io.balance_file import read_balance, write_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix, read_balfit_matrix, write_balfit_matrix
 from aerobalance.io.weighing_file import read_weighing
-from aerobalance.loads import GaugeZero, LoadsFelt, gauge_zero, loads_felt, wind_off_loads, with_loads
+from aerobalance.loads import (
+    GaugeZero,
+    LoadsFelt,
+    gauge_zero,
+    loads_felt,
+    smooth_variance,
+    wind_off_loads,
+    with_loads,
+)
 from aerobalance.problems import DoubtWarning, FitError, ReadError
 from aerobalance.recording import Array, Recording
+from aerobalance.weighing import LoadPoints, points_from_recordings
 
 
 def is_matrix(path: Path) -> bool:
@@ -178,11 +187,13 @@ def weighed_loads(
     *,
     channel_map: Path | None = None,
     names: tuple[str, ...] | None = None,
-) -> tuple[list[Recording], tuple[str, ...]]:
-    """Recordings with the loads felt, for weighing, and the components that they have.
+) -> LoadPoints:
+    """Static points of the loads felt, for weighing.
 
-    Where neither the run nor the calibration has zeros, the mean of all recordings stands for them: weighing finds the
-    offsets anyway, and only curved or bidirectional bridges care where their zero is.
+    The error of the matrix is no noise: it goes with the load, so it can pass for a mass, an offset or a tilt. A
+    smooth error of u over n points counts like noise of u sqrt(n) a point. Where neither the run nor the calibration
+    has zeros, the mean of all recordings stands for them: weighing finds the offsets anyway, and only curved or
+    bidirectional bridges care where their zero is.
     """
     if files.zero_after or files.tare or files.mass is not None:
         raise ValueError("weighing takes --zero alone: tares and closing zeros would take off what is weighed")
@@ -204,7 +215,12 @@ def weighed_loads(
             f"the balance has {', '.join(felt[0].components)}; weighing needs "
             f"{', '.join(names or COMPONENTS)}, for which the calibration lacks the gauges' distances"
         )
-    return [with_loads(recording, item) for recording, item in zip(recordings, felt, strict=True)], components
+    points = points_from_recordings(
+        [with_loads(recording, item) for recording, item in zip(recordings, felt, strict=True)], components
+    )
+    smooth = np.sqrt(np.mean([smooth_variance(item, matrix) for item in felt], axis=0))
+    own = smooth[[felt[0].components.index(name) for name in components]] * np.sqrt(len(points.pitch))
+    return replace(points, noise=np.hypot(0.0 if points.noise is None else points.noise, own))
 
 
 def loads(

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 from aerobalance.components import COMPONENTS
 from aerobalance.io import (
@@ -82,3 +85,15 @@ def known_component(component: str) -> None:
     """Refuse a name that is no component."""
     if component not in COMPONENTS:
         raise ValueError(f"--component must be one of {', '.join(COMPONENTS)}, not {component}")
+
+
+def table_text(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Lay out a table for people: the first column to the left, the others to the right."""
+    table = Table(box=None)
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if number else "left")
+    for row in rows:
+        table.add_row(*row)
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(table)
+    return "\n".join([title, *(line.rstrip() for line in console.export_text().rstrip().split("\n"))])

@@ -20,8 +20,8 @@ from aerobalance.io.artefacts import (
 )
 from aerobalance.io.points import read_points
 from aerobalance.io.weighing_file import weighing_payload, write_weighing
-from aerobalance.weighing import points_from_recordings, weigh_components
 from aerobalance.weighing import weigh as fit_mass
+from aerobalance.weighing import weigh_components
 
 
 def weigh(
@@ -47,7 +47,7 @@ def weigh(
         if files is None:
             points = read_points(paths, names, channel_map=chosen)
         else:
-            points = points_from_recordings(*weighed_loads(paths, files, channel_map=channel_map, names=names))
+            points = weighed_loads(paths, files, channel_map=channel_map, names=names)
         if len(points.components) > 1:
             weighing = weigh_components(points, gravity=gravity)
             settings: Account = {"components": points.components, "gravity": gravity}

@@ -1,0 +1,118 @@
+"""The command plan: what a test can reach, before it is made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from aerobalance.commands.shared import Account, doubts, table_text
+from aerobalance.components import si_unit
+from aerobalance.dynamics import Dynamics
+from aerobalance.io.artefacts import read_dynamics
+from aerobalance.planning import Attainable, attainable, live_lag, usual_bandwidths
+
+
+def plan(
+    dynamics: Path,
+    *,
+    noise: float,
+    rate: float,
+    component: str | None = None,
+    acceleration_noise: float = 0.0,
+    force: float | None = None,
+    bandwidths: Sequence[float] = (),
+) -> Account:
+    """Attainable uncertainty against bandwidth and sampling rate."""
+    known = read_dynamics(dynamics)
+    if component is None:
+        if len(known) > 1:
+            raise ValueError(f"{dynamics} has {', '.join(known)}; name one with --component")
+        component = next(iter(known))
+    if component not in known:
+        raise ValueError(f"{dynamics} has no {component}; it has {', '.join(known)}")
+    if not 0 < rate < float("inf"):
+        raise ValueError(f"--rate must be positive, not {rate:g}")
+    chosen = known[component]
+    sensors = {"noise": noise, "acceleration_noise": acceleration_noise, "force": force}
+    with doubts() as collected:
+        rows = [
+            attainable(chosen, bandwidth=bandwidth, rate=rate, **sensors)  # type: ignore[arg-type]
+            for bandwidth in (bandwidths or usual_bandwidths(chosen, rate))
+        ]
+        faster = [
+            attainable(chosen, bandwidth=_edge(chosen, rate), rate=factor * rate, **sensors)  # type: ignore[arg-type]
+            for factor in (1, 2, 4, 8)
+        ]
+    account: Account = {
+        "component": component,
+        "unit": si_unit(component),
+        "natural_frequency": {"value": chosen.natural_frequency, "unit": "Hz"},
+        "rate": rate,
+        "noise_of_reading": noise,
+        "noise_of_acceleration": acceleration_noise,
+        "force_rms": force,
+        "attainable": [_row(row) for row in rows],
+        "at_other_rates": [
+            {"rate": factor * rate, **_row(row)} for factor, row in zip((1, 2, 4, 8), faster, strict=True)
+        ],
+        "live_lag": {"value": live_lag(chosen), "unit": "s"},
+        "advice": _advice(faster[0], chosen, force),
+        "warnings": collected,
+    }
+    return {**account, "summary": _summary(account)}
+
+
+def _edge(dynamics: Dynamics, rate: float) -> float:
+    """Bandwidth at which sampling rates are compared: through resonance, where the rate allows it."""
+    return min(1.25 * dynamics.natural_frequency, rate / 2)
+
+
+def _row(row: Attainable) -> Account:
+    return {
+        "bandwidth": row.bandwidth,
+        "u": row.total,
+        "u_reading": row.reading,
+        "u_acceleration": row.acceleration,
+        "u_parameters": row.parameters,
+        "noise_gain": row.noise_gain,
+        "limited_by": row.limited_by,
+    }
+
+
+def _advice(row: Attainable, dynamics: Dynamics, force: float | None) -> str:
+    """Say what to improve first."""
+    improve = {
+        "noise of the balance reading": "a quieter amplifier, more excitation or a higher sampling rate",
+        "noise of the ground accelerometer": "a quieter accelerometer on the ground end (or a stiffer support)",
+        "mass, stiffness, damping, delay": "weighing and identification: a longer record, or several releases",
+    }[row.limited_by]
+    text = f"up to {row.bandwidth:.4g} Hz the limit is the {row.limited_by}: {improve}"
+    if force is None and dynamics.covariance.any():
+        text += ". Give --force to see what mass, stiffness and damping add"
+    return text
+
+
+def _summary(account: Account) -> str:
+    unit = account["unit"]
+    table = table_text(
+        f"{account['component']}: standard uncertainty of one sample, f0 = "
+        f"{account['natural_frequency']['value']:.5g} Hz, {account['rate']:.5g} Hz",
+        ("bandwidth", "u", "reading", "accelerometer", "parameters", "noise gain", "limited by"),
+        [("Hz", unit, unit, unit, unit, "", "")]
+        + [
+            (
+                f"{row['bandwidth']:.4g}",
+                *(f"{row[key]:.3g}" for key in ("u", "u_reading", "u_acceleration", "u_parameters", "noise_gain")),
+                row["limited_by"],
+            )
+            for row in account["attainable"]
+        ],
+    )
+    rates = table_text(
+        f"up to {account['at_other_rates'][0]['bandwidth']:.4g} Hz, sampled faster at the same noise per sample",
+        ("rate", "u", "limited by"),
+        [("Hz", unit, "")]
+        + [(f"{row['rate']:.5g}", f"{row['u']:.3g}", row["limited_by"]) for row in account["at_other_rates"]],
+    )
+    lag = f"live, the force follows {1e3 * account['live_lag']['value']:.3g} ms behind"
+    return "\n".join([table, "", rates, "", lag, account["advice"], ""])

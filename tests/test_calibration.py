@@ -1,0 +1,546 @@
+"""Calibration on the simulated stand: coefficients, tares and loads against the truth, statistics against oracles."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from aerobalance import _term_kernels as kernels
+from aerobalance.balance import BalanceMatrix, codes, terms_of
+from aerobalance.calibration.fit import Calibration, calibrate
+from aerobalance.calibration.quality import assess
+from aerobalance.calibration.regression import regress
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording import Array
+from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, SimulatedCalibration, random_balance
+from aerobalance.schedule import Schedule
+
+NOISE = 0.7e-3
+FALSE_ALARM = 1e-6
+
+
+def generator() -> np.random.Generator:
+    entropy = np.random.SeedSequence().entropy
+    print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
+    return np.random.default_rng(entropy)
+
+
+def seed(rng: np.random.Generator) -> int:
+    return int(rng.integers(2**31))
+
+
+def plain_schedule(
+    loads: Array, outputs: Array, *, series: Array | None = None, zeros: Array | None = None
+) -> Schedule:
+    n, c = loads.shape
+    numbers = np.zeros(n, dtype=np.intp) if series is None else series
+    names = ("N1", "N2", "S1", "S2", "RM", "AF")[:c]
+    return Schedule(
+        name="test",
+        components=names,
+        gauges=names,
+        loads=loads,
+        outputs=outputs,
+        series=numbers,
+        series_names=tuple(f"series {k + 1}" for k in range(int(numbers.max()) + 1)),
+        points=tuple(f"P-{k}" for k in range(n)),
+        capacities=CAPACITIES[:c],
+        moments=np.array([name == "RM" for name in names]),
+        load_units=("N",) * c,
+        natural_zeros=np.zeros((0, c)) if zeros is None else zeros,
+        confirmation=np.zeros(n, dtype=bool),
+    )
+
+
+def single_loads(
+    balance: BalanceMatrix, rng: np.random.Generator, *, noise: float = NOISE, low: float = -1
+) -> Schedule:
+    """One load at a time, one series a component and sign, without natural zeros: as .vol files have it."""
+    rows, series = [], []
+    for number, (k, sign) in enumerate(itertools.product(range(6), (1, -1) if low < 0 else (1,))):
+        for step in (0, 0.2, 0.4, 0.6, 0.8, 1, 0.5, 0):
+            rows.append(sign * step * np.eye(6)[k])
+            series.append(number)
+    loads = np.array(rows) * CAPACITIES
+    outputs = balance.outputs(loads) + 0.02 + rng.normal(0, noise, loads.shape)
+    return plain_schedule(loads, outputs, series=np.array(series))
+
+
+# ---- Eq. (2) --------------------------------------------------------------------------------------------
+
+
+def test_equation_2_comes_back_to_rounding() -> None:
+    rng = generator()
+    own = CAPACITIES / rng.uniform(0.8, 1.4, 6) * rng.choice([-1, 1], 6)
+    cross = rng.normal(0, 0.03, (6, 6)) * CAPACITIES[:, None] / CAPACITIES
+    np.fill_diagonal(cross, 0)
+    square = rng.normal(0, 0.004, (6, 6, 6)) * CAPACITIES[:, None, None] / np.outer(CAPACITIES, CAPACITIES)
+    square *= np.triu(np.ones((6, 6)))
+    loads = CalibrationStand(random_balance(0)).run(seed(rng)).schedule.loads
+    series = np.zeros(len(loads), dtype=np.intp)
+    # Eq. (2) solved for N_i, term by term
+    outputs = np.empty_like(loads)
+    for k, X in enumerate(loads):
+        for i in range(6):
+            value = X[i]
+            for j in range(6):
+                value -= cross[i, j] * X[j] if j != i else 0.0
+                for s in range(j, 6):
+                    value -= square[i, j, s] * X[j] * X[s]
+            outputs[k, i] = value / own[i]
+    fit = calibrate(plain_schedule(loads, outputs, series=series, zeros=np.zeros((4, 6))), model="quadratic")
+    form = fit.matrix.paper_form()
+    # the design's condition number, with its 28 columns and n points, multiplies the roundings of the readings
+    tolerance = 10 * fit.condition * np.finfo(float).eps * 28
+    assert tolerance < 1e-10
+    np.testing.assert_allclose(form.own / own, 1, rtol=0, atol=tolerance)
+    np.testing.assert_allclose((form.cross - cross) / CAPACITIES[:, None] * CAPACITIES, 0, atol=tolerance)
+    scale = CAPACITIES[:, None, None] / np.outer(CAPACITIES, CAPACITIES)
+    np.testing.assert_allclose((form.square - square) / scale, 0, atol=tolerance)
+    assert np.max(np.abs(fit.tares / CAPACITIES)) < tolerance
+
+
+# ---- the 6x96 truth on sixteen series -------------------------------------------------------------------
+
+
+def fisher(balance: BalanceMatrix, run: SimulatedCalibration) -> Array:
+    """Covariance that no unbiased estimate can be below (Cramer-Rao), of tares over capacity, in order (s, c).
+
+    From the full Jacobian of all readings by all coefficients, all tares and the natural zeros.
+    """
+    schedule = run.schedule
+    x = np.ascontiguousarray((schedule.loads + run.tares[schedule.series]) / CAPACITIES)
+    H = kernels.design(*codes(balance.terms), x)
+    J = kernels.jacobians(*codes(balance.terms), balance.coefficients, x)
+    (n, p), c, s = H.shape, 6, len(schedule.series_names)
+    A = np.zeros((c * (n + 1), c * (p + s + 1)))
+    for i in range(c):
+        rows = slice(i * n, (i + 1) * n)
+        A[rows, i * p : (i + 1) * p] = H
+        for m in range(c):
+            A[np.arange(n) + i * n, c * p + schedule.series * c + m] = J[:, i, m]
+        A[rows, c * (p + s) + i] = 1
+        A[c * n + i, c * (p + s) + i] = np.sqrt(len(schedule.natural_zeros))
+    A *= np.concatenate([np.repeat(balance.output_scale, n), balance.output_scale])[:, None] / NOISE
+    covariance = np.linalg.inv(A.T @ A)
+    return covariance[c * p : c * (p + s), c * p : c * (p + s)]
+
+
+@pytest.fixture(scope="module")
+def draws() -> list[tuple[BalanceMatrix, SimulatedCalibration, Calibration]]:
+    rng = generator()
+    found = []
+    for _ in range(20):
+        balance = random_balance(seed(rng))
+        run = CalibrationStand(balance, noise=NOISE).run(seed(rng))
+        found.append((balance, run, calibrate(run.schedule, model="96")))
+    return found
+
+
+def test_coefficients_are_covered(draws) -> None:
+    ratios = []
+    for balance, _, fit in draws:
+        assert fit.matrix.terms == balance.terms
+        gain = fit.matrix.output_scale / balance.output_scale
+        for i in range(6):
+            error = fit.matrix.coefficients[:, i] - balance.coefficients[:, i] / gain[i]
+            ratios.append(error @ np.linalg.solve(fit.matrix.covariance[i], error) / 96)
+    freedom = int(draws[0][2].matrix.degrees_of_freedom[0])
+    law = scipy.stats.f(96, freedom)  # the covariance has an estimated deviation
+    limit = scipy.stats.norm.isf(FALSE_ALARM / 2) * law.std() / np.sqrt(len(ratios))
+    # the fit takes the tares as known but for the intercepts: of second order, and below a tenth of the variance
+    assert abs(np.mean(ratios) - law.mean()) < limit + 0.1, f"{np.mean(ratios)} is not {law.mean()} +- {limit}"
+
+
+def test_tares_reach_the_bound_and_are_covered(draws) -> None:
+    scores, over_bound, spread = [], [], []
+    for balance, run, fit in draws:
+        covariance = fisher(balance, run)
+        error = ((fit.tares - run.tares) / CAPACITIES).ravel()
+        bound = np.sqrt(np.diag(covariance))
+        scores.append(np.mean((error / (fit.u_tares / CAPACITIES).ravel()) ** 2))
+        over_bound.append(np.mean((error / bound) ** 2))
+        correlation = covariance / np.outer(bound, bound)
+        # mean of squares of correlated normal numbers
+        spread.append(2 * np.sum(correlation**2) / error.size**2)
+    limit = scipy.stats.norm.isf(FALSE_ALARM / 2) * np.sqrt(np.mean(spread) / len(draws))
+    assert limit < 0.5
+    assert abs(np.mean(over_bound) - 1) < limit
+    # the deviation is estimated, from 236 readings or so in six components: 2 % at most
+    assert abs(np.mean(scores) - 1) < limit + 0.05
+
+
+def test_longer_series_tell_tares_to_three_hundredths_of_a_percent() -> None:
+    rng = generator()
+    balance = random_balance(seed(rng))
+    run = CalibrationStand(balance, noise=NOISE, repeats=4).run(seed(rng))
+    error = (calibrate(run.schedule, model="96").tares - run.tares) / CAPACITIES
+    covariance = fisher(balance, run)
+    # the requirement, as a standard deviation: 0.03 % of capacity; 0.7 uV/V is 0.05-0.08 % of it a reading
+    assert np.sqrt(np.mean(np.diag(covariance))) < 0.028e-2
+    assert np.sqrt(np.mean(error**2)) < 0.03e-2 * 1.5
+    bound = np.sqrt(np.diag(covariance))
+    assert np.max(np.abs(error.ravel()) / bound) < scipy.stats.norm.isf(FALSE_ALARM / 2 / error.size) * 1.1
+
+
+def test_both_ways_to_the_tares_agree(draws) -> None:
+    for balance, run, fit in draws[:5]:
+        assert fit.tares_by_iteration is not None
+        loads = run.schedule.loads + run.tares[run.schedule.series]
+        # one averages residuals as outputs, the other as loads: they differ by as much as the sensitivity changes over
+        # a series, times the part of noise that makes a tare uncertain
+        S = balance.sensitivity(loads) * balance.output_scale / CAPACITIES[:, None]
+        change = np.max(np.linalg.norm(S - S.mean(axis=0), axis=2))
+        limit = 5 * change * np.max(fit.u_tares / CAPACITIES)
+        assert np.max(np.abs(fit.tares - fit.tares_by_iteration) / CAPACITIES) < limit < 5e-4
+
+
+def test_heavy_fixtures_without_noise() -> None:
+    rng = generator()
+    balance = random_balance(seed(rng))
+    run = CalibrationStand(balance, tare_size=0.1).without_noise().run(seed(rng))
+    fit = calibrate(run.schedule, model="96")
+    assert fit.tares_by_iteration is not None
+    # the searches end at a last step of 1e-12 and 1e-9 of capacity. A round of the iteration takes off a hundredth of
+    # the error, as most of a tare passes for even terms, so that 1e-7 is left, and ten times that is allowed
+    np.testing.assert_allclose(fit.tares / CAPACITIES, run.tares / CAPACITIES, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(fit.tares_by_iteration / CAPACITIES, run.tares / CAPACITIES, rtol=0, atol=1e-6)
+
+
+def test_residuals_are_the_noise(draws) -> None:
+    squares = freedom = 0.0
+    for _, _, fit in draws:
+        for i, part in enumerate(fit.regressions):
+            n = part.residuals.size
+            assert part.degrees_of_freedom == n - 96 - 16
+            np.testing.assert_allclose(part.deviation**2 * part.degrees_of_freedom, np.sum(part.residuals**2))
+            squares += np.sum((part.residuals * fit.matrix.output_scale[i]) ** 2) / NOISE**2
+            freedom += part.degrees_of_freedom
+    low, high = scipy.stats.chi2.ppf([FALSE_ALARM / 2, 1 - FALSE_ALARM / 2], freedom)
+    assert low < squares < high
+
+
+@pytest.mark.parametrize("model", ["linear", "96"])
+def test_iterative_and_non_iterative_matrices_agree(model: str) -> None:
+    rng = generator()
+    balance = random_balance(seed(rng), model=model)
+    schedule = CalibrationStand(balance, noise=NOISE).run(seed(rng)).schedule
+    one, other = (calibrate(schedule, model=model, way=way).matrix for way in ("iterative", "non-iterative"))
+    # the loads of another run of the stand: the range that was calibrated
+    outputs = balance.outputs(CalibrationStand(balance).run(seed(rng)).schedule.loads)
+    difference = (one.loads(outputs).loads - other.loads(outputs).loads) / CAPACITIES
+    # each is uncertain by its residuals; a linear balance needs no inverse of higher order, which leaves rounding and
+    # the noise squared
+    noise = np.hypot(one.residual_deviation, other.residual_deviation)
+    assert (np.sqrt(np.mean(difference**2, axis=0)) < noise * (0.1 if model == "linear" else 1)).all()
+
+
+def test_tares_without_noise_are_exact() -> None:
+    rng = generator()
+    balance = random_balance(seed(rng))
+    run = CalibrationStand(balance).without_noise().run(seed(rng))
+    fit = calibrate(run.schedule, model="96")
+    # the search ends at a last step of 1e-12 of capacity and shrinks its error tenfold a step or better
+    np.testing.assert_allclose(fit.tares / CAPACITIES, run.tares / CAPACITIES, rtol=0, atol=1e-11)
+    gain = fit.matrix.output_scale / balance.output_scale
+    np.testing.assert_allclose(fit.matrix.coefficients * gain, balance.coefficients, rtol=0, atol=1e-10)
+
+
+def test_nothing_absolute_without_natural_zeros() -> None:
+    rng = generator()
+    schedule = CalibrationStand(random_balance(seed(rng)), natural_zeros=False, tare_size=0.0).run(seed(rng)).schedule
+    fit = calibrate(schedule, model="96")
+    assert fit.tares_by_iteration is None
+    assert fit.matrix.natural_zero is None
+    assert not fit.tares.any()
+    assert np.isnan(fit.u_tares).all()
+
+
+# ---- uncertainty of the loads ---------------------------------------------------------------------------
+
+
+def cover_of_errors(model: str, rng: np.random.Generator, *, count: int) -> Array:
+    """Variances of errors of loads over those foretold, shape (points, c), from many calibrations of one balance."""
+    balance = random_balance(seed(rng), model=model)
+    loads = rng.uniform(-0.9, 0.9, (4, 6)) * CAPACITIES
+    outputs = balance.outputs(loads)
+    errors, foretold = [], []
+    for _ in range(count):
+        matrix = calibrate(CalibrationStand(balance, noise=NOISE).run(seed(rng)).schedule, model=model).matrix
+        errors.append(matrix.loads(outputs).loads - loads)
+        foretold.append(matrix.load_covariance(loads, residual=False))
+    mean = np.mean(foretold, axis=0)
+    whitened = np.array(
+        [[np.linalg.solve(np.linalg.cholesky(S), e) for S, e in zip(mean, row, strict=True)] for row in errors]
+    )
+    return np.mean(whitened**2, axis=0)
+
+
+@pytest.mark.parametrize(
+    ("model", "count"), [("linear", 100), ("abs", 100), pytest.param("96", 40, marks=pytest.mark.slow)]
+)
+def test_covariance_of_loads_against_monte_carlo(model: str, count: int) -> None:
+    ratio = cover_of_errors(model, generator(), count=count)
+    # six components are independent; the four loads of one draw need not be
+    limit = scipy.stats.norm.isf(FALSE_ALARM / 2) * np.sqrt(2 / (6 * count))
+    assert abs(ratio.mean() - 1) < limit + 0.05, f"{ratio.mean()} is not 1 +- {limit}"
+
+
+def covers(truth: str, model: str, rng: np.random.Generator, *, count: int) -> list[float]:
+    """Share of confirmation points, loaded in all components, within two standard uncertainties, by calibration."""
+    shares = []
+    for _ in range(count):
+        stand = CalibrationStand(random_balance(seed(rng), model=truth), noise=NOISE, confirmation=1.0)
+        quality = assess(calibrate(stand.run(seed(rng)).schedule, model=model))
+        assert quality.confirmation_covered is not None
+        shares.append(float(quality.confirmation_covered.mean()))
+    return shares
+
+
+@pytest.mark.parametrize(
+    ("model", "count", "low", "high"),
+    # two standard deviations: 95.45 %. The errors of a calibration are common to all its points, the more so the more
+    # terms it has, so that one calibration differs from the next by 0.6 % (12 terms) to 2.3 % (96 terms)
+    [("linear", 12, 0.93, 0.97), ("abs", 12, 0.93, 0.97), ("96", 12, 0.92, 0.98)],
+)
+def test_cover_of_confirmation_points(model: str, count: int, low: float, high: float) -> None:
+    shares = covers(model, model, generator(), count=count)
+    assert low <= np.mean(shares) <= high, shares
+
+
+def test_cover_with_selected_terms() -> None:
+    # terms left out keep their uncertainty, but what they were worth is missing from the load
+    shares = covers("96", "auto", generator(), count=6)
+    assert np.mean(shares) >= 0.85, shares
+
+
+# ---- statistics against closed forms --------------------------------------------------------------------
+
+
+def test_regression_beside_closed_forms() -> None:
+    rng = generator()
+    n, t = 60, 7
+    X = rng.normal(size=(n, t))
+    X[:, 3] = X[:, 2] + 0.3 * X[:, 3]
+    Z = np.eye(3)[np.arange(n) % 3]
+    y = X @ rng.normal(size=t) + Z @ [1, 2, 3] + rng.normal(0, 0.5, n)
+    included = np.array([True, True, True, True, False, True, True])
+    fit = regress(y, X, Z, included=included)
+    A = np.hstack([X[:, included], Z])
+    inverse = np.linalg.inv(A.T @ A)
+    b = inverse @ A.T @ y
+    rest = y - A @ b
+    freedom = n - A.shape[1]
+    variance = rest @ rest / freedom
+    u = np.sqrt(variance * np.diag(inverse))
+    close = {"rtol": 1e-9, "atol": 1e-12}  # a condition number of 20 squared, and some hundred roundings
+    np.testing.assert_allclose(fit.coefficients[included], b[:6], **close)
+    assert fit.coefficients[4] == 0
+    np.testing.assert_allclose(fit.covariance[np.ix_(included, included)], variance * inverse[:6, :6], **close)
+    np.testing.assert_allclose(fit.t[included], b[:6] / u[:6], **close)
+    np.testing.assert_allclose(fit.p[included], 2 * scipy.stats.t.sf(np.abs(b[:6] / u[:6]), freedom), **close)
+    np.testing.assert_allclose(fit.intercepts, b[6:], **close)
+    np.testing.assert_allclose(fit.u_intercepts, u[6:], **close)
+    np.testing.assert_allclose(fit.deviation, np.sqrt(variance), **close)
+    assert fit.degrees_of_freedom == freedom
+    np.testing.assert_allclose(fit.r_squared, 1 - rest @ rest / np.sum((y - y.mean()) ** 2), **close)
+    left_out, student = np.empty(n), np.empty(n)
+    for k in range(n):
+        keep = np.arange(n) != k
+        c = np.linalg.lstsq(A[keep], y[keep], rcond=None)[0]
+        left_out[k] = y[k] - A[k] @ c
+        others = y[keep] - A[keep] @ c
+        without = others @ others / (freedom - 1)
+        student[k] = left_out[k] / np.sqrt(without * (1 + A[k] @ np.linalg.inv(A[keep].T @ A[keep]) @ A[k]))
+    np.testing.assert_allclose(fit.press, np.sqrt(np.mean(left_out**2)), **close)
+    np.testing.assert_allclose(fit.studentised, student, **close)
+    for column, number in enumerate(np.flatnonzero(included)):
+        own = A[:, column]
+        others = np.delete(A, column, axis=1)
+        unexplained = own - others @ np.linalg.lstsq(others, own, rcond=None)[0]
+        centred = own - Z @ np.linalg.lstsq(Z, own, rcond=None)[0]
+        np.testing.assert_allclose(fit.vif[number], (centred @ centred) / (unexplained @ unexplained), **close)
+    assert np.isnan(fit.vif[4])
+    assert np.isnan(fit.t[4])
+
+
+def test_too_few_points_are_refused() -> None:
+    with pytest.raises(FitError, match=r"5 points for 5 unknowns \(4 terms and 1 series"):
+        regress(np.ones(5), np.eye(5)[:, :4], np.ones((5, 1)), included=np.ones(4, dtype=bool))
+
+
+# ---- what a schedule can tell ---------------------------------------------------------------------------
+
+
+def unknown(fit: Calibration) -> set[str]:
+    labels = set(fit.unidentified_labels)
+    present = {term.label(fit.matrix.variables) for term in fit.matrix.terms}
+    assert not labels & present  # what is not known comes back as no number
+    everything = {term.label(fit.matrix.variables) for term in terms_of(fit.model, 6)}
+    assert everything <= labels | present
+    return labels
+
+
+@pytest.mark.parametrize("way", ["iterative", "non-iterative"])
+@pytest.mark.parametrize("model", ["linear", "quadratic", "96", "auto"])
+def test_single_loads_name_every_cross_term(model: str, way: str) -> None:
+    rng = generator()
+    fit = calibrate(single_loads(random_balance(seed(rng)), rng), model=model, way=way)
+    names = fit.matrix.variables
+    # of all 96, whether or not the model offers them
+    products = {term.label(names) for term in terms_of("96", 6) if term.kind in {4, 5, 6, 7}}
+    assert unknown(fit) == products
+
+
+def test_loads_of_one_direction_name_absolute_values() -> None:
+    rng = generator()
+    fit = calibrate(single_loads(random_balance(seed(rng)), rng, low=0), model="96")
+    assert {"|N1|", "|AF|", "N1*|N1|", "|RM*RM*RM|", "N1*N2"} <= unknown(fit)
+    like = {item.term.label(fit.matrix.variables): item.like for item in fit.unidentified}
+    assert like["|N1|"] == fit.matrix.terms[0]
+    assert like["N1*N2"] is None
+
+
+def test_small_parasitic_loads_do_not_make_products_known() -> None:
+    rng = generator()
+    balance = random_balance(seed(rng))
+    schedule = single_loads(balance, rng)
+    loads = schedule.loads + rng.uniform(-1, 1, schedule.loads.shape) * 1e-3 * CAPACITIES
+    outputs = balance.outputs(loads) + rng.normal(0, NOISE, loads.shape)
+    fit = calibrate(replace(schedule, loads=loads, outputs=outputs), model="96")
+    assert {term.label(fit.matrix.variables) for term in terms_of("96", 6) if term.kind in {4, 5, 6, 7}} <= unknown(
+        fit
+    )
+
+
+def test_pairs_of_loads_tell_all_terms() -> None:
+    rng = generator()
+    fit = calibrate(CalibrationStand(random_balance(seed(rng))).run(seed(rng)).schedule, model="96")
+    assert unknown(fit) == set()
+
+
+def test_selection_keeps_what_is_there_and_little_else() -> None:
+    rng = generator()
+    balance = random_balance(seed(rng), model="linear")
+    fit = calibrate(CalibrationStand(balance).run(seed(rng)).schedule, model="auto")
+    linear = np.array([term.kind == 0 for term in fit.matrix.terms])
+    chosen = np.array([part.included for part in fit.regressions])
+    assert chosen[:, linear].all()
+    # PRESS must fall by 2 % for a term to stay; each of 90 idle terms does that, taken alone, when its t is above
+    # sqrt(0.02 * 240) = 2.2, which chance does in 3 %; the best few of 90 together do somewhat better
+    assert chosen[:, ~linear].mean() < 0.3
+
+
+def test_model_and_way_are_checked() -> None:
+    schedule = CalibrationStand(random_balance(0, model="linear")).run(0).schedule
+    with pytest.raises(ValueError, match="model must be one of"):
+        calibrate(schedule, model="cubic")
+    with pytest.raises(ValueError, match="way must be iterative or non-iterative"):
+        calibrate(schedule, model="linear", way="both")
+
+
+# ---- directions, repeats, hysteresis, outliers ----------------------------------------------------------
+
+
+def balance_with(kind: int, size: float, rng: np.random.Generator) -> BalanceMatrix:
+    """A balance whose bridges have, beside linear terms, one other kind of term of their own load."""
+    balance = random_balance(seed(rng))
+    C = balance.coefficients.copy()
+    for row, term in enumerate(balance.terms):
+        if term.kind:
+            C[row] = 0.0
+        if term.kind == kind:
+            C[row, term.first] = size
+    return replace(balance, coefficients=C)
+
+
+def test_bridges_with_two_sensitivities_are_found() -> None:
+    rng = generator()
+    balance = balance_with(1, 0.01, rng)  # slopes 1.01 and 0.99: 2 % apart
+    for schedule in (CalibrationStand(balance).run(seed(rng)).schedule, single_loads(balance, rng)):
+        for direction in assess(calibrate(schedule, model="abs")).directions:
+            assert direction.known
+            assert direction.bidirectional
+            # 0.08 % a reading; eight of a sign have a spread of 1 about their mean, so that a slope is uncertain by
+            # 0.08 % and the difference of two by 0.12 %: five times that
+            assert direction.difference == pytest.approx(0.02, abs=0.006)
+
+
+def test_curved_and_plain_bridges_are_not_taken_for_it() -> None:
+    rng = generator()
+    false = 0
+    for _ in range(10):
+        # |F| fits a square of 0.03 to within 0.03 / sqrt(180) = 0.22 % of capacity, well above 0.06 % of noise
+        for kind, size in ((2, 0.03), (8, 0.01), (0, 1.0)):
+            schedule = single_loads(balance_with(kind, size, rng), rng)
+            false += sum(item.bidirectional for item in assess(calibrate(schedule, model="quadratic")).directions)
+    # p < 0.001 by chance in 180 bridges: more than 4 have a probability below 2e-6
+    assert false <= 4
+
+
+def test_one_direction_tells_nothing_of_the_other() -> None:
+    rng = generator()
+    schedule = single_loads(random_balance(seed(rng), model="linear"), rng, low=0)
+    assert not any(item.known or item.bidirectional for item in assess(calibrate(schedule, model="linear")).directions)
+
+
+def test_outliers_hysteresis_and_repeats() -> None:
+    rng = generator()
+    balance = random_balance(seed(rng), model="linear")
+    clean = single_loads(balance, rng, noise=0.3e-3)
+    quality = assess(calibrate(clean, model="linear"))
+    assert not quality.outliers
+    unit = 0.3e-3 / balance.output_scale
+    # 24 pairs of zero readings, so 24 degrees of freedom of two bridges' noise at most
+    low, high = np.sqrt(scipy.stats.chi2.ppf([FALSE_ALARM, 1 - FALSE_ALARM], 12) / 12)
+    assert (quality.repeatability > low * unit).all()
+    assert (quality.repeatability < high * unit * 1.05).all()
+    outputs = clean.outputs.copy()
+    outputs[19, 1] += 6e-3
+    spoilt = assess(calibrate(replace(clean, outputs=outputs), model="linear"))
+    assert (spoilt.outliers[0].point, spoilt.outliers[0].component) == (19, 1)
+    # the fit takes its share of the point away: leverage below 0.3 in a series of eight
+    assert 6e-3 * 0.6 < spoilt.outliers[0].residual < 6e-3 + 5 * 0.3e-3
+
+
+def test_hysteresis_between_going_up_and_down() -> None:
+    rng = generator()
+    balance = random_balance(seed(rng), model="linear")
+    schedule = CalibrationStand(balance, noise=0.05e-3, tare_size=0).run(seed(rng)).schedule
+    # round loads, so that a load comes twice
+    loads = np.rint(schedule.loads / CAPACITIES / 0.25) * 0.25 * CAPACITIES
+    outputs = balance.outputs(loads) + rng.normal(0, 0.05e-3, loads.shape)
+    plain = assess(
+        calibrate(replace(schedule, loads=loads, outputs=outputs, natural_zeros=np.zeros((0, 6))), model="linear")
+    )
+    rows = np.flatnonzero(schedule.series == 0)
+    planted = outputs.copy()
+    first = np.abs(loads[rows, 0] / CAPACITIES[0])
+    down = rows[(np.abs(first - 0.5) < 0.01) & (np.diff(first, prepend=0) < 0)]
+    planted[down, 0] += 2e-3
+    found = assess(
+        calibrate(replace(schedule, loads=loads, outputs=planted, natural_zeros=np.zeros((0, 6))), model="linear")
+    )
+    size = 2e-3 / balance.output_scale[0]
+    assert found.hysteresis[0] == pytest.approx(size, abs=5 * 0.05e-3 * np.sqrt(2) / balance.output_scale[0])
+    assert plain.hysteresis[0] < size / 2
+
+
+# ---- a healthy schedule raises nothing ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["linear", "abs", "quadratic", "96"])
+def test_healthy_schedules_raise_no_doubt(model: str) -> None:
+    rng = generator()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DoubtWarning)
+        for _ in range(3):
+            balance = random_balance(seed(rng), model=model)
+            for way in ("iterative", "non-iterative"):
+                calibrate(CalibrationStand(balance).run(seed(rng)).schedule, model=model, way=way)
+                calibrate(single_loads(balance, rng), model=model, way=way)

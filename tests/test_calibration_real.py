@@ -1,0 +1,57 @@
+"""Real calibrations that are not part of the project; skipped where they are absent."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aerobalance.balance import terms_of
+from aerobalance.calibration.fit import Calibration, calibrate
+from aerobalance.calibration.quality import assess
+from aerobalance.io.schedule import read_schedule
+from aerobalance.problems import DoubtWarning, FitError
+
+FOLDER = Path(__file__).parents[2] / "shared" / "data" / "internal-balance"
+
+
+def fitted(name: str, model: str) -> Calibration:
+    path = FOLDER / name
+    if not path.exists():
+        pytest.skip(f"{name} is not in ../shared/data/internal-balance beside the checkout")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        return calibrate(read_schedule(path), model=model)
+
+
+@pytest.mark.parametrize(
+    ("model", "limits"),
+    # the requirement, in percent of the file's largest loads
+    [("linear", [0.15, 0.15, 0.16, 0.20, 0.12, 0.19]), ("abs", [0.075, 0.10, 0.075, 0.08, 0.065, 0.17])],
+)
+def test_residuals_of_a_real_calibration(model: str, limits: list[float]) -> None:
+    fit = fitted("100lb_2025-06.vol", model)
+    assert fit.schedule.components == ("N1", "N2", "Y1", "Y2", "Ax", "Roll")
+    deviation = 100 * assess(fit).deviation
+    assert (deviation <= limits).all(), deviation
+    # a good fit of this balance cannot be better than its repeatability, a hundredth of the limits
+    assert (deviation > 0.01 * np.array(limits)).all()
+
+
+def test_directions_and_products_of_a_real_calibration() -> None:
+    fit = fitted("100lb_2025-06.vol", "abs")
+    # N1 gives 13.61 uV/V/lb in one direction and 13.50 in the other: 0.8 %
+    directions = dict(zip(fit.schedule.components, assess(fit).directions, strict=True))
+    assert directions["N1"].bidirectional
+    assert directions["N1"].difference == pytest.approx(2 * (13.61 - 13.50) / (13.61 + 13.50), abs=0.001)
+    assert sum(item.bidirectional for item in directions.values()) >= 4
+    products = {term.label(fit.schedule.components) for term in terms_of("96", 6) if term.kind in {4, 5, 6, 7}}
+    assert products <= set(fit.unidentified_labels)
+
+
+@pytest.mark.parametrize("model", ["linear", "abs", "auto"])
+def test_drifting_bridges_are_refused(model: str) -> None:
+    with pytest.raises(FitError, match=r"unfit for a matrix.*Fwd_Pitch.*Fwd_Yaw.*Roll"):
+        fitted("50lb_drifting_bridges.vol", model)
