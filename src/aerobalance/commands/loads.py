@@ -129,10 +129,25 @@ def reduced(
         raise ValueError(f"--form {form} cannot go with --tare or --mass, which are in direct-read form")
     tare = None
     if files.tare:
-        tare = wind_off_loads(recording, [recording_of(path, channel_map) for path in files.tare], matrix, zero=zero)
+        wind_off = [recording_of(path, channel_map) for path in files.tare]
+        zero = _stand_in(zero, wind_off, matrix)
+        tare = wind_off_loads(recording, wind_off, matrix, zero=zero)
     elif files.mass is not None:
         tare = _weight(recording, files.mass, matrix)
     return loads_felt(recording, matrix, zero=zero, tare=tare, form=form), matrix
+
+
+def _stand_in(zero: GaugeZero | None, recordings: Sequence[Recording], matrix: BalanceMatrix) -> GaugeZero | None:
+    """Take the mean of recordings at rest for a zero, where neither the run nor the calibration has one."""
+    if zero is not None or matrix.natural_zero is not None:
+        return zero
+    warnings.warn(
+        "no zero was given and the calibration has none; the mean of the recordings at rest is taken for it. Offsets "
+        "count from there, and curved or bidirectional bridges are read from there",
+        DoubtWarning,
+        stacklevel=3,
+    )
+    return gauge_zero(recordings, matrix)
 
 
 def _zero(files: BalanceFiles, matrix: BalanceMatrix, channel_map: Path | None) -> GaugeZero | None:
@@ -200,14 +215,7 @@ def weighed_loads(
     recordings = [recording_of(path, channel_map) for path in paths]
     matrix = read_matrix(files.balance)
     zero = _zero(files, matrix, channel_map)
-    if zero is None and matrix.natural_zero is None:
-        zero = gauge_zero(recordings, matrix)
-        warnings.warn(
-            "no zero was given and the calibration has none; the mean of all recordings is taken for it. The offsets "
-            "of the weighing count from there, and curved or bidirectional bridges are read from there",
-            DoubtWarning,
-            stacklevel=2,
-        )
+    zero = _stand_in(zero, recordings, matrix)
     felt = [loads_felt(recording, matrix, zero=zero) for recording in recordings]
     components = tuple(name for name in felt[0].components if name in COMPONENTS and (names is None or name in names))
     if not components:
