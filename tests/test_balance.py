@@ -12,20 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aerobalance import _term_kernels as kernels
-from aerobalance.balance import (
-    FORMS,
-    KINDS,
-    BalanceMatrix,
-    Form,
-    Geometry,
-    between_forms,
-    codes,
-    role_of,
-    terms_of,
-    to_direct,
-)
+from aerobalance.balance import BalanceMatrix
 from aerobalance.components import COMPONENTS
+from aerobalance.forms import FORMS, Form, Geometry, between_forms, role_of, to_direct
 from aerobalance.rigs.calibration_stand import CAPACITIES, random_balance
+from aerobalance.terms import KINDS, codes, terms_of
 
 MODELS = ("linear", "quadratic", "abs", "27", "96")
 seeds = st.integers(0, 2**63 - 1)

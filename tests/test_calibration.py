@@ -11,7 +11,7 @@ import pytest
 import scipy.stats
 
 from aerobalance import _term_kernels as kernels
-from aerobalance.balance import BalanceMatrix, codes, terms_of
+from aerobalance.balance import BalanceMatrix
 from aerobalance.calibration.fit import Calibration, calibrate
 from aerobalance.calibration.quality import assess
 from aerobalance.calibration.regression import regress
@@ -19,6 +19,7 @@ from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Array
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, SimulatedCalibration, random_balance
 from aerobalance.schedule import Schedule
+from aerobalance.terms import codes, terms_of
 
 NOISE = 0.7e-3
 FALSE_ALARM = 1e-6

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.balance import terms_of
 from aerobalance.calibration.fit import Calibration, calibrate
 from aerobalance.calibration.quality import assess
 from aerobalance.io.schedule import read_schedule
 from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.terms import terms_of
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "internal-balance"
 

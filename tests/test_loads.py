@@ -10,19 +10,11 @@ import pytest
 
 from aerobalance.balance import BalanceMatrix, TemperatureEffect
 from aerobalance.calibration.fit import calibrate
-from aerobalance.loads import (
-    GaugeZero,
-    LoadsFelt,
-    gauge_table,
-    gauge_zero,
-    loads_felt,
-    static_uncertainty,
-    wind_off_loads,
-    with_loads,
-)
+from aerobalance.loads import LoadsFelt, loads_felt, static_uncertainty, wind_off_loads, with_loads
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Array, Channel, Recording
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
+from aerobalance.zeros import GaugeZero, gauge_table, gauge_zero
 
 RATE = 1000.0
 NOISE = 2e-4  # of a reading of a bridge [mV/V]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.balance import BalanceType, Geometry
+from aerobalance.forms import BalanceType, Geometry
 from aerobalance.recording import Array
 
 

@@ -7,10 +7,11 @@ import time
 import numpy as np
 
 from aerobalance import _term_kernels as kernels
-from aerobalance.balance import BalanceMatrix, codes
+from aerobalance.balance import BalanceMatrix
 from aerobalance.calibration.fit import calibrate
 from aerobalance.recording import Array
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, SimulatedCalibration, random_balance
+from aerobalance.terms import codes
 
 NOISE = 0.7e-3
 

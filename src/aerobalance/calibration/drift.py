@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 from scipy.stats import norm
 
-from aerobalance.balance import BalanceMatrix, role_of
+from aerobalance.balance import BalanceMatrix
+from aerobalance.forms import role_of
 from aerobalance.problems import FitError
 from aerobalance.recording import Array
 

@@ -12,15 +12,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.balance import BalanceMatrix, Geometry, Model, Way
+from aerobalance.balance import BalanceMatrix, Way
 from aerobalance.calibration.drift import compare_calibrations
 from aerobalance.calibration.faults import UNLOADED
 from aerobalance.calibration.fit import Calibration
 from aerobalance.calibration.fit import calibrate as fit_matrix
 from aerobalance.calibration.quality import Quality, assess
-from aerobalance.calibration.terms import HIGHEST_INFLATION
+from aerobalance.calibration.selection import HIGHEST_INFLATION
 from aerobalance.commands.loads import read_matrix
 from aerobalance.commands.shared import Account, check_out, doubts, table_text
+from aerobalance.forms import Geometry
 from aerobalance.io.artefacts import provenance, write_json
 from aerobalance.io.balance_file import calibration_payload, write_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix
@@ -30,6 +31,7 @@ from aerobalance.io.units import conversion
 from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Array
 from aerobalance.schedule import Schedule
+from aerobalance.terms import Model
 
 MOST_KEPT_ASIDE: Final = 0.5
 """Largest share of the points that may be kept for confirmation."""

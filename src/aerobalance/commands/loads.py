@@ -9,25 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
-from aerobalance.balance import TOLERANCE, BalanceMatrix, Form
+from aerobalance.balance import TOLERANCE, BalanceMatrix
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of
 from aerobalance.components import COMPONENTS
+from aerobalance.forms import Form
 from aerobalance.io import check_output, write_loads
 from aerobalance.io.balance_file import read_balance, write_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix, read_balfit_matrix, write_balfit_matrix
 from aerobalance.io.weighing_file import read_weighing
-from aerobalance.loads import (
-    GaugeZero,
-    LoadsFelt,
-    gauge_zero,
-    loads_felt,
-    smooth_variance,
-    wind_off_loads,
-    with_loads,
-)
+from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_loads, with_loads
 from aerobalance.problems import DoubtWarning, FitError, ReadError
 from aerobalance.recording import Array, Recording
 from aerobalance.weighing import LoadPoints, points_from_recordings
+from aerobalance.zeros import GaugeZero, gauge_zero
 
 
 def is_matrix(path: Path) -> bool:

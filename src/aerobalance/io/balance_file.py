@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from aerobalance.balance import KINDS, BalanceMatrix, Geometry, TemperatureEffect, Term
+from aerobalance.balance import BalanceMatrix, TemperatureEffect
+from aerobalance.forms import Geometry
 from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative, Positive
 from aerobalance.problems import ReadError
 from aerobalance.recording import Array
+from aerobalance.terms import KINDS, Term
 
 if TYPE_CHECKING:  # the fit brings a statistics library that only calibrating needs, and that is slow to import
     from aerobalance.calibration.fit import Calibration

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.balance import BalanceType
+from aerobalance.forms import BalanceType
 from aerobalance.io.balfit_symbols import Columns, columns_of
 from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, settle_capacities
 from aerobalance.io.safe_write import replacing

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.balance import BalanceType, role_of
+from aerobalance.forms import BalanceType, role_of
 from aerobalance.io.units import ALLOWED, Conversion, conversion
 from aerobalance.problems import ReadError
 from aerobalance.recording import Array

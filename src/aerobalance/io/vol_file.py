@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.balance import BalanceType, Geometry
+from aerobalance.forms import BalanceType, Geometry
 from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, load_key, settle_capacities
 from aerobalance.io.units import conversion
 from aerobalance.io.vol_blocks import Block, take_apart

@@ -7,9 +7,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from aerobalance.balance import BalanceMatrix, Geometry, TemperatureEffect, terms_of
+from aerobalance.balance import BalanceMatrix, TemperatureEffect
+from aerobalance.forms import Geometry
 from aerobalance.recording import Array
 from aerobalance.schedule import Schedule
+from aerobalance.terms import terms_of
 
 FORCE_BALANCE: Final = ("N1", "N2", "S1", "S2", "RM", "AF")
 CAPACITIES: Final = np.array([11000.0, 11000.0, 5500.0, 5500.0, 560.0, 3100.0])

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.balance import Term
 from aerobalance.calibration.regression import inflation, without_intercepts
 from aerobalance.recording import Array
+from aerobalance.terms import Term
 
 OWN_SHARE_NEEDED: Final = 0.05
 """Least norm of a term's own part over all points, in terms of one point at capacity.

@@ -1,0 +1,107 @@
+"""Zeros of the gauges: what the bridges of the unloaded balance read, and how that drifts across a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from aerobalance.balance import BalanceMatrix
+from aerobalance.components import is_gauge
+from aerobalance.forms import role_of
+from aerobalance.gauges import gauge_outputs
+from aerobalance.problems import FitError
+from aerobalance.recording import Array, Channel, Recording
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GaugeZero:
+    """Gauge outputs of the unloaded balance.
+
+    Attributes
+    ----------
+    values, u
+        Shape (c,) [mV/V].
+    source
+        Where they are from.
+    drift
+        Change from the beginning to the end of the run, shape (c,) [mV/V]; zero where no closing zero was read.
+    """
+
+    values: Array
+    u: Array
+    source: str
+    drift: Array
+
+
+def gauge_table(recording: Recording, balance: BalanceMatrix) -> tuple[Array, tuple[Channel, ...]]:
+    """Gauge outputs in the order of the balance's bridges: shape (n, c) [mV/V], and their channels.
+
+    Bridges are found by name (``r`` and the bridge's name), or by another usual name of the same thing (rAx, rAxial).
+
+    Raises
+    ------
+    FitError
+        A bridge was not recorded.
+    """
+    ready = gauge_outputs(recording)
+    names = [channel.name for channel in ready if is_gauge(channel.name)]
+    chosen = []
+    for gauge, component in zip(balance.gauges, balance.components, strict=True):
+        exact = [name for name in (f"r{gauge}", f"r{component}") if name in ready]
+        role = role_of(gauge) or role_of(component)
+        alike = [name for name in names if role is not None and role_of(name[1:]) == role]
+        found = exact[:1] or (alike if len(alike) == 1 else [])
+        if not found:
+            raise FitError(
+                f"{recording.name} has no channel r{gauge} for the bridge {gauge} of the balance; it has "
+                f"{', '.join(names) or 'no gauge outputs (names beginning with r, such as rAF)'}"
+            )
+        chosen.append(ready.channel(found[0]))
+    return np.column_stack([channel.values for channel in chosen]), tuple(chosen)
+
+
+def gauge_zero(
+    recordings: Sequence[Recording], balance: BalanceMatrix, *, after: Sequence[Recording] = ()
+) -> GaugeZero:
+    """Average gauge zeros from recordings of the unloaded balance, and their drift to those after the run.
+
+    Parameters
+    ----------
+    recordings
+        Before the run.
+    balance
+        Whose bridges.
+    after
+        Closing zeros, where they were read.
+    """
+    first, u = _mean_outputs(recordings, balance)
+    drift = np.zeros_like(first)
+    if after:
+        last, u_last = _mean_outputs(after, balance)
+        drift, u = last - first, np.hypot(u, u_last)
+    return GaugeZero(first, u, ", ".join(recording.name for recording in recordings), drift)
+
+
+def _mean_outputs(recordings: Sequence[Recording], balance: BalanceMatrix) -> tuple[Array, Array]:
+    """Mean of the gauge outputs over recordings, and its standard uncertainty, both of shape (c,)."""
+    means, variances = [], []
+    for recording in recordings:
+        table, _ = gauge_table(recording, balance)
+        known = table[np.isfinite(table).all(axis=1)]
+        if known.shape[0] < 2:
+            raise FitError(f"{recording.name}: no samples with all gauge outputs to take a zero from")
+        means.append(known.mean(axis=0))
+        variances.append(_variance_of_mean(known))
+    return np.mean(means, axis=0), np.sqrt(np.sum(variances, axis=0)) / len(means)
+
+
+def _variance_of_mean(table: Array) -> Array:
+    """Variance of column means by batch means, which holds for ringing and hum too, shape (c,)."""
+    batches = min(20, table.shape[0] // 2)
+    if batches < 2:
+        return np.asarray(table.var(axis=0, ddof=1) / table.shape[0])
+    length = table.shape[0] // batches
+    means = table[: batches * length].reshape(batches, length, -1).mean(axis=1)
+    return np.asarray(means.var(axis=0, ddof=1) / batches)
