@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 from scipy.signal import welch
+from scipy.stats import norm
 
 from aerobalance.recording import Array, Channel
 
@@ -15,12 +16,16 @@ BANDS: Final = 32
 QUIET_SHARE: Final = 0.25
 """Share of the bands that may lie under the noise, where an anti-alias filter has taken it away."""
 
+CLEARLY_LOWER: Final = 0.7
+"""Ratio of the two estimates of the noise below which it is no chance of sampling."""
+
 
 def white_noise(values: Array) -> float:
     """Standard deviation of the white noise of a channel [unit of the channel].
 
     The level of the quiet bands of its spectrum: the lower quartile over bands, so that the signal may fill up to
-    three quarters of the bandwidth and a filter may empty up to a quarter of it.
+    three quarters of the bandwidth and a filter may empty up to a quarter of it. A record of a few jumps has no quiet
+    band; where the median third difference, which does not see them, is clearly lower, it is taken instead.
 
     Parameters
     ----------
@@ -36,7 +41,10 @@ def white_noise(values: Array) -> float:
     bands = np.array_split(inner, min(BANDS, inner.size))
     levels = np.sort([float(np.mean(band)) for band in bands])
     level = levels[int(QUIET_SHARE * (levels.size - 1))]
-    return float(np.sqrt(level / 2))
+    spectral = float(np.sqrt(level / 2))
+    # the third difference of white noise has twenty times its variance
+    calm = float(np.median(np.abs(np.diff(present, 3)))) / (norm.ppf(0.75) * np.sqrt(20))
+    return calm if 0 < calm < CLEARLY_LOWER * spectral else spectral
 
 
 def channel_noise(channel: Channel) -> float:

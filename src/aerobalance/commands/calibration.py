@@ -127,8 +127,8 @@ def _doubt_quality(calibration: Calibration, quality: Quality) -> None:
         labels = calibration.unidentified_labels
         _doubt(
             f"{schedule.name}: the schedule cannot identify {len(labels)} terms, which are left out: "
-            f"{', '.join(labels[:6])}{' ...' if len(labels) > 6 else ''}. Loads that bring them out (combined loads) "
-            "have an error that the uncertainty does not show"
+            f"{', '.join(labels[:6])}{' ...' if len(labels) > 6 else ''}. Loads that would bring them out have an "
+            "error that the uncertainty does not show"
         )
     one_way = [name for name, d in zip(schedule.components, quality.directions, strict=True) if not d.known]
     if one_way:

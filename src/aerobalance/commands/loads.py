@@ -111,7 +111,7 @@ def reduced(
     if files.tare and files.mass is not None:
         raise ValueError("give --tare or --mass, not both: each takes the weight off")
     matrix = read_matrix(files.balance)
-    if matrix.direct is None:
+    if matrix.direct is None and not set(matrix.components) <= set(COMPONENTS):
         warnings.warn(
             f"{files.balance.name} lacks the distances of the gauges: the loads stay {', '.join(matrix.components)}. "
             "Calibrate with --distances to have NF PM SF YM RM AF",
