@@ -15,7 +15,8 @@ from aerobalance.cli import main
 MASS, STIFFNESS, DAMPING = 177.87, 3.4e7, 3000.0
 RATE, COUNT, RELEASE, HELD = 1600.0, 2400, 0.3, 5000.0
 TREADMILL = Path(__file__).parents[2] / "shared" / "data" / "treadmill"
-COMMANDS = ["demo", "info", "convert", "map", "weigh", "identify decay", "identify rig", "identify frf", "force"]
+COMMANDS = ["demo", "info", "convert", "map", "calibrate", "compare-calibrations", "loads", "weigh", "identify decay"]
+COMMANDS += ["identify rig", "identify frf", "force", "plan", "compare"]
 HAND_MADE = {
     "components": {
         "AF": {

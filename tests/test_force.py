@@ -6,6 +6,7 @@ import pytest
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
 from aerobalance.force import BAND_ORDER, ForceEstimate, reconstruct
+from aerobalance.motion import GroundMotion
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import QUANTITIES, Channel, Recording
 from aerobalance.rigs import CableCut, Sensor
@@ -109,7 +110,8 @@ def test_smooth_load_through_resonance_nears_the_wiener_bound(mass):
     assert 0.0006 < bound / HALF_RANGE < 0.0035, seed  # METHOD: 0.09-0.26 % of half range at the middle level
     estimate = reconstruct(recording, Dynamics("AF", mass, T128.stiffness, T128.damping))
     error = middle(estimate.values - truth)
-    assert rms(error) <= 1.7 * bound, seed
+    # 1.03 on average; weighted by 1 / |G|^2 there are some 700 independent errors: 2.7 %, 5 of these
+    assert rms(error) <= 1.2 * bound, seed
     covered = np.mean(np.abs(error) <= 1.96 * middle(estimate.uncertainty))
     # 120 Hz for 9 s make about 2000 independent errors: 95 % +- 0.5 % if the uncertainty were exact
     assert 0.90 <= covered <= 0.999, seed
@@ -343,3 +345,21 @@ def test_accelerometer_at_rest_does_not_spoil_the_force():
     estimate = reconstruct(run.recording, CableCut().dynamics)
     assert any("at rest" in text for text in estimate.assumptions), seed
     assert estimate.uncertainty.mean() < 10, seed  # the noise of one reading of the balance
+
+
+def test_a_tone_under_the_noise_of_the_accelerometer_is_motion():
+    generator, seed = fresh()
+    count, rate, amplitude, noise = 20000, 25000.0, 1.64, 5.0
+    time = np.arange(count) / rate
+    shaken = amplitude * np.sin(2 * np.pi * 652.5 * time + generator.uniform(0, 6))
+    readings = shaken + generator.normal(0, noise, count)
+    recording = Recording.from_columns(
+        time, {"ground_acceleration": Channel("ground_acceleration", readings, "m/s^2")}, name="rig"
+    )
+    motion = GroundMotion.of(recording, "AF")
+    assert any("only its tones" in text for text in motion.assumptions), seed
+    # a tone between two ordinates loses 3 % of its amplitude at most; 17 of 10001 ordinates let 4 % of the noise pass
+    inner = slice(count // 20, -count // 20)
+    error = motion.specific_force[inner] - shaken[inner]
+    assert np.sqrt(np.mean(error**2)) < 2 * np.hypot(0.04 * amplitude, 0.042 * noise), seed
+    assert motion.noise < 0.06 * noise

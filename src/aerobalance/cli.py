@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Callable
@@ -475,6 +476,38 @@ def compare(
     )
 
 
+@app.command(epilog=example("record --source simulated --seconds 10 -o run.h5"))
+def record(
+    out: NeededOut,
+    source: Annotated[
+        str | None, typer.Option("--source", help="What gives the samples: simulated (the default) or replay.")
+    ] = None,
+    setup: Annotated[
+        Path | None, typer.Option("--setup", help="Test set-up (TOML): channels, trigger, limits, source.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", help="Length of the record in s; else until Ctrl-C.")
+    ] = None,
+    file: Annotated[Path | None, typer.Option("--file", help="The recording that is replayed.")] = None,
+    rig: Annotated[
+        str | None, typer.Option("--rig", help="The simulated rig: vibration, cable_cut or six (components).")
+    ] = None,
+    speed: Annotated[
+        float | None, typer.Option("--speed", help="Times real time; inf for as fast as possible.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="Seed of the simulated noise.")] = None,
+    replace: Annotated[bool, typer.Option("--replace", help="Delete an old recording of the same name.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Record a source to an HDF5 file, each block safe on the disk before the next; Ctrl-C ends it cleanly."""
+    from aerobalance.commands import record as command
+
+    wishes = command.Wishes(source=source, file=file, rig=rig, seconds=seconds, speed=speed, seed=seed)
+    with Console(stderr=True).status("starting ...") as status:
+        account = command.record(out, setup=setup, wishes=wishes, replace=replace, show=status.update)
+    show(lambda: account, as_json, doing="recording")
+
+
 def show(work: Callable[[], dict[str, Any]], as_json: bool, *, doing: str, plain: str | None = None) -> None:
     """Do the work with a sign of life, and print its account."""
     with Console(stderr=True).status(f"{doing} ..."):
@@ -578,6 +611,10 @@ def _failed(text: str, code: int) -> int:
 
 def run() -> None:
     """Entry point of the command `aerobalance`."""
+    # The matrices here are small: threads of the linear algebra get in each other's way, by a factor of ten on two
+    # cores that are shared. Whoever sets these himself is heard.
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     sys.exit(main())
 
 

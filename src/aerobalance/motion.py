@@ -22,6 +22,9 @@ FINE: Final = 8
 AT_REST: Final = 1.25
 """Variance of an acceleration over that of its own noise, below which the ground end is at rest."""
 
+CHANCE: Final = 1e-6
+"""Probability with which the noise of an accelerometer may pass for a tone."""
+
 AXES: Final = {"NF": "_z", "SF": "_y"}
 """Ending of the acceleration channel that drives a component; the others are driven along the balance axis."""
 
@@ -69,9 +72,11 @@ class GroundMotion:
             noise, relative, delay = channel_noise(channel), channel.relative_uncertainty, channel.delay
             coupling = channel.coupling
             if coupling == "kinematic" and float(np.var(acceleration)) < AT_REST * noise**2:
-                # adding a sensor's noise to the force would only spoil it
-                acceleration, noise = np.zeros(recording.samples), 0.0
-                assumptions.append(f"{name} shows nothing beyond its noise; the ground end is taken to be at rest")
+                # adding a sensor's noise to the force would only spoil it; tones that stand out of it are motion
+                acceleration, share = _tones(acceleration)
+                noise *= share
+                rest = "only its tones are taken" if share else "the ground end is taken to be at rest"
+                assumptions.append(f"{name} shows {'little' if share else 'nothing'} beyond its noise; {rest}")
             if coupling == "ac":
                 warnings.warn(
                     f"{name} is ac-coupled: ground motion below its corner of {channel.corner:g} Hz is not in the "
@@ -96,6 +101,19 @@ class GroundMotion:
     def force(self, mass: float) -> Array:
         """Force on the moving mass in the frame of the ground end, M g sin(theta) - M x1'', shape (n,) [N]."""
         return np.asarray(-mass * self.specific_force)
+
+
+def _tones(acceleration: Array) -> tuple[Array, float]:
+    """Tones that stand out of the white noise of a record, and the share of the noise's rms that comes with them."""
+    spectrum = np.fft.rfft(acceleration - acceleration.mean())
+    power = np.abs(spectrum) ** 2
+    # ordinates of white noise are exponentially distributed: this one is passed by the largest of n with p = CHANCE
+    out = power > np.median(power) / np.log(2) * np.log(max(power.size, 1) / CHANCE)
+    if not out.any():
+        return np.zeros_like(acceleration), 0.0
+    # a tone between two ordinates leaks into its neighbours; eight on either side hold 97 % of its amplitude
+    kept = np.convolve(out, np.ones(17), "same") > 0
+    return np.fft.irfft(np.where(kept, spectrum, 0), acceleration.size), float(np.sqrt(np.mean(kept)))
 
 
 def _gravity(recording: Recording, component: str, gravity: float, assumptions: list[str]) -> tuple[Array, float]:
