@@ -17,7 +17,7 @@ Flags = NDArray[np.bool_]
 
 @numba.njit(cache=True)
 def gains(
-    present: Flags, A: Floats, Q: Floats, h: Floats, R: float, P0: Floats, tolerance: float
+    present: Flags, A: Floats, Q: Floats, h: Floats, R: float, P0: Floats, kept: int, tolerance: float
 ) -> tuple[Integers, Floats, Floats, Floats]:
     """Covariances and gains of the filter.
 
@@ -33,15 +33,17 @@ def gains(
         Variance of a reading.
     P0 : (d, d)
         Covariance of the first state before its reading.
+    kept : int
+        Number of leading rows of the covariance that are kept and that have to settle.
     tolerance : float
-        Relative change of the covariance at which the gain is frozen.
+        Change of their correlations in one sample at which the gain is frozen.
 
     Returns
     -------
     which : int (n,)
         Row of the tables below that each sample uses.
-    P : (m, d, d)
-        Covariances before the reading.
+    P : (m, kept, d)
+        Leading rows of the covariances before the reading.
     K : (m, d)
         Gains; zero where the reading is missing.
     S : (m,)
@@ -50,7 +52,7 @@ def gains(
     n, d = present.size, h.size
     which = np.empty(n, np.int64)
     room = 64
-    table_P = np.empty((room, d, d))
+    table_P = np.empty((room, kept, d))
     table_K = np.empty((room, d))
     table_S = np.empty(room)
     P = P0.copy()
@@ -67,14 +69,14 @@ def gains(
             frozen = False
         if used == room:
             room *= 2
-            bigger_P = np.empty((room, d, d))
+            bigger_P = np.empty((room, kept, d))
             bigger_K = np.empty((room, d))
             bigger_S = np.empty(room)
             bigger_P[:used] = table_P[:used]
             bigger_K[:used] = table_K[:used]
             bigger_S[:used] = table_S[:used]
             table_P, table_K, table_S = bigger_P, bigger_K, bigger_S
-        table_P[used] = P
+        table_P[used] = P[:kept]
         S = R
         for i in range(d):
             Ph[i] = 0.0
@@ -94,23 +96,16 @@ def gains(
                 across += updated[i, j] * h[j]
             for j in range(d):
                 updated[i, j] += (R * K[i] - across) * K[j]
-        for i in range(d):
-            half[i] = 0.0
-            for m in range(d):
-                for j in range(d):
-                    half[i, j] += A[i, m] * updated[m, j]
-        for i in range(d):
-            following[i] = Q[i]
-            for m in range(d):
-                for j in range(d):
-                    following[i, j] += half[i, m] * columns[m, j]
+        np.dot(A, updated, half)
+        np.dot(half, columns, following)
+        following += Q
         for i in range(d):
             for j in range(i):
                 following[i, j] = 0.5 * (following[i, j] + following[j, i])
                 following[j, i] = following[i, j]
         if present[k]:
             change = 0.0
-            for i in range(d):
+            for i in range(kept):
                 for j in range(d):
                     scale = np.sqrt(following[i, i] * following[j, j]) + 1e-300
                     change = max(change, abs(following[i, j] - P[i, j]) / scale)
@@ -183,7 +178,7 @@ def smooth(
     P: Floats,
     K: Floats,
     S: Floats,
-    C: Floats,
+    wanted: int,
     tolerance: float,
 ) -> tuple[Floats, Floats]:
     """Fixed-interval smoother by the adjoint recursion of Bryson and Frazier; no covariance is inverted.
@@ -192,48 +187,59 @@ def smooth(
     ----------
     states, v
         Predicted states and innovations of `innovations`.
-    C : (c, d)
-        The combinations of states that are wanted.
+    wanted : int
+        The state whose variance is wanted; one of those whose rows of the covariance are kept.
 
     Returns
     -------
-    smoothed : (n, d)
-        States given all readings.
-    variance : (n, c)
-        Variances of the combinations.
+    smoothed : (n, kept)
+        Leading states given all readings.
+    variance : (n,)
+        Variances of the state that is wanted.
     """
     n, d = states.shape
-    c = C.shape[0]
-    smoothed = np.empty((n, d))
-    variance = np.empty((n, c))
+    kept = P.shape[1]
+    smoothed = np.empty((n, kept))
+    variance = np.empty(n)
     r = np.zeros(d)
-    N = np.zeros((d, d))
+    N, half, following = np.zeros((d, d)), np.empty((d, d)), np.empty((d, d))
+    L = A.copy()
+    turned = L.T.copy()
     last = -1
     frozen = False
     for k in range(n - 1, -1, -1):
         w = which[k]
         same = w == last
-        if present[k]:
-            L = A - np.outer(A @ K[w], h)
-            r = h * (v[k] / S[w]) + L.T @ r
-        else:
-            L = A
-            r = A.T @ r
-        smoothed[k] = states[k] + P[w] @ r
-        if not (frozen and same):
-            following = L.T @ N @ L
+        if not same:
+            L[:] = A
             if present[k]:
-                following += np.outer(h, h) / S[w]
+                through = A @ K[w]
+                for i in range(d):
+                    for j in range(d):
+                        L[i, j] -= through[i] * h[j]
+            turned[:] = L.T
+        r = turned @ r
+        if present[k]:
+            r += h * (v[k] / S[w])
+        smoothed[k] = states[k, :kept] + P[w] @ r
+        if not (frozen and same):
+            np.dot(turned, N, half)
+            np.dot(half, L, following)
+            if present[k]:
+                for i in range(d):
+                    for j in range(d):
+                        following[i, j] += h[i] * h[j] / S[w]
             change = 0.0
             for i in range(d):
-                for j in range(d):
-                    scale = np.sqrt(following[i, i] * following[j, j]) + 1e-300
-                    change = max(change, abs(following[i, j] - N[i, j]) / scale)
-            frozen = same and change < tolerance
-            N = 0.5 * (following + following.T)
-            for i in range(c):
-                row = P[w] @ C[i]
-                variance[k, i] = max(C[i] @ row - row @ (N @ row), 0.0)
+                for j in range(i + 1):
+                    value = 0.5 * (following[i, j] + following[j, i])
+                    change = max(change, (value - N[i, j]) ** 2 / (following[i, i] * following[j, j] + 1e-300))
+                    N[i, j] = value
+                    N[j, i] = value
+            frozen = same and change < tolerance**2
+            row = P[w, wanted]
+            explained = row @ (N @ row)
+            variance[k] = max(row[wanted] - explained, 0.0)
         else:
             variance[k] = variance[k + 1]
         last = w

@@ -17,7 +17,7 @@ from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import PARAMETERS, Dynamics
 from aerobalance.motion import GroundMotion, load_from_ground
 from aerobalance.noise import white_noise
-from aerobalance.prior import Learned, Reading, generalised_least_squares, whitened_residual
+from aerobalance.prior import Learned, Reading, generalised_least_squares
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Array, Recording
 from aerobalance.smoother import FORCE, LOAD, LOAD_RATE, Filter
@@ -208,14 +208,15 @@ def _optimal(job: _Job) -> ForceEstimate:
         noise=channel.noise,
     )
     steps, learned = find_steps(reading)
-    filter_ = Filter.of(reading.system(learned.prior, learned.noise), reading.present)
+    filter_ = Filter.of(reading.system(learned), reading.present)
     columns = columns_of(steps, reading)
     shapes = np.column_stack([np.ones(reading.values.size), *(shape_of(step, reading) for step in steps)])
     sizes, _, _ = generalised_least_squares(filter_, reading.filled, columns)
-    states, variance = filter_.smooth(np.where(reading.present, reading.values - columns @ sizes, 0.0))
+    left = reading.filled - columns @ sizes
+    states, variance = filter_.smooth(left)
     values = states[:, FORCE] + shapes @ sizes
     load_rate, load_acceleration = _load_derivatives(job, states, columns @ sizes + from_ground, values)
-    _check_explained(job, whitened_residual(reading, learned, columns=columns))
+    _check_explained(job, filter_.whiten(left[:, None])[:, 0])
     parts = {
         "noise of the readings": np.sqrt(variance),
         "size and instant of steps": _shape_uncertainty(reading, filter_, steps, shapes, sizes),
@@ -225,8 +226,7 @@ def _optimal(job: _Job) -> ForceEstimate:
     return job.finish(
         values,
         parts,
-        method=f"smoother: prior of order {learned.prior.order}, cutoff {learned.prior.cutoff:.4g} Hz, "
-        "by maximum likelihood of the innovations",
+        method=f"smoother: {learned.spectrum}, by Whittle's likelihood",
         noise=learned.noise,
         bandwidth=resolved,
         noise_gain=float(np.sqrt(np.mean(variance))) / learned.noise,
@@ -294,7 +294,7 @@ def _resolved_bandwidth(reading: Reading, learned: Learned) -> float:
     """Frequency up to which the force is stronger in the reading than the noise [Hz]; 0 if it is nowhere."""
     frequency = np.linspace(0, 0.5 / reading.interval, 4097)[1:]
     transfer = np.abs(reading.dynamics.response(frequency)) ** 2
-    force = transfer * learned.prior.spectrum(frequency)
+    force = transfer * learned.spectrum.density(frequency)
     noise = transfer * reading.input_density + learned.noise**2 * reading.interval
     above = np.flatnonzero(force > noise)
     return float(frequency[above[-1]]) if above.size else 0.0

@@ -1,8 +1,8 @@
 r"""The optimal estimator: the applied force as an unknown input of the balance, given all readings.
 
-The balance is Eq. (8) of [Gorbushin2020]_; the force is a stationary process whose spectrum is flat up to a cutoff and
-rolls off as a Butterworth filter's, plus a constant and steps. Everything is discretised exactly, so with noise going
-to zero the estimate goes to Eq. (17).
+The balance is Eq. (8) of [Gorbushin2020]_; the force is a stationary process of a given spectrum, made from white
+noise by a shaping filter, plus a constant and steps. Everything is discretised exactly, so with noise going to zero
+the estimate goes to Eq. (17).
 
 References
 ----------
@@ -24,41 +24,13 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from aerobalance import _kernels
 from aerobalance.dynamics import Dynamics
 from aerobalance.recording import Array
+from aerobalance.shaping import ShapingFilter
 
-GAIN_TOLERANCE: Final = 1e-9
-"""Relative change of a covariance below which the filter's gain is frozen."""
+GAIN_TOLERANCE: Final = 1e-8
+"""Relative change of the covariance in one sample below which the filter's gain is frozen."""
 
 LOAD, LOAD_RATE, FORCE = 0, 1, 2
-"""Places in the state: the load felt AF, its rate AF'/w0, and the last section of the force's prior."""
-
-
-@dataclass(frozen=True, slots=True)
-class ForcePrior:
-    """Spectrum of the force that is expected before looking: flat, then rolling off as a Butterworth filter's.
-
-    Attributes
-    ----------
-    order
-        Order n: 1, or an even number. The larger, the sharper the cutoff; order 1 with a low cutoff is a random walk.
-    cutoff
-        Frequency of half power [Hz].
-    density
-        Two-sided power spectral density at low frequency [N^2/Hz].
-    """
-
-    order: int
-    cutoff: float
-    density: float
-
-    def __post_init__(self) -> None:
-        if self.order != 1 and (self.order < 2 or self.order % 2):
-            raise ValueError(f"order must be 1 or even, not {self.order}")
-        if not (self.cutoff > 0 and self.density >= 0):
-            raise ValueError(f"cutoff must be positive and density not negative: {self.cutoff}, {self.density}")
-
-    def spectrum(self, frequency: Array) -> Array:
-        """Two-sided power spectral density at frequencies [Hz], [N^2/Hz]."""
-        return np.asarray(self.density / (1 + (frequency / self.cutoff) ** (2 * self.order)))
+"""Places in the state: the load felt AF, its rate AF'/w0, and the force F, the first state of its shaping filter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,21 +56,21 @@ class StateSpace:
     def of_balance(
         cls,
         dynamics: Dynamics,
-        prior: ForcePrior,
+        force: ShapingFilter,
         *,
         interval: float,
         noise: float,
         input_density: float = 0.0,
         swing: float = 0.0,
     ) -> StateSpace:
-        """Join the balance, Eq. (8) of [Gorbushin2020]_, with the prior of the force.
+        """Join the balance, Eq. (8) of [Gorbushin2020]_, with the process that the force is taken for.
 
         Parameters
         ----------
         dynamics
             Mass, stiffness and damping.
-        prior
-            Spectrum of the force.
+        force
+            What makes the force out of white noise.
         interval
             Time between samples [s].
         noise
@@ -110,23 +82,14 @@ class StateSpace:
             Size of a free oscillation that may be under way when the record starts [N].
         """
         w0, damping_ratio = dynamics.angular_frequency, dynamics.damping_ratio
-        size = 2 + prior.order
+        size = FORCE + force.order
         A = np.zeros((size, size))
         B = np.zeros((size, 2))
         A[LOAD, LOAD_RATE] = w0
         A[LOAD_RATE, [LOAD, LOAD_RATE, FORCE]] = -w0, -2 * damping_ratio * w0, w0
+        A[FORCE:, FORCE:] = force.drift
         B[LOAD_RATE, 0] = w0 * np.sqrt(input_density)
-        wc = 2 * np.pi * prior.cutoff
-        if prior.order == 1:
-            A[FORCE, FORCE] = -wc
-        for section in range(prior.order // 2):  # the last section is driven by the noise, the first is the force
-            here = FORCE + 2 * section
-            width = np.cos(np.pi * (2 * section + 1) / (2 * prior.order))
-            A[here, here + 1] = wc
-            A[here + 1, [here, here + 1]] = -wc, -2 * width * wc
-            if here + 2 < size:
-                A[here + 1, here + 2] = wc
-        B[size - 1, 1] = wc * np.sqrt(prior.density)
+        B[FORCE:, 1] = force.drive
         transition, process_noise = _discretise(A, B @ B.T, interval)
         initial = solve_continuous_lyapunov(A, -B @ B.T)
         initial = (initial + initial.T) / 2
@@ -142,15 +105,23 @@ class StateSpace:
 
 
 def _discretise(A: Array, intensity: Array, interval: float) -> tuple[Array, Array]:
-    """Transition and noise covariance of x' = A x + white noise over an interval, exactly [VanLoan1978]_."""
+    """Transition and noise covariance of x' = A x + white noise over an interval, exactly [VanLoan1978]_.
+
+    Worked out over a part of the interval that is short for the fastest state, then doubled: a sum of positive terms,
+    where the exponential over the whole interval would grow beyond all bounds.
+    """
     size = A.shape[0]
+    doublings = max(0, int(np.ceil(np.log2(np.linalg.norm(A, 1) * interval + 1e-300))))
     block = np.zeros((2 * size, 2 * size))
     block[:size, :size] = -A
     block[:size, size:] = intensity
     block[size:, size:] = A.T
-    exponential = expm(block * interval)
+    exponential = expm(block * (interval / 2**doublings))
     transition = np.ascontiguousarray(exponential[size:, size:].T)
     noise = transition @ exponential[:size, size:]
+    for _ in range(doublings):
+        noise = noise + transition @ noise @ transition.T
+        transition = transition @ transition
     return transition, np.ascontiguousarray((noise + noise.T) / 2)
 
 
@@ -165,7 +136,8 @@ class Filter:
     present
         False where a reading is missing, shape (n,).
     which, covariances, gains, variances
-        For each sample its row in the tables of covariance (m, d, d), gain (m, d) and innovation variance (m,).
+        For each sample its row in the tables of covariance (m, 3, d; only the rows of load, rate and force), gain
+        (m, d) and innovation variance (m,).
     """
 
     system: StateSpace
@@ -185,6 +157,7 @@ class Filter:
             system.observation,
             system.noise_variance,
             system.initial,
+            FORCE + 1,
             GAIN_TOLERANCE,
         )
         return cls(system, present, *tables)
@@ -217,14 +190,12 @@ class Filter:
         return float(np.sum(np.log(self.variances[self.which[self.present]])))
 
     def smooth(self, readings: Array) -> tuple[Array, Array]:
-        """Smoothed states (n, d) and the variance of the force's state (n,), by the recursion of [deJong1989]_."""
+        """Smoothed load, load rate and force (n, 3), and the force's variance (n,), by [deJong1989]_."""
         system = self.system
         states, innovations = _kernels.innovations(
             readings, self.present, system.transition, system.observation, self.which, self.gains
         )
-        wanted = np.zeros((1, system.transition.shape[0]))
-        wanted[0, FORCE] = 1.0
-        smoothed, variance = _kernels.smooth(
+        return _kernels.smooth(
             states,
             innovations,
             self.present,
@@ -234,7 +205,6 @@ class Filter:
             self.covariances,
             self.gains,
             self.variances,
-            wanted,
+            FORCE,
             GAIN_TOLERANCE,
         )
-        return smoothed, variance[:, 0]

@@ -19,18 +19,24 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 from scipy.signal import fftconvolve
 
-from aerobalance.prior import Learned, Reading, generalised_least_squares, guess, learn, log_likelihood
+from aerobalance.prior import Learned, Reading, generalised_least_squares, learn, log_likelihood
 from aerobalance.recording import Array
 from aerobalance.smoother import Filter
 
 STEP_EVIDENCE: Final = 25.0
-"""Gain in twice the log-likelihood that a step must bring; smooth records reach 14 by chance."""
+"""Gain in twice the log-likelihood that a step must bring in a record of `FEW_INSTANTS`."""
+
+FEW_INSTANTS: Final = 3200
+"""Samples of a record up to which that is enough; every further instant is one more chance to be misled."""
 
 RAMP_EVIDENCE: Final = 10.0
 """Gain in twice the log-likelihood for which a step is given a duration."""
 
 MOST_STEPS: Final = 20
 """Steps that are looked for in one record."""
+
+MOST_INSTANTS: Final = 64
+"""Instants that are tried at most where a step that was found before is placed again."""
 
 REFINING_SAMPLES: Final = 1 << 14
 """Length of the part of a record, around a step, on which its instant is refined."""
@@ -83,26 +89,23 @@ def columns_of(steps: list[Step], reading: Reading) -> Array:
 
 
 def find_steps(reading: Reading) -> tuple[list[Step], Learned]:
-    """Find the steps of a record, and the prior of what is left when they are taken out.
-
-    While steps are still found, the prior is guessed from the periodogram; the full answer is worked out when the
-    guess shows no more, and then it is looked once more.
-    """
+    """Find the steps of a record, and the prior of what is left when they are taken out."""
     steps: list[Step] = []
-    learned, thorough = guess(reading, columns=columns_of(steps, reading)), False
+    learned = learn(reading, columns=columns_of(steps, reading))
     while True:
         columns = columns_of(steps, reading)
         candidate, promise = _scan(reading, learned, columns)
         found = None
-        if promise >= STEP_EVIDENCE and len(steps) < MOST_STEPS:
+        if promise >= _evidence_needed(reading) and len(steps) < MOST_STEPS:
             found = _taken_up(reading, learned, steps, candidate)
-        if found is not None:
-            (steps, learned), thorough = found, False
-        elif thorough:
+        if found is None:
             return sorted(steps, key=lambda step: step.instant), learned
-        else:
-            learned, thorough = learn(reading, columns=columns), True
-            steps = _refined(reading, learned, steps)
+        steps, learned = found
+
+
+def _evidence_needed(reading: Reading) -> float:
+    """Gain in twice the log-likelihood for which a step is taken up: of n chances the largest grows as 2 log n."""
+    return STEP_EVIDENCE + 2 * float(np.log(max(reading.values.size / FEW_INSTANTS, 1.0)))
 
 
 def _taken_up(
@@ -111,17 +114,17 @@ def _taken_up(
     """The steps with one more, and the prior without it; None if it does not bring the evidence."""
     trial, relearned = _settle(reading, learned, [*steps, candidate])
     with_it, without = (
-        log_likelihood(reading, prior.prior, prior.noise, columns=columns_of(some, reading), whole=True)
+        log_likelihood(reading, prior, columns=columns_of(some, reading))
         for prior, some in ((relearned, trial), (learned, steps))
     )
     evidence = 2 * (with_it - without)
-    if evidence < STEP_EVIDENCE:
+    if evidence < _evidence_needed(reading):
         return None
     return [*trial[:-1], replace(trial[-1], evidence=evidence)], relearned
 
 
 def _settle(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list[Step], Learned]:
-    """Place a new step with the prior at hand, guess the prior again without it, and so on until neither moves."""
+    """Place a new step with the prior at hand, learn the prior again without it, and so on until neither moves."""
     for turn in range(5):
         before = steps[-1]
         others = columns_of(steps[:-1], reading)
@@ -132,7 +135,7 @@ def _settle(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list
         steps = [*steps[:-1], _refine(reading, learned, others, near, ramps=turn > 0)]
         if turn > 0:
             steps = _refined(reading, learned, steps)
-        learned = guess(reading, columns=columns_of(steps, reading))
+        learned = learn(reading, columns=columns_of(steps, reading))
         if turn > 0 and abs(steps[-1].instant - before.instant) < 0.01 * reading.interval:
             break
     return steps, learned
@@ -149,7 +152,7 @@ def _refined(reading: Reading, learned: Learned, steps: list[Step]) -> list[Step
 
 def _scan(reading: Reading, learned: Learned, columns: Array) -> tuple[Step, float]:
     """The most likely instant of one more step, to a sample, and the gain in twice the log-likelihood it promises."""
-    filter_ = Filter.of(reading.system(learned.prior, learned.noise), reading.present)
+    filter_ = Filter.of(reading.system(learned), reading.present)
     series = filter_.whiten(np.column_stack([reading.filled, columns]))
     basis, _ = np.linalg.qr(series[:, 1:])
     left = series[:, 0] - basis @ (basis.T @ series[:, 0])
@@ -173,16 +176,22 @@ def _refine(reading: Reading, learned: Learned, columns: Array, step: Step, *, r
     first = int(np.clip(step.instant / interval - REFINING_SAMPLES // 2, 0, max(count - REFINING_SAMPLES, 0)))
     part = slice(first, min(first + REFINING_SAMPLES, count))
     local = replace(reading, values=reading.values[part])
-    filter_ = Filter.of(local.system(learned.prior, learned.noise), local.present)
+    filter_ = Filter.of(local.system(learned), local.present)
     fixed = columns[part]
     fixed = fixed[:, (np.ptp(fixed, axis=0) > 0) | (np.arange(fixed.shape[1]) == 0)]
     origin = first * interval
 
-    def squares(instant: float, duration: float) -> float:
-        column = response_to(Step(instant - origin, duration), local)
-        return generalised_least_squares(filter_, local.filled, np.column_stack([fixed, column]))[2]
+    white = filter_.whiten(np.column_stack([local.filled, fixed]))
+    basis, _ = np.linalg.qr(white[:, 1:])
+    left = white[:, 0] - basis @ (basis.T @ white[:, 0])
 
-    grid = np.arange(step.instant - 1.5 * interval, step.instant + step.duration + 1.5 * interval, 0.25 * interval)
+    def squares(instant: float, duration: float) -> float:
+        column = filter_.whiten(response_to(Step(instant - origin, duration), local)[:, None])[:, 0]
+        column -= basis @ (basis.T @ column)
+        return float(left @ left - (left @ column) ** 2 / max(float(column @ column), 1e-300))
+
+    begin, end = step.instant - 1.5 * interval, step.instant + step.duration + 1.5 * interval
+    grid = np.arange(begin, end, max(0.25 * interval, (end - begin) / MOST_INSTANTS))
     coarse = float(grid[np.argmin([squares(instant, 0.0) for instant in grid])])
     sharp = minimize_scalar(
         squares,

@@ -1,0 +1,161 @@
+"""The spectrum that is learned from a periodogram, against spectra that are known."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from aerobalance.dynamics import Dynamics
+from aerobalance.segments import CHANGE_EVIDENCE, _cheapest
+from aerobalance.spectrum import HANN_BANDWIDTH, Periodogram, Spectrum, leaked
+from aerobalance.whittle import fit_spectrum
+
+T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
+RATE = 1600.0
+STIFF = Dynamics("AF", 1e-6, 3.093e7, 1e-3)  # follows any force at once: |G| = 1
+
+
+def fresh() -> tuple[np.random.Generator, int]:
+    seed = np.random.SeedSequence().entropy
+    return np.random.default_rng(seed), seed
+
+
+def felt(generator: np.random.Generator, density, *, n: int = 8000, noise: float = 2.0, dynamics=T128) -> np.ndarray:
+    """Readings of a stationary force of a two-sided density [N^2/Hz], cut from a record four times as long."""
+    frequency = np.fft.rfftfreq(4 * n, 1 / RATE)
+    phasors = generator.normal(size=frequency.size) + 1j * generator.normal(size=frequency.size)
+    phasors *= np.sqrt(density(frequency) * 4 * n * RATE / 2) * dynamics.response(frequency)
+    phasors[0] = 0
+    return np.fft.irfft(phasors, 4 * n)[n : 2 * n] + generator.normal(0, noise, n)
+
+
+def fit(values: np.ndarray, *, dynamics=T128):
+    return fit_spectrum(Periodogram.of(values - values.mean(), dynamics, interval=1 / RATE))
+
+
+def test_periodogram_is_a_density():
+    generator, seed = fresh()
+    periodogram = Periodogram.of(generator.normal(0, 3, 20_000), STIFF, interval=1 / RATE)
+    mean = np.average(periodogram.density, weights=periodogram.weight)
+    # 10,000 ordinates worth half: 1.4 %; 5 of these
+    assert mean == pytest.approx(9 / RATE, rel=0.07), seed
+    assert np.sum(periodogram.weight) == pytest.approx(10_000 / HANN_BANDWIDTH, rel=0.01)
+    # f0 = 0.9 MHz: (800 / f0)^2 is 1e-6, twice that in the square
+    assert periodogram.gain == pytest.approx(np.ones(periodogram.gain.size), rel=1e-5)
+
+
+def test_gain_is_smeared_by_the_window():
+    # the peak of the T-128 is 0.7 Hz wide, ordinates of a short record 1.6 Hz apart
+    periodogram = Periodogram.of(np.ones(1000), T128, interval=1 / RATE)
+    assert periodogram.gain.max() < 0.5 * np.max(np.abs(T128.response(np.linspace(60, 72, 5000))) ** 2)
+    power, _ = quad(lambda f: abs(complex(T128.response(f))) ** 2, 0, 400, points=[66.37], limit=400)
+    spacing = RATE / 1000
+    assert np.sum(periodogram.gain * periodogram.count) * spacing == pytest.approx(power, rel=0.05)
+
+
+def test_leakage_of_the_window():
+    # Parseval: the window's own spectrum, summed numerically beyond a distance
+    n, pad = 256, 64
+    power = np.abs(np.fft.fft(np.hanning(n + 1)[:n], n * pad)) ** 2
+    share = np.cumsum(np.roll(power, n * pad // 2)) / np.sum(power)
+    for distance in (-3.0, -1.0, 0.0, 0.5, 2.0, 10.0):
+        expected = share[int(n * pad // 2 + distance * pad)]  # an ordinate below the edge by -distance sees its rest
+        # steps of 1 / 64 ordinate: half a step of the main lobe's density of 0.7 an ordinate
+        assert leaked(np.array(distance)) == pytest.approx(expected, abs=0.012)
+
+
+@pytest.mark.parametrize("edge", [30.0, 120.0, 300.0])
+def test_sharp_band_is_found(edge):
+    generator, seed = fresh()
+    level = 500.0**2 / (2 * edge)
+    found = fit(felt(generator, lambda f: np.where(f <= edge, level, 0.0)))
+    assert found.spectrum.roll_off is None, seed
+    assert found.spectrum.edges[0] == pytest.approx(edge, abs=0.4), seed  # two ordinates
+    ordinates = edge / 0.2 / HANN_BANDWIDTH
+    assert found.spectrum.levels[0] == pytest.approx(level, rel=5 / np.sqrt(ordinates)), seed
+    assert not found.spectrum.levels[1:].any(), seed
+    # the noise shows on 500 to 770 Hz of 0.2 Hz ordinates, worth half: 1.8 % of its variance; 5 of these
+    assert found.noise_density == pytest.approx(4 / RATE, rel=0.14), seed
+
+
+@pytest.mark.parametrize(("corner", "order"), [(10.0, 1), (60.0, 2), (60.0, 4)])
+def test_roll_off_is_found(corner, order):
+    generator, seed = fresh()
+    found = fit(felt(generator, lambda f: 1000 / (1 + (f / corner) ** (2 * order)), noise=10.0))
+    assert found.spectrum.roll_off is not None, seed
+    frequency = np.array([0.5, 1.0, 2.0]) * corner
+    truth = 1000 / (1 + (frequency / corner) ** (2 * order))
+    # three numbers from at least 10 / 0.2 / 1.94 = 26 ordinates below the corner (10 Hz), 155 (60 Hz), and as many in
+    # the slope: one standard deviation 1.7 / sqrt(26) = 0.33 and 0.14 of the logarithm; 4 of these
+    spread = 4 * np.sqrt(3 / (corner / 0.2 / HANN_BANDWIDTH))
+    assert np.max(np.abs(np.log(found.spectrum.density(frequency) / truth))) < spread, seed
+
+
+def test_gauss_spectrum_is_found():
+    generator, seed = fresh()
+    found = fit(felt(generator, lambda f: 2000 * np.exp(-0.5 * (f / 40) ** 2)))
+    assert found.spectrum.roll_off is not None, seed
+    frequency = np.array([20.0, 40.0, 80.0])
+    truth = 2000 * np.exp(-0.5 * (frequency / 40) ** 2)
+    # q ends at 90, where (1 + x^2 / 90)^-90 differs from exp(-x^2) by x^4 / 180: 2 % at 80 Hz; 4 standard deviations
+    assert np.max(np.abs(np.log(found.spectrum.density(frequency) / truth))) < 0.02 + 4 * np.sqrt(3 / 100), seed
+
+
+def test_line_is_found_beside_a_band():
+    generator, seed = fresh()
+    values = felt(generator, lambda f: np.where(f <= 60, 500.0, 0.0))
+    t = np.arange(values.size) / RATE
+    values += 400 * np.abs(T128.response(40.0)) * np.cos(2 * np.pi * 40 * t + generator.uniform(0, 6))
+    spectrum = fit(values).spectrum
+    # its power of 80,000 N^2 stands on 2 x 0.3 Hz (the window's width): over 100 times the level around
+    assert spectrum.density(np.array([40.0]))[0] > 20 * 500.0, seed
+    assert spectrum.density(np.array([30.0, 50.0])) == pytest.approx([500.0, 500.0], rel=0.5), seed
+
+
+def test_nothing_is_found_in_noise():
+    generator, seed = fresh()
+    found = fit(generator.normal(0, 2, 8000))
+    # every change costs 10 in log-likelihood, which 600 averages reach with 600 exp(-10) = 3 %, and one level alone 4,
+    # then the evidence's price of two parameters, 8 more
+    assert not found.spectrum.levels.any(), seed
+    assert found.noise_density == pytest.approx(4 / RATE, rel=5 * np.sqrt(HANN_BANDWIDTH / 4000)), seed
+
+
+def test_color_above_resonance_is_no_strong_force():
+    # a second mode in the reading at 300 Hz, where the balance shows 1 / 19 of a force: 360 times 30 N^2/Hz as a force
+    generator, seed = fresh()
+    values = felt(generator, lambda f: np.where(f <= 30, 500.0, 0.0))
+    colored = felt(generator, lambda f: 30.0 / (1 + ((f - 300) / 5) ** 2), noise=0.0, dynamics=STIFF)
+    spectrum = fit(values + colored).spectrum
+    below, above = spectrum.density(np.array([15.0]))[0], np.max(spectrum.density(np.linspace(100, 800, 7001)))
+    # two steps of the grid of levels, 20 a decade, lie between
+    assert above <= 10 ** (2 / 20) * below, seed
+
+
+def test_long_records_are_averaged(monkeypatch):
+    generator, seed = fresh()
+    monkeypatch.setattr("aerobalance.spectrum.LONGEST", 2048)
+    values = felt(generator, lambda f: np.where(f <= 120, 1000.0, 0.0), n=40_000)
+    periodogram = Periodogram.of(values - values.mean(), T128, interval=1 / RATE)
+    assert periodogram.ordinates.shape[1] == 1022
+    assert np.sum(periodogram.weight) == pytest.approx(20_000 / HANN_BANDWIDTH, rel=0.01)
+    spectrum = fit_spectrum(periodogram).spectrum
+    assert spectrum.edges[0] == pytest.approx(120.0, abs=2 * RATE / 2048), seed
+
+
+def test_path_of_least_cost_is_that_of_all_paths():
+    generator, seed = fresh()
+    cost = generator.normal(0, 30, (6, 3))
+    paths = np.stack(np.meshgrid(*[np.arange(3)] * 6, indexing="ij"), -1).reshape(-1, 6)
+    total = cost[np.arange(6), paths].sum(axis=1) + CHANGE_EVIDENCE * np.count_nonzero(np.diff(paths), axis=1)
+    assert (_cheapest(cost) == paths[np.argmin(total)]).all(), seed
+
+
+def test_density_of_segments_and_roll_off():
+    steps = Spectrum(np.array([10.0, 20.0, 800.0]), np.array([5.0, 2.0, 0.0]))
+    assert steps.density(np.array([0.0, 10.0, 15.0, 25.0, 900.0])) == pytest.approx([5, 5, 2, 0, 0])
+    assert steps.density(np.array([0.1, 10.0, 15.0, 25.0]), step=0.01) == pytest.approx([5, 3.5, 2, 0], abs=1e-6)
+    smooth = Spectrum(np.array([np.inf]), np.array([8.0]), (50.0, 2.0, 3.0))
+    assert smooth.density(np.array([0.0, 50.0])) == pytest.approx([8.0, 1.0])
+    assert str(Spectrum(np.zeros(0), np.zeros(0))) == "no fluctuating force"
+    assert "2 segment(s) up to 20 Hz" in str(steps)
+    assert "power 6" in str(smooth)
