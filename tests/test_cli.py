@@ -128,7 +128,7 @@ WRONG_CALLS = {
     "weigh points.csv --component XX -o OUT.json": "--component must be one of",
     "weigh points.csv -o points.csv": "points.csv is an input",
     "map cut.csv -o cut.csv": "cut.csv is an input",
-    "convert cut.csv -o OUT.xyz": "'.xyz' stands for no known format; allowed: .csv",
+    "convert cut.csv -o OUT.xyz": "'.xyz' stands for no known format; allowed: ",
     "convert cut.csv -o cut.csv": "cut.csv is an input",
     "force cut.csv --dynamics dynamics.json": "Missing option '-o'",
     "force cut.csv --dynamics none.json -o OUT.csv": "none.json: there is no such file",
