@@ -56,7 +56,7 @@ BAD = {
     "binary": (bytes(range(256)) * 8, ["binary file of an unknown kind", "CSV text"]),
     "tdms": (b"TDSm\x0e\x00\x00\x00" + b"\x01" * 99, ["TDMS", "without channels"]),
     "index of tdms": (b"TDSh\x0e\x00\x00\x00" + b"\x01" * 99, ["index", ".tdms", "CSV text"]),
-    "hdf5": (b"\x89HDF\r\n\x1a\n" + b"\x00" * 99, ["HDF5", "CSV text"]),
+    "hdf5": (b"\x89HDF\r\n\x1a\n" + b"\x00" * 99, ["damaged HDF5 file"]),
     "spreadsheet": (b"PK\x03\x04" + b"\x14\x00" * 99, ["zip archive", "CSV text"]),
     "matlab": (b"MATLAB 5.0 MAT-file" + b"\x00\x01" * 99, ["MATLAB"]),
     "parquet": (b"PAR1\x15\x04\x15" + b"\x00" * 99, ["Parquet"]),

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
 from aerobalance.components import is_gauge, si_unit
-from aerobalance.io import csv_file, tdms_file
+from aerobalance.io import csv_file, hdf5_file, tdms_file
 from aerobalance.io.channel_map import ChannelMap, load_channel_map, mapped_recording
 from aerobalance.io.clocks import of_one_length, on_one_clock
 from aerobalance.io.columns import Heading, RawColumns
@@ -23,9 +23,11 @@ from aerobalance.io.map_template import map_text
 from aerobalance.io.table import Column, Table, recording_from, table_from
 from aerobalance.io.text_table import Layout
 from aerobalance.io.units import conversion, conversion_for, edge_unit
-from aerobalance.loads import LoadsFelt
 from aerobalance.problems import ReadError
 from aerobalance.recording import Array, Channel, Force, Recording
+
+if TYPE_CHECKING:
+    from aerobalance.loads import LoadsFelt
 
 __all__ = [
     "FORMATS",
@@ -72,7 +74,7 @@ class Format(Protocol):
         """Write columns under their headers."""
 
 
-FORMATS: Final[tuple[Format, ...]] = (tdms_file, csv_file)
+FORMATS: Final[tuple[Format, ...]] = (tdms_file, hdf5_file, csv_file)
 """The formats, in the order in which they are asked; text comes last, as it takes what the others leave."""
 
 _SIGNATURES: Final = (
@@ -125,7 +127,8 @@ def read(path: Path | str, *, channel_map: ChannelMap | None = None) -> Recordin
         columns = chosen.read_columns(file)
         clocked = any(column.clock is not None for column in columns.columns)
         columns = on_one_clock(columns) if clocked else of_one_length(columns)
-        return recording_from(table_from(columns, missing_allowed=True), rate=columns.rate)
+        table = table_from(columns, missing_allowed=True)
+        return recording_from(table, rate=columns.rate, ticks=columns.ticks)
     raw = chosen.read_columns(file, channel_map.layout, wanted=channel_map.wanted)
     return mapped_recording(raw, channel_map)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from aerobalance.io.units import readable
 from aerobalance.problems import ReadError
-from aerobalance.recording import Array
+from aerobalance.recording import Array, Coupling
 
 _SQUARE: Final = re.compile(r"(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 _ROUND: Final = re.compile(r"(?P<name>.*?)\s*\((?P<unit>.*)\)\s*")
@@ -66,6 +66,26 @@ class Heading:
     usable: bool = True
 
 
+@dataclass(frozen=True, slots=True)
+class Sensing:
+    """How a column was measured, where the file itself says it; as in `aerobalance.recording.Channel`.
+
+    Attributes
+    ----------
+    noise
+        Standard uncertainty of one reading [unit of the column]; None when it is to be estimated.
+    relative_uncertainty
+        Standard uncertainty of the gain, relative [1].
+    coupling, corner
+        What an accelerometer reads.
+    """
+
+    noise: float | None = None
+    relative_uncertainty: float = 0.0
+    coupling: Coupling = "kinematic"
+    corner: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RawColumn:
     """One column of a file.
@@ -88,6 +108,8 @@ class RawColumn:
         When the cells were read; None where a time column, or a rate for the whole file, says it.
     delay
         Time by which the readings lag the rows they stand in [s].
+    sensing
+        How the column was measured, where the file says it.
     """
 
     label: str
@@ -98,6 +120,7 @@ class RawColumn:
     alias: str = ""
     clock: Clock | None = None
     delay: float = 0.0
+    sensing: Sensing = field(default_factory=Sensing)
 
     @property
     def place(self) -> str:
@@ -121,6 +144,9 @@ class RawColumns:
         Sampling rate of all columns [Hz] where the file itself states it; None where a time column has to.
     start
         Time of the first row [s], where `rate` is given.
+    ticks
+        Sample of the steady clock that each row stands for, shape (n,), increasing from 0, where `rate` is given;
+        None where no sample is missing.
     """
 
     path: Path
@@ -128,6 +154,7 @@ class RawColumns:
     lines: Sequence[int] | NDArray[np.intp]
     rate: float | None = None
     start: float = 0.0
+    ticks: NDArray[np.intp] | None = None
 
     @property
     def rows(self) -> int:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.io.columns import RawColumn, RawColumns
+from aerobalance.io.columns import RawColumn, RawColumns, Sensing
 from aerobalance.io.units import ALLOWED, conversion_for, expected_unit
 from aerobalance.problems import DoubtWarning, FitError, ReadError
 from aerobalance.recording import Array, Channel, Recording
@@ -35,6 +35,8 @@ class Column:
         The column as a place in an error message.
     delay
         Time by which the cells lag the rows they stand in [s].
+    sensing
+        How the column was measured, where the file says it; `noise` in `unit`.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Column:
     file_unit: str
     place: str
     delay: float = 0.0
+    sensing: Sensing = field(default_factory=Sensing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +112,7 @@ def table_from(raw: RawColumns, *, required: Sequence[str] = (), missing_allowed
     """
     columns: dict[str, Column] = {}
     if raw.rate is not None:
-        stamps = raw.start + np.arange(raw.rows) / raw.rate
+        stamps = raw.start + (np.arange(raw.rows) if raw.ticks is None else raw.ticks) / raw.rate
         columns["time"] = Column("time", stamps, "s", "s", "the clock that the file states")
     for column in raw.columns:
         if not column.label and not np.isfinite(column.values).any():
@@ -119,8 +122,11 @@ def table_from(raw: RawColumns, *, required: Sequence[str] = (), missing_allowed
             change = conversion_for(name, column.unit)
         except ValueError as error:
             raise ReadError(raw.path, f"header, {column.place}", str(error)) from None
+        sensing = column.sensing
+        if sensing.noise is not None:
+            sensing = replace(sensing, noise=sensing.noise * change.factor)
         columns[name] = Column(
-            name, change.inside(column.values), change.unit, column.unit, column.place, column.delay
+            name, change.inside(column.values), change.unit, column.unit, column.place, column.delay, sensing
         )
     table = Table(raw.path, columns, raw.lines)
     for name in required:
@@ -152,7 +158,7 @@ def _checked_name(path: Path, column: RawColumn, known: Mapping[str, Column]) ->
     return column.name
 
 
-def recording_from(table: Table, *, rate: float | None = None) -> Recording:
+def recording_from(table: Table, *, rate: float | None = None, ticks: NDArray[np.intp] | None = None) -> Recording:
     """Put the columns of a table on the clock of its column ``time``.
 
     Parameters
@@ -161,6 +167,8 @@ def recording_from(table: Table, *, rate: float | None = None) -> Recording:
         With a column ``time``.
     rate
         Sampling rate that the file states [Hz], of which ``time`` was made; None where ``time`` was read.
+    ticks
+        Sample of the steady clock that each row stands for, where the file states it.
 
     Raises
     ------
@@ -169,7 +177,17 @@ def recording_from(table: Table, *, rate: float | None = None) -> Recording:
     """
     time = table.column("time") if "time" in table else _no_time(table)
     channels = {
-        name: Channel(name, column.values, column.unit, delay=column.delay, file_unit=column.file_unit)
+        name: Channel(
+            name,
+            column.values,
+            column.unit,
+            noise=column.sensing.noise,
+            relative_uncertainty=column.sensing.relative_uncertainty,
+            delay=column.delay,
+            coupling=column.sensing.coupling,
+            corner=column.sensing.corner,
+            file_unit=column.file_unit,
+        )
         for name, column in table.columns.items()
         if name != "time"
     }
@@ -178,7 +196,7 @@ def recording_from(table: Table, *, rate: float | None = None) -> Recording:
             table.path, "header", "has a time column only; at least one channel is needed, for example AF [N]"
         )
     check_time(table.path, time, table.lines)
-    return on_clock(table.path, time.values, channels, time_unit=time.file_unit, rate=rate)
+    return on_clock(table.path, time.values, channels, time_unit=time.file_unit, rate=rate, ticks=ticks)
 
 
 def _no_time(table: Table) -> NoReturn:
@@ -215,7 +233,13 @@ def check_time(path: Path, time: Column, lines: Sequence[int] | NDArray[np.intp]
 
 
 def on_clock(
-    path: Path, stamps: Array, channels: Mapping[str, Channel], *, time_unit: str = "s", rate: float | None = None
+    path: Path,
+    stamps: Array,
+    channels: Mapping[str, Channel],
+    *,
+    time_unit: str = "s",
+    rate: float | None = None,
+    ticks: NDArray[np.intp] | None = None,
 ) -> Recording:
     """Make the recording; warn of samples that are missing or rest on a limit.
 
@@ -241,7 +265,8 @@ def on_clock(
         if rate is None:
             recording = Recording.from_columns(stamps, channels, name=path.name, time_unit=time_unit)
         else:
-            rows = np.arange(stamps.size)
+            rows = np.arange(stamps.size) if ticks is None else ticks
+            channels = channels if ticks is None else _placed(path, channels, ticks)
             recording = Recording(path.name, stamps, rows, float(stamps[0]), rate, channels, time_unit=time_unit)
     except FitError as error:
         text = str(error).removeprefix(f"{path.name}: ")
@@ -258,3 +283,22 @@ def on_clock(
                 stacklevel=3,
             )
     return recording
+
+
+def _placed(path: Path, channels: Mapping[str, Channel], ticks: NDArray[np.intp]) -> dict[str, Channel]:
+    """Put the rows of all channels where they belong on the steady clock; what is between them is missing."""
+    size = int(ticks[-1]) + 1
+    missing = size - ticks.size
+    if missing:
+        warnings.warn(
+            f"{path.name}: {missing} sample(s) are missing in {int(np.count_nonzero(np.diff(ticks) > 1))} gap(s); "
+            "the model bridges them, with a larger uncertainty",
+            DoubtWarning,
+            stacklevel=4,
+        )
+    placed = {}
+    for name, channel in channels.items():
+        values = np.full(size, np.nan)
+        values[ticks] = channel.values
+        placed[name] = replace(channel, values=values)
+    return placed

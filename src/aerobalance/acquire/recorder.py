@@ -1,0 +1,313 @@
+"""The recorder: a process of its own that writes one record and acknowledges each block when it is on the disk."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import time
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection, wait
+from multiprocessing.reduction import ForkingPickler
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+from aerobalance.acquire.continuity import Event, Gap
+from aerobalance.acquire.feed import Address, Feed, Sender
+from aerobalance.acquire.intake import End, Intake, Output, Piece, Plan, Start
+from aerobalance.acquire.source import Block
+from aerobalance.io.hdf5_layout import BlockWriter, DiskFullError, Provenance
+
+PATIENCE: Final = 1.0
+"""Time after which samples are written although their block is not full, where none follow [s]."""
+
+_TICK: Final = 0.1
+_AT_ONCE: Final = 64
+_UNHEARD: Final = 65536
+
+State = Literal["waiting", "recording", "ended", "failed"]
+
+
+class Tell(NamedTuple):
+    """What the recorder is to do: ``call`` (trigger), ``note`` or ``stop``; with a text."""
+
+    do: Literal["call", "note", "stop"]
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How a record stands. Every block that is counted here is on the disk.
+
+    Attributes
+    ----------
+    state
+        ``waiting`` for the trigger, ``recording``, ``ended``, or ``failed`` (nothing could be recorded).
+    reason
+        Why it ended, or what it waits for.
+    path
+        The file.
+    blocks
+        Blocks acknowledged.
+    samples
+        Samples in them, of each channel.
+    next_tick
+        Tick after the last of them.
+    seconds
+        Length of the record by its clock, gaps included [s].
+    gaps
+        Number of gaps.
+    lost
+        Samples of each channel that are missing in them.
+    events
+        Number of events.
+    free
+        Space left on the disk [bytes].
+    full
+        Whether a full disk ended the record.
+    """
+
+    state: State
+    reason: str
+    path: str
+    blocks: int = 0
+    samples: int = 0
+    next_tick: int = 0
+    seconds: float = 0.0
+    gaps: int = 0
+    lost: int = 0
+    events: int = 0
+    free: int = 0
+    full: bool = False
+
+    @property
+    def over(self) -> bool:
+        """Whether there is no more to come."""
+        return self.state in ("ended", "failed")
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One record.
+
+    Attributes
+    ----------
+    path
+        The file, which must not exist.
+    plan
+        What is recorded.
+    clocked
+        Whether the source's clock is steady.
+    provenance
+        Where the samples come from.
+    keep_free
+        Space that is left free on the disk [bytes].
+    """
+
+    path: str
+    plan: Plan
+    clocked: bool
+    provenance: Provenance
+    keep_free: int
+
+
+class Take:
+    """Writes what an intake gives, and keeps count.
+
+    Parameters
+    ----------
+    job
+        What to record, and where.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self.job = job
+        self.intake = Intake(job.plan, clocked=job.clocked)
+        plan = job.plan
+        self.writer = BlockWriter(
+            Path(job.path), plan.channels, rate=plan.rate, rows=plan.rows, provenance=job.provenance
+        )
+        self.progress = Progress("waiting", plan.trigger.text, job.path, free=self._free())
+        self._block_bytes = plan.rows * len(plan.channels) * 8
+        self._origin = 0
+        self._end: str | None = None
+
+    def feed(self, block: Block) -> bool:
+        """Take a block; say whether something was acknowledged or noted."""
+        return self._write(self.intake.feed(block))
+
+    def flush(self) -> bool:
+        """Write samples that wait for their block to fill."""
+        return self._write(self.intake.flush())
+
+    def note(self, kind: str, text: str) -> None:
+        """Write down an event at the present tick."""
+        self._event(Event(self.intake.continuity.expected or 0, kind, text))
+
+    def end(self, reason: str) -> None:
+        """Write the rest and close the file."""
+        if self.progress.over:
+            return
+        try:
+            self._write(self.intake.flush())
+            if self.progress.over:
+                return
+            self.writer.finish(reason)
+        except DiskFullError as problem:
+            self._full(str(problem))
+            return
+        self._set(state="ended", reason=reason)
+
+    def _write(self, outputs: list[Output]) -> bool:
+        try:
+            for output in outputs:
+                self._put(output)
+                if self.progress.over:
+                    break
+        except DiskFullError as problem:
+            self._full(str(problem))
+        return bool(outputs)
+
+    def _put(self, output: Output) -> None:
+        if isinstance(output, Piece):
+            self._piece(output)
+        elif isinstance(output, Gap):
+            self.writer.gap(output.tick, output.samples, kind=output.kind, text=output.text)
+            self._set(gaps=self.progress.gaps + 1, lost=self.progress.lost + output.samples)
+        elif isinstance(output, Event):
+            self._event(output)
+        elif isinstance(output, Start):
+            self.writer.origin(output.tick)
+            self._origin = output.tick
+            self._event(Event(output.tick, "start", output.text))
+            self._set(state="recording", reason="")
+        elif isinstance(output, End):
+            self._event(Event(output.tick, "end", output.reason))
+            self.end(output.reason)
+
+    def _event(self, event: Event) -> None:
+        self.writer.event(event.tick, kind=event.kind, text=event.text)
+        self._set(events=self.progress.events + 1)
+
+    def _piece(self, piece: Piece) -> None:
+        free = self._free()
+        if free < self.job.keep_free + 2 * self._block_bytes:
+            self._set(full=True, free=free)
+            self.end_without_rest(
+                f"disk full: {free / 1e6:.1f} MB left, of which {self.job.keep_free / 1e6:.1f} MB are kept free; "
+                "all blocks before are kept"
+            )
+            return
+        number = self.writer.append(piece.tick, piece.samples)
+        done = piece.tick + piece.samples.shape[0]
+        self._set(
+            blocks=number + 1,
+            samples=self.writer.samples,
+            next_tick=done,
+            seconds=(done - self._origin) / self.job.plan.rate,
+            free=free,
+        )
+
+    def end_without_rest(self, reason: str) -> None:
+        """Close the file without the samples that wait."""
+        self.intake.flush()
+        self.intake.ended = True
+        self.end(reason)
+
+    def _full(self, text: str) -> None:
+        """Nothing more can be written: say so in the file, in place, and be done."""
+        reason = f"disk full: {text}; all blocks before are kept"
+        with contextlib.suppress(OSError):
+            self.writer.abandon(reason)
+        self._set(state="ended", reason=reason, full=True, free=self._free())
+
+    def _free(self) -> int:
+        try:
+            return shutil.disk_usage(Path(self.job.path).parent).free
+        except OSError:
+            return 0
+
+    def _set(self, **changes: Any) -> None:
+        self.progress = replace(self.progress, **changes)
+
+
+def run_recorder(job: Job, address: Address, control: Connection[Any, Any]) -> None:
+    """Write one record: the body of a process. It ends with the record, on SIGTERM, or with whoever started it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the whole group; the starter decides what it means
+    told: list[str] = []
+    signal.signal(signal.SIGTERM, lambda *_: told.append("the recorder was told to end"))
+    try:
+        feed = Feed(address, viewer=False)
+        take = Take(job)
+    except (OSError, EOFError, RuntimeError) as problem:
+        text = f"cannot record to {job.path}: {getattr(problem, 'strerror', None) or problem or 'the source is gone'}"
+        control.send(Progress("failed", " ".join(text.split()), job.path))
+        return
+    teller = Sender(control, _UNHEARD)
+    _tell(teller, take.progress)
+    _record(take, feed, (control, teller), told)
+    teller.finish(0.5, last=bytes(ForkingPickler.dumps(take.progress)))
+    # The library would try again to write what a full disk refused, and fail in ways that cannot be caught.
+    os._exit(0)
+
+
+def _record(take: Take, feed: Feed, starter: tuple[Connection[Any, Any], Sender], told: list[str]) -> None:
+    """Serve the source and the starter until the record is over."""
+    control, teller = starter
+    last = time.monotonic()
+    while not take.progress.over:
+        ready = wait([feed.connection, control], _TICK)
+        if told:
+            take.end(told[0])
+            return
+        if control in ready and not _obey(take, control):
+            return
+        changed = False
+        if feed.connection in ready:
+            last = time.monotonic()
+            changed = _drain(take, feed)
+        elif time.monotonic() - last > PATIENCE:
+            changed = take.flush()
+        if changed and not take.progress.over:
+            _tell(teller, take.progress)
+
+
+def _drain(take: Take, feed: Feed) -> bool:
+    """Take what the source has sent, up to a number of blocks; say whether something was acknowledged."""
+    changed = False
+    for _ in range(_AT_ONCE):
+        try:
+            got = feed.take()
+        except (EOFError, OSError):
+            take.end("the process of the source is gone without a word (killed, or crashed)")
+            return True
+        if isinstance(got, str):
+            take.end(f"the source ended: {got}")
+            return True
+        changed |= take.feed(got)
+        if take.progress.over or not feed.connection.poll():
+            break
+    return changed
+
+
+def _obey(take: Take, control: Connection[Any, Any]) -> bool:
+    """Do what the starter says; return False when the record is over by that."""
+    try:
+        tell: Tell = control.recv()
+    except (EOFError, OSError):
+        take.end("the program that started the record is gone")
+        return False
+    if tell.do == "stop":
+        take.end(tell.text or "stopped")
+        return False
+    if tell.do == "call":
+        take.intake.call(tell.text or "call")
+    else:
+        take.note("note", tell.text)
+    return True
+
+
+def _tell(teller: Sender, progress: Progress) -> None:
+    """Send how the record stands; where the starter does not listen, the next one will say it all."""
+    teller.offer(bytes(ForkingPickler.dumps(progress)), wait=False)

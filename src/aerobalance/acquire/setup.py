@@ -1,0 +1,429 @@
+"""The test set-up: a TOML file that says what is measured, how, and when it is recorded.
+
+::
+
+    name = "wing A, run 12"
+    notes = "after the new fairing"
+
+    [files]                     # all optional; beside the set-up, or with a path
+    balance = "balance.json"
+    dynamics = "dynamics.json"
+    mass = "mass.json"
+
+    [source]
+    kind = "simulated"          # or "replay"; each kind has settings of its own
+    rig = "vibration"
+
+    [record]
+    seconds = 30.0
+    pre_trigger = 0.5
+    trigger = "level"           # "none", "time", "level" or "call"
+    channel = "AF"
+    level = 20.0
+
+    [channels.AF]               # all channels of the source, under their own names, where none is listed
+    input = "AF"
+    unit = "N"
+    sign = -1
+
+    [limits.AF]
+    low = -500.0
+    high = 500.0
+    action = "stop"
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
+
+from aerobalance.acquire.intake import (
+    AtLevel,
+    AtOnce,
+    AtTime,
+    Limit,
+    OnCall,
+    Plan,
+    Trigger,
+    channel_columns,
+)
+from aerobalance.acquire.source import Chosen, Source, SourceChannel
+from aerobalance.io.hdf5_layout import StoredChannel
+from aerobalance.io.messages import first_fault
+from aerobalance.io.safe_write import replacing
+from aerobalance.io.toml_text import toml_text
+from aerobalance.io.units import conversion_for
+from aerobalance.problems import FitError, ReadError
+from aerobalance.recording import QUANTITIES, Coupling
+
+LARGEST_SETUP: Final = 1_000_000
+"""Largest set-up file that is read [bytes]."""
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Above = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotBelow = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Text = Annotated[str, Field(max_length=10_000)]
+Name = Annotated[str, Field(min_length=1, max_length=60)]
+FileName = Annotated[str, Field(min_length=1, max_length=1000)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class Files(_Strict):
+    """Table ``[files]``: what turns the channels into loads and forces."""
+
+    balance: FileName | None = None
+    dynamics: FileName | None = None
+    mass: FileName | None = None
+
+
+class SourceSettings(_Strict):
+    """Table ``[source]``: what gives the samples; each kind has a class of its own."""
+
+    kind: str
+
+    def open(self, folder: Path) -> Source:
+        """Make the source; files are looked for in `folder`."""
+        raise NotImplementedError
+
+
+class Simulated(SourceSettings):
+    """``kind = "simulated"``: see `aerobalance.acquire.simulated.RigSettings`."""
+
+    kind: Literal["simulated"] = "simulated"
+    rig: Literal["vibration", "cable_cut", "six"] = "vibration"
+    rate: Annotated[float, Field(ge=10, le=1e6)] | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
+    speed: Annotated[float, Field(gt=0)] = 1.0
+    block: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.02
+    frequency: Above = 100.0
+    amplitude: NotBelow = 10.0
+    cable_force: Annotated[float, Field(ge=-1e5, le=1e5)] | None = None
+    cut_at: NotBelow | None = None
+    noise: NotBelow = 1.0
+
+    def open(self, folder: Path) -> Source:
+        """Make the rig."""
+        from aerobalance.acquire.simulated import RigSettings, SimulatedSource  # noqa: PLC0415 - see `Replay.open`
+
+        del folder
+        return SimulatedSource(RigSettings(**self.model_dump(exclude={"kind"})))
+
+
+class Replay(SourceSettings):
+    """``kind = "replay"``: a recording, played again."""
+
+    kind: Literal["replay"] = "replay"
+    file: FileName
+    map: FileName | None = None
+    speed: Annotated[float, Field(gt=0)] = 1.0
+    block: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.02
+
+    def open(self, folder: Path) -> Source:
+        """Read the recording."""
+        # Only the process of the source needs it, and it takes a second.
+        from aerobalance.acquire.replay import ReplaySource  # noqa: PLC0415
+
+        channel_map = None if self.map is None else folder / self.map
+        return ReplaySource(folder / self.file, channel_map=channel_map, speed=self.speed, block=self.block)
+
+
+SOURCES: Final[dict[str, type[SourceSettings]]] = {"simulated": Simulated, "replay": Replay}
+"""The kinds of source; listing one here is all it takes."""
+
+TriggerKind = Literal["none", "time", "level", "call"]
+
+
+class Record(_Strict):
+    """Table ``[record]``: when a record begins, how long it is, and what it leaves free on the disk."""
+
+    seconds: Annotated[float, Field(gt=0, le=1e7)] | None = None
+    block: Annotated[float, Field(ge=0.01, le=10)] = 0.1
+    pre_trigger: Annotated[float, Field(ge=0, le=60)] = 0.0
+    trigger: TriggerKind = "none"
+    delay: Annotated[float, Field(ge=0, le=1e7)] = 0.0
+    channel: Name | None = None
+    level: Number | None = None
+    edge: Literal["rising", "falling"] = "rising"
+    after_limit: Annotated[float, Field(ge=0, le=60)] = 0.1
+    keep_free: NotBelow = 64.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Record:
+        level = self.trigger == "level"
+        if level and (self.channel is None or self.level is None):
+            raise ValueError('trigger = "level" needs channel and level')
+        if not level and (self.channel, self.level) != (None, None):
+            raise ValueError('channel and level go with trigger = "level"')
+        if (self.trigger == "time") != (self.delay > 0):
+            raise ValueError('trigger = "time" and delay [s] above zero go together')
+        return self
+
+
+class SetChannel(_Strict):
+    """Table ``[channels.NAME]``: a channel by the name that the program understands.
+
+    Its value is ``sign * (scale * reading + offset)`` in `unit`; without a unit, that of the source.
+    """
+
+    input: Annotated[str, Field(min_length=1, max_length=100)] | None = None
+    unit: Annotated[str, Field(min_length=1, max_length=30)] | None = None
+    sign: Literal[1, -1] = 1
+    scale: Number = 1.0
+    offset: Number = 0.0
+    delay: Number = 0.0
+    noise: NotBelow | None = None
+    relative_uncertainty: NotBelow = 0.0
+    coupling: Coupling = "kinematic"
+    corner: NotBelow = 0.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SetChannel:
+        if self.scale == 0:
+            raise ValueError("scale must not be zero")
+        if (self.corner > 0) != (self.coupling == "ac"):
+            raise ValueError('corner [Hz] goes with coupling = "ac" (then above 0) and with no other')
+        return self
+
+
+class SetLimit(_Strict):
+    """Table ``[limits.NAME]``: what a channel must not leave, in its unit."""
+
+    low: Number | None = None
+    high: Number | None = None
+    action: Literal["mark", "stop"] = "mark"
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SetLimit:
+        if self.low is None and self.high is None:
+            raise ValueError("low or high is needed")
+        if self.low is not None and self.high is not None and not self.low < self.high:
+            raise ValueError(f"low must be below high, not {self.low:g} and {self.high:g}")
+        return self
+
+
+class Setup(_Strict):
+    """A test set-up."""
+
+    name: Annotated[str, Field(max_length=200)] = ""
+    notes: Text = ""
+    files: Files = Files()
+    source: SerializeAsAny[SourceSettings] = Simulated()
+    record: Record = Record()
+    channels: dict[Name, SetChannel] = {}
+    limits: dict[Name, SetLimit] = {}
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Setup:
+        for name, channel in self.channels.items():
+            _check_channel(name, channel)
+        if self.channels:
+            for name in self.limits:
+                if name not in self.channels:
+                    raise ValueError(f"limits.{name}: there is no such channel; there are {', '.join(self.channels)}")
+            wanted = self.record.channel
+            if wanted is not None and wanted not in self.channels:
+                raise ValueError(f"record.channel: there is no {wanted}; there are {', '.join(self.channels)}")
+        return self
+
+
+def _check_channel(name: str, channel: SetChannel) -> None:
+    """Refuse names that a file cannot hold, units of the wrong kind, and couplings of what does not move."""
+    if not name.isprintable() or name != name.strip() or set(name) & set('[]",;') or name == "time":
+        raise ValueError(f"channels: {name!r} is no name for a channel")
+    if channel.unit is not None:
+        try:
+            conversion_for(name, channel.unit)
+        except ValueError as error:
+            raise ValueError(f"channels.{name}.unit: {error}") from None
+    if channel.coupling != "kinematic" and QUANTITIES.get(name) != "m/s^2":
+        raise ValueError(f"channels.{name}: coupling is for accelerations, such as ground_acceleration")
+
+
+def load_setup(path: Path | str) -> Setup:
+    """Read a test set-up.
+
+    Raises
+    ------
+    ReadError
+        The file is no TOML, or has a key that is unknown, missing or not allowed; the message names the key.
+    """
+    file = Path(path)
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(LARGEST_SETUP + 1)
+    except FileNotFoundError:
+        raise ReadError(file, "", "there is no such file") from None
+    except (OSError, ValueError) as error:
+        raise ReadError(file, "", f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if len(head) > LARGEST_SETUP:
+        raise ReadError(file, "", f"is larger than {LARGEST_SETUP} bytes, which no test set-up is")
+    try:
+        text = head.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ReadError(file, "", f"is no TOML: {error}") from None
+    return parse_setup(text, file)
+
+
+def parse_setup(text: str, path: Path | str = "set-up") -> Setup:
+    """Read a test set-up from text; `path` is what messages call it.
+
+    Raises
+    ------
+    ReadError
+        As `load_setup`.
+    """
+    try:
+        given: dict[str, Any] = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
+        raise ReadError(path, "", f"is no TOML: {' '.join(str(error).split())}") from None
+    return setup_from(given, path)
+
+
+def setup_from(given: Mapping[str, Any], path: Path | str = "set-up") -> Setup:
+    """Make a test set-up of plain data.
+
+    Raises
+    ------
+    ReadError
+        A key is unknown, missing or not allowed; the message names it.
+    """
+    contents = dict(given)
+    source = contents.get("source", {"kind": "simulated"})
+    kinds = ", ".join(SOURCES)
+    if not isinstance(source, Mapping):
+        raise ReadError(path, "source", f"must be a table with a kind ({kinds})")
+    kind = source.get("kind")
+    if not isinstance(kind, str) or kind not in SOURCES:
+        found = "is missing" if kind is None else f"must be one of the known, not {str(kind)[:60]!r}"
+        raise ReadError(path, "source.kind", f"{found}; known: {kinds}")
+    model = SOURCES[kind]
+    try:
+        contents["source"] = model.model_validate(dict(source))
+    except ValidationError as error:
+        where, what = _fault(error, model)
+        raise ReadError(path, f"source.{where}" if where else "source", what) from None
+    try:
+        return Setup.model_validate(contents)
+    except ValidationError as error:
+        where, what = _fault(error, Setup)
+        raise ReadError(path, where, what) from None
+
+
+def _fault(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
+    """Key and sentence of the first fault; what the set-up itself refuses says all by itself."""
+    where, what = first_fault(error, model)
+    fault = error.errors(include_url=False)[0]
+    return (where, fault["msg"].removeprefix("Value error, ")) if fault["type"] == "value_error" else (where, what)
+
+
+def setup_text(setup: Setup) -> str:
+    """Write a set-up as TOML: what was set, in the order of the fields. `parse_setup` gives the same set-up again."""
+    return toml_text(setup.model_dump(exclude_none=True, exclude_unset=True) | _kind(setup))
+
+
+def save_setup(path: Path | str, setup: Setup) -> None:
+    """Write a set-up to a file, whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be written.
+    """
+    with replacing(path) as beside:
+        beside.write_text(setup_text(setup), encoding="utf-8")
+
+
+def _kind(setup: Setup) -> dict[str, Any]:
+    return {"source": setup.source.model_dump(exclude_none=True, exclude_unset=True) | {"kind": setup.source.kind}}
+
+
+def open_source(setup: Setup, folder: Path) -> Source:
+    """Make the source of a set-up, with the channels that the set-up lists.
+
+    Raises
+    ------
+    FitError
+        The source lacks a channel.
+    ReadError, ValueError
+        The source cannot be made as set.
+    """
+    source = setup.source.open(folder)
+    if not setup.channels:
+        return source
+    return Chosen(source, [channel.input or name for name, channel in setup.channels.items()])
+
+
+def stored_channels(setup: Setup, given: Sequence[SourceChannel]) -> tuple[StoredChannel, ...]:
+    """Describe the columns of a recording: the channels of the source, in order, as the set-up has them.
+
+    Raises
+    ------
+    FitError
+        A unit is of the wrong kind for its channel.
+    """
+    named = setup.channels or {channel.name: SetChannel() for channel in given}
+    found = []
+    for (name, channel), source in zip(named.items(), given, strict=True):
+        unit = channel.unit or source.unit
+        try:
+            conversion_for(name, unit)
+        except ValueError as error:
+            raise FitError(f"channel {name}: the source gives it in [{unit}]: {error}; set its unit") from None
+        kept = ("sign", "scale", "offset", "delay", "noise", "relative_uncertainty", "coupling", "corner")
+        found.append(
+            StoredChannel(name=name, unit=unit, input=source.name, **{key: getattr(channel, key) for key in kept})
+        )
+    return tuple(found)
+
+
+def plan_of(setup: Setup, channels: tuple[StoredChannel, ...], rate: float) -> Plan:
+    """Make the plan of a record.
+
+    Raises
+    ------
+    FitError
+        The trigger or a limit is on a channel that is not there.
+    """
+    record = setup.record
+    columns = channel_columns(channels)
+    limits = tuple(
+        Limit(
+            _column(columns, name, "limits"),
+            -float("inf") if limit.low is None else limit.low,
+            float("inf") if limit.high is None else limit.high,
+            limit.action,
+            name,
+        )
+        for name, limit in setup.limits.items()
+    )
+    trigger: Trigger = AtOnce()
+    if record.trigger == "time":
+        trigger = AtTime(round(record.delay * rate))
+    elif record.trigger == "call":
+        trigger = OnCall()
+    elif record.trigger == "level" and record.channel is not None and record.level is not None:
+        column = _column(columns, record.channel, "record.channel")
+        trigger = AtLevel(column, record.level, record.edge == "rising", record.channel)
+    return Plan(
+        channels=channels,
+        rate=rate,
+        rows=max(1, round(record.block * rate)),
+        trigger=trigger,
+        before=round(record.pre_trigger * rate),
+        length=None if record.seconds is None else max(1, round(record.seconds * rate)),
+        limits=limits,
+        after_limit=round(record.after_limit * rate),
+    )
+
+
+def _column(columns: Mapping[str, int], name: str, where: str) -> int:
+    if name not in columns:
+        raise FitError(f"{where}: the source has no channel {name}; it has {', '.join(columns)}")
+    return columns[name]

@@ -1,0 +1,344 @@
+"""The layout of a recording in HDF5: its datasets, and a writer that makes every block safe before it says so.
+
+========== ================ =================================================================================
+dataset    shape            contents
+========== ================ =================================================================================
+samples    (slots * rows, c) readings as the source gave them, float64; block i begins at row i * rows, where rows
+                            is the number of rows of a chunk; what a short block leaves of its slot is NaN
+blocks     (slots,)         tick of the block's first sample, its rows, its checksum, when it was written
+gaps       (g,)             first tick that is missing, number of samples, kind, text
+events     (e,)             tick, time, kind, text
+channels   (c,)             name, unit and settings of each column
+status     (1,)             state, reason, tick of time zero; written in place
+time       (slots * rows,)  time of each row, only in files without ticks (see `write_columns`)
+========== ================ =================================================================================
+
+A tick is the number of a sample on the clock of the source. The value of a channel in its unit is
+``sign * (scale * reading + offset)``. The checksum is the CRC-32 of tick and rows as two little-endian 64-bit
+integers, followed by the samples row by row; the attribute channels_crc32 is that of the table of channels.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+import time
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from aerobalance import __version__
+from aerobalance.recording import Array, Coupling
+
+if TYPE_CHECKING:
+    import h5py
+
+FORMAT: Final = "aerobalance recording"
+SCHEMA: Final = 1
+
+BLOCK: Final = np.dtype([("tick", "<i8"), ("rows", "<i8"), ("crc32", "<u4"), ("written", "<f8")])
+GAP: Final = np.dtype([("tick", "<i8"), ("samples", "<i8"), ("kind", "S16"), ("text", "S256")])
+EVENT: Final = np.dtype([("tick", "<i8"), ("time", "<f8"), ("kind", "S16"), ("text", "S512")])
+CHANNEL: Final = np.dtype(
+    [
+        ("name", "S64"),
+        ("unit", "S32"),
+        ("input", "S128"),
+        ("sign", "<f8"),
+        ("scale", "<f8"),
+        ("offset", "<f8"),
+        ("delay", "<f8"),
+        ("noise", "<f8"),
+        ("relative_uncertainty", "<f8"),
+        ("coupling", "S16"),
+        ("corner", "<f8"),
+    ]
+)
+STATUS: Final = np.dtype([("state", "S16"), ("reason", "S512"), ("origin", "<i8"), ("ended", "<f8")])
+
+FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Error numbers that mean that nothing more can be written to a file."""
+
+
+class DiskFullError(Exception):
+    """Nothing more can be written; every block before this one is safe."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredChannel:
+    """One column of the samples.
+
+    Attributes
+    ----------
+    name
+        The name that the program understands.
+    unit
+        Unit of ``sign * (scale * reading + offset)``.
+    input
+        Name of the channel at its source.
+    sign, scale, offset
+        How a reading becomes a value.
+    delay
+        Time by which the readings lag the clock [s].
+    noise
+        Standard uncertainty of one value [unit]; None when it is to be estimated.
+    relative_uncertainty
+        Standard uncertainty of the gain, relative [1].
+    coupling, corner
+        What an accelerometer reads, as in `aerobalance.recording.Channel`.
+    """
+
+    name: str
+    unit: str
+    input: str = ""
+    sign: float = 1.0
+    scale: float = 1.0
+    offset: float = 0.0
+    delay: float = 0.0
+    noise: float | None = None
+    relative_uncertainty: float = 0.0
+    coupling: Coupling = "kinematic"
+    corner: float = 0.0
+
+    def values(self, readings: Array) -> Array:
+        """Turn readings into values in `unit`; readings that need no change come back as they are."""
+        if (self.sign, self.scale, self.offset) == (1.0, 1.0, 0.0):
+            return readings
+        return np.asarray(self.sign * (self.scale * readings + self.offset))
+
+
+class Provenance(NamedTuple):
+    """Where a recording comes from.
+
+    Attributes
+    ----------
+    source
+        What gave the samples.
+    setup
+        Text of the test set-up, in TOML; an empty string where there was none.
+    name
+        What the test is called.
+    """
+
+    source: str
+    setup: str = ""
+    name: str = ""
+
+
+def text_bytes(text: str, width: int) -> bytes:
+    """Encode text in at most `width` bytes of UTF-8, cut between characters."""
+    return text.encode("utf-8", "replace")[:width].decode("utf-8", "ignore").encode("utf-8")
+
+
+def checksum(tick: int, samples: Array) -> int:
+    """Return the CRC-32 of a block: its tick and rows, then its samples, shape (n, c)."""
+    head = zlib.crc32(struct.pack("<qq", tick, samples.shape[0]))
+    return zlib.crc32(np.ascontiguousarray(samples, dtype="<f8").data, head)
+
+
+class BlockWriter:
+    """Writes a recording block by block; each is on the disk when its call returns.
+
+    Parameters
+    ----------
+    path
+        The file, which must not exist yet.
+    channels
+        The columns of the samples.
+    rate
+        Sampling rate [Hz]; NaN where a time column is written.
+    rows
+        Largest number of rows of a block; a chunk of the file has as many.
+    provenance
+        Where the samples come from.
+    time_unit
+        Unit of the time stamps, where every row has one of its own instead of a tick.
+
+    Raises
+    ------
+    OSError
+        The file exists, or cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        channels: Sequence[StoredChannel],
+        *,
+        rate: float,
+        rows: int,
+        provenance: Provenance,
+        time_unit: str = "",
+    ) -> None:
+        import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
+
+        self.path, self.rows, self.columns = path, rows, len(channels)
+        self.blocks = self.samples = 0
+        self._counts = {"gaps": 0, "events": 0}
+        self._file: h5py.File = h5py.File(path, "x", libver="latest")
+        file = self._file
+        table = _channel_table(channels)
+        file.attrs.update(
+            {
+                "format": FORMAT,
+                "schema_version": SCHEMA,
+                "program": f"aerobalance {__version__}",
+                "rate": rate,
+                "name": provenance.name,
+                "source": provenance.source,
+                "started": time.time(),
+                "channels_crc32": zlib.crc32(table.tobytes()),
+            }
+        )
+        # A dataset, as an attribute takes no more than 64 KiB.
+        setup = provenance.setup.encode("utf-8") or b"\n"
+        file.create_dataset("setup", data=np.frombuffer(setup, dtype="u1"))
+        file.create_dataset("channels", data=table)
+        chunk = (rows, self.columns)
+        self._samples = file.create_dataset(
+            "samples", (0, self.columns), "<f8", maxshape=(None, self.columns), chunks=chunk, fillvalue=np.nan
+        )
+        self._time = None
+        if time_unit:
+            self._time = file.create_dataset("time", (0,), "<f8", maxshape=(None,), chunks=(rows,), fillvalue=np.nan)
+            self._time.attrs["unit"] = time_unit
+        self._tables = {
+            name: file.create_dataset(name, (0,), kind, maxshape=(None,), chunks=(length,))
+            for name, kind, length in (("blocks", BLOCK, 256), ("gaps", GAP, 16), ("events", EVENT, 16))
+        }
+        self._state = np.array([(b"recording", b"", 0, 0.0)], dtype=STATUS)
+        self._status = file.create_dataset("status", data=self._state)
+        file.flush()
+        self._place = self._status.id.get_offset()
+        self._handle = file.id.get_vfd_handle()
+        file.swmr_mode = True
+        os.fsync(self._handle)
+
+    def append(self, tick: int, samples: Array, *, stamps: Array | None = None) -> int:
+        """Write a block and return its number; it is safe then.
+
+        Parameters
+        ----------
+        tick
+            Number of its first sample on the clock of the source.
+        samples
+            Readings, shape (n, c), n at most `rows`.
+        stamps
+            Time of every row, shape (n,), for a file with a time column.
+
+        Raises
+        ------
+        DiskFullError
+            The file can take no more. The writer is then of no more use but for `abandon`.
+        """
+        number, n = self.blocks, samples.shape[0]
+        first = number * self.rows
+        try:
+            self._samples.resize((first + n, self.columns))
+            self._samples[first : first + n] = samples
+            self._samples.flush()
+            if self._time is not None and stamps is not None:
+                self._time.resize((first + n,))
+                self._time[first : first + n] = stamps
+                self._time.flush()
+            self._row("blocks", number, (tick, n, checksum(tick, samples), time.time()))
+            os.fsync(self._handle)
+        except (OSError, RuntimeError) as error:
+            raise _full(error) from error
+        self.blocks += 1
+        self.samples += n
+        return number
+
+    def gap(self, tick: int, samples: int, *, kind: str, text: str) -> None:
+        """Note that `samples` samples from `tick` on are missing."""
+        self._note("gaps", (tick, samples, text_bytes(kind, 16), text_bytes(text, 256)))
+
+    def event(self, tick: int, *, kind: str, text: str) -> None:
+        """Note what happened at a tick."""
+        self._note("events", (tick, time.time(), text_bytes(kind, 16), text_bytes(text, 512)))
+
+    def origin(self, tick: int) -> None:
+        """Set the tick at which time is zero."""
+        self._state["origin"] = tick
+        self._write_state()
+
+    def finish(self, reason: str) -> None:
+        """Say why the record ended and close the file.
+
+        Raises
+        ------
+        DiskFullError
+            The file can take no more; `abandon` is left.
+        """
+        self._ended("ended", reason)
+        try:
+            self._write_state()
+            self._file.close()
+        except (OSError, RuntimeError) as error:
+            raise _full(error) from error
+
+    def abandon(self, reason: str) -> None:
+        """Say why the record ended where nothing more can be allocated; the file is left as its last block left it.
+
+        The library still holds what it could not write and would fail to close the file, so the status is written in
+        its place past the library. The process should end soon, by `os._exit`.
+        """
+        self._ended("ended", reason)
+        os.pwrite(self._handle, self._state.tobytes(), self._place)
+        os.fsync(self._handle)
+
+    def _ended(self, state: str, reason: str) -> None:
+        self._state["state"] = state.encode()
+        self._state["reason"] = text_bytes(reason, 512)
+        self._state["ended"] = time.time()
+
+    def _write_state(self) -> None:
+        self._status[...] = self._state
+        self._status.flush()
+
+    def _note(self, table: str, row: tuple[Any, ...]) -> None:
+        try:
+            self._row(table, self._counts[table], row)
+        except (OSError, RuntimeError) as error:
+            raise _full(error) from error
+        self._counts[table] += 1
+
+    def _row(self, table: str, number: int, row: tuple[Any, ...]) -> None:
+        dataset = self._tables[table]
+        dataset.resize((number + 1,))
+        dataset[number] = np.array(row, dtype=dataset.dtype)
+        dataset.flush()
+
+
+def _full(error: Exception) -> Exception:
+    """Tell a full disk from other faults: the library hides the error number in its text."""
+    text = str(error).lower()
+    known = getattr(error, "errno", None) in FULL or any(f"errno = {number}," in text for number in FULL)
+    if known or "no space left" in text or "file too large" in text or "quota exceeded" in text:
+        return DiskFullError("the disk, its quota or the largest size of a file is used up")
+    return DiskFullError(f"the file can no longer be written: {' '.join(str(error).split())[:200]}")
+
+
+def _channel_table(channels: Sequence[StoredChannel]) -> Any:
+    rows = [
+        (
+            text_bytes(channel.name, 64),
+            text_bytes(channel.unit, 32),
+            text_bytes(channel.input, 128),
+            channel.sign,
+            channel.scale,
+            channel.offset,
+            channel.delay,
+            np.nan if channel.noise is None else channel.noise,
+            channel.relative_uncertainty,
+            channel.coupling.encode(),
+            channel.corner,
+        )
+        for channel in channels
+    ]
+    return np.array(rows, dtype=CHANNEL)

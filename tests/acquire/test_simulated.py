@@ -1,0 +1,144 @@
+"""The simulated rigs as a source, against the rigs that are integrated on a grid."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from aerobalance.acquire.simulated import RigSettings, SimulatedSource
+from aerobalance.acquire.source import Chosen, SourceEndedError
+from aerobalance.problems import FitError
+from aerobalance.rigs import CableCut, Sensor, VibrationRig
+
+
+def samples_of(source, count):
+    source.start()
+    parts, ticks = [], 0
+    while ticks < count:
+        block = source.read(1.0)
+        assert block.tick == ticks
+        parts.append(block.samples)
+        ticks = block.end
+    return np.concatenate(parts)[:count]
+
+
+def perfect(*names):
+    return {name: Sensor() for name in names}
+
+
+@pytest.mark.parametrize("block", [0.002, 0.013, 0.4])
+def test_cable_cut_agrees_with_the_rig_on_a_grid(block) -> None:
+    source = SimulatedSource(RigSettings(rig="cable_cut", noise=0.0, speed=math.inf, cut_at=0.5, block=block))
+    found = samples_of(source, 1600)
+    rig = CableCut(release=0.5, sensors=perfect("AF", "ground_acceleration", "live_acceleration", "pitch"))
+    expected = rig.run(1.0, np.random.default_rng(0)).recording
+    for column, name in enumerate(source.names):
+        # both are closed forms here; rounding grows with the 1020 N and the some 1e3 blocks at most
+        assert found[:, column] == pytest.approx(expected.channel(name).values, abs=1e-8), name
+
+
+class Ramped:
+    """The drive of the source: full amplitude within the first block."""
+
+    duration = 1.0
+
+    def signal(self, generator):
+        del generator
+        return lambda t: np.where(t < 0, 0.0, np.clip(t / 0.02, 0, 1) * 10 * np.sin(2 * np.pi * 700 * t))
+
+
+def test_shaken_rig_agrees_with_the_rig_on_a_grid() -> None:
+    source = SimulatedSource(RigSettings(noise=0.0, speed=math.inf, frequency=700.0, block=0.02))
+    found = samples_of(source, 25_000)
+    rig = VibrationRig(oversampling=16, sensors=perfect("AF", "ground_acceleration", "live_acceleration"))
+    expected = rig.run(Ramped(), np.random.default_rng(0)).recording
+    for column, name in enumerate(source.names[:3]):
+        values = expected.channel(name).values
+        # the grid has 570 points a period, its cubics err by (2 pi / 570)^4 / 384 = 4e-11 of the amplitude, times the
+        # resonance gain of below 100; the kink of the ramp lies on its grid
+        assert found[:, column] == pytest.approx(values, abs=1e-7 * np.abs(values).max()), name
+
+
+def test_motion_does_not_depend_on_the_blocks_and_noise_neither() -> None:
+    runs = [
+        samples_of(SimulatedSource(RigSettings(rig="six", seed=5, speed=math.inf, block=block, cut_at=0.1)), 5000)
+        for block in (0.001, 0.0173, 0.2)
+    ]
+    for other in runs[1:]:
+        assert other == pytest.approx(runs[0], abs=1e-8)
+
+
+def test_frequency_and_amplitude_change_without_a_jump_of_phase() -> None:
+    source = SimulatedSource(RigSettings(noise=0.0, speed=math.inf, block=0.02))
+    source.start()
+    parts = []
+    for number in range(100):
+        if number == 50:
+            assert source.control("frequency", 250.0) == "drive frequency 250 Hz"
+            assert source.control("amplitude", 20.0) == "drive amplitude 20 N"
+        parts.append(source.read(1.0).samples)
+    ground = np.concatenate(parts)[:, source.names.index("ground_acceleration")]
+    t = np.arange(ground.size) / source.rate
+    # once settled, one sine of the new frequency holds all of it: the fit leaves what the ringing of the resonance has
+    # not lost, exp(-decay * 0.6 s) with decay = b / (2 m) = 372 / (2 * 0.51) = 363 1/s: nothing
+    settled = t > 1.6
+    basis = np.column_stack([np.sin(2 * np.pi * 250 * t), np.cos(2 * np.pi * 250 * t)])[settled]
+    rest = ground[settled] - basis @ np.linalg.lstsq(basis, ground[settled], rcond=None)[0]
+    assert np.abs(rest).max() < 1e-8 * np.abs(ground).max()
+    # no jump where it changed: a sample moves by omega A / rate at most, the resonance of 752 Hz ringing as well
+    largest = np.abs(ground).max() * 2 * np.pi * 752 / source.rate
+    assert np.abs(np.diff(ground)).max() < largest
+
+
+def test_cable_is_cut_on_call_once() -> None:
+    source = SimulatedSource(RigSettings(rig="cable_cut", noise=0.0, speed=math.inf))
+    source.start()
+    before = source.read(1.0)
+    assert before.samples[:, 0] == pytest.approx(-1020.0)
+    source.control("cut", 1.0)
+    after = source.read(1.0)
+    source.control("cut", 1.0)
+    assert after.samples[0, 0] == pytest.approx(-1020.0)
+    assert after.samples[-1, 0] > -1019
+
+
+@pytest.mark.parametrize(
+    ("rig", "name", "value", "said"),
+    [
+        ("vibration", "cut", 1.0, "no control 'cut'; it has frequency, amplitude"),
+        ("cable_cut", "frequency", 1.0, "no control 'frequency'; it has cut"),
+        ("vibration", "frequency", 0.0, "above 0 and up to 11250 Hz"),
+        ("vibration", "frequency", math.nan, "above 0"),
+        ("vibration", "amplitude", 1e6, "from 0 to 500 N"),
+    ],
+)
+def test_controls_that_are_refused(rig, name, value, said) -> None:
+    with pytest.raises(ValueError, match=said):
+        SimulatedSource(RigSettings(rig=rig)).control(name, value)
+
+
+def test_real_time_keeps_to_the_clock() -> None:
+    source = SimulatedSource(RigSettings(block=0.01))
+    source.start()
+    begin = time.monotonic()
+    end = 0
+    while time.monotonic() - begin < 0.5:
+        block = source.read(0.05)
+        if block is not None:
+            end = block.end
+            # never ahead of the clock
+            assert end / source.rate <= time.monotonic() - begin + 1e-3
+    # behind by a block and what a busy machine takes
+    assert end / source.rate > 0.3
+
+
+def test_chosen_channels_in_their_order_and_unknown_ones_refused() -> None:
+    source = Chosen(SimulatedSource(RigSettings(noise=0.0, speed=math.inf)), ["pitch", "AF"])
+    source.start()
+    assert source.read(1.0).samples[0] == pytest.approx([np.pi / 2, 0.68 * 9.80665], rel=1e-6)
+    source.stop()
+    with pytest.raises(SourceEndedError):
+        source.read(1.0)
+    with pytest.raises(FitError, match="no channel 'RM'; it has AF"):
+        Chosen(SimulatedSource(RigSettings()), ["RM"])
