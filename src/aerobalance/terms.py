@@ -59,3 +59,8 @@ def codes(terms: tuple[Term, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]
     table = np.array(terms, dtype=np.int64).reshape(-1, 3)
     first, second, third = (np.ascontiguousarray(table[:, k]) for k in range(3))
     return first, second, third
+
+
+def by_label(names: tuple[str, ...]) -> dict[str, Term]:
+    """All terms of variables with these names, by what `Term.label` writes for them."""
+    return {term.label(names): term for term in terms_of("96", len(names))}

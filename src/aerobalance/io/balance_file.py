@@ -15,7 +15,7 @@ from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative, Positive
 from aerobalance.problems import ReadError
 from aerobalance.recording import Array
-from aerobalance.terms import KINDS, Term
+from aerobalance.terms import by_label
 
 if TYPE_CHECKING:  # the fit brings a statistics library that only calibrating needs, and that is slow to import
     from aerobalance.calibration.fit import Calibration
@@ -292,12 +292,7 @@ def read_balance(path: Path | str) -> BalanceMatrix:
     given = artefacts.load(file, "balance", _BalanceFile).matrix
     c, t = len(given.components), len(given.terms)
     variables = tuple(given.components if given.way == "iterative" else [f"r{name}" for name in given.gauges])
-    labels = {
-        Term(kind, i, j).label(variables): Term(kind, i, j)
-        for kind in range(len(KINDS))
-        for i in range(c)
-        for j in (range(i + 1, c) if "{b}" in KINDS[kind] else (i,))
-    }
+    labels = by_label(variables)
     unknown = [label for label in given.terms if label not in labels]
     if unknown:
         raise ReadError(file, "matrix.terms", f"{unknown[0]!r} is no term; examples: {', '.join(list(labels)[:9:3])}")

@@ -19,7 +19,7 @@ from aerobalance.io.text_table import read_text
 from aerobalance.io.units import conversion
 from aerobalance.problems import DoubtWarning, ReadError
 from aerobalance.recording import Array
-from aerobalance.terms import KINDS, Term
+from aerobalance.terms import Term, by_label
 
 FILE_TYPE: Final = "DATA_REDUCTION_MATRIX_IN_AMES_FORMAT"
 MOMENT_UNIT: Final = "N*m"
@@ -125,12 +125,7 @@ def read_balfit_matrix(path: Path | str) -> BalanceMatrix:
     )
     inverse = _block(file, blocks, "D0", c)[1].T * load[:, None] / output
     labels, D2 = _block(file, blocks, "D2", c)
-    known = {
-        Term(k, i, j).label(tuple(names)): Term(k, i, j)
-        for k in range(1, len(KINDS))
-        for i in range(c)
-        for j in (range(i + 1, c) if "{b}" in KINDS[k] else (i,))
-    }
+    known = {label: term for label, term in by_label(tuple(names)).items() if term.kind}  # D0 has the linear ones
     for label in labels:
         if label not in known:
             raise ReadError(file, "D2", f"{label!r} is no term; examples: {', '.join(list(known)[:: c * 2][:4])}")
