@@ -156,7 +156,8 @@ def test_release_duration_is_found():
     fit = identify_decay(rig.run(3.0, generator).recording, mass=T128.mass)
     meets(fit.dynamics, seed)
     # slope of the amplitude by the duration (pi f)^2 T / 3 = 58 1/s, amplitude known to 5 / 1020 / 18 = 3e-4: 5 us
-    assert fit.release_duration == pytest.approx(0.004, abs=3e-5), seed
+    # with all else known; height, instant and damping are fitted too, which makes it 12 us: five of these
+    assert fit.release_duration == pytest.approx(0.004, abs=6e-5), seed
 
 
 def test_tap_is_fitted_freely():

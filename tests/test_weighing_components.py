@@ -348,8 +348,9 @@ def test_components_that_differ_in_a_pitch_sweep():
         found = weigh_quietly(points(SWEEP, None, noisy(rng, clean)))
         assert found.model.own_masses or found.model.own_centres, entropy
         off = np.abs(found.loads(pitch=SWEEP) - clean)
-        # Within the sweep: noise of a dozen readings, whose size is itself known from 7 to 9 degrees of freedom.
-        assert (off < 6 * np.array(list(NOISE.values()))).all(), entropy
+        # Within the sweep: noise of a dozen readings, weighted by a scatter known from 7 degrees of freedom only.
+        # Student's t of those is above 12 with p = 6e-6, and 20 weighings have some thousand values between them.
+        assert (off < 12 * np.array(list(NOISE.values()))).all(), entropy
 
 
 def test_roll_alone_without_pitch():
