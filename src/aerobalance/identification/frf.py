@@ -17,7 +17,7 @@ from aerobalance.recording import Array
 DOUBTFUL_DAMPING: Final = 0.1
 """Relative standard uncertainty of the damping above which it is called hardly identifiable."""
 
-LEAST_PROBABILITY: Final = 1e-4
+LEAST_PROBABILITY: Final = 0.01
 """Probability of a sum of squares as large or larger, below which model or stated uncertainties are doubted."""
 
 
