@@ -203,7 +203,7 @@ def test_two_calibrations_are_compared(here, capsys, truth, seed):
     [
         (["calibrate", "nowhere.csv"], 2, "no such file"),
         (["calibrate", "schedule.csv", "--model", "cubic"], 2, "--model"),
-        (["calibrate", "schedule.csv", "--keep-aside", "0.9"], 2, "--keep-aside"),
+        (["calibrate", "schedule.csv", "--keep-aside", "0.9"], 2, "kept aside must lie between"),
         (["calibrate", "schedule.csv", "--distances", "1 2 3 in"], 2, "--distances must be four"),
         (["calibrate", "schedule.csv", "--capacity", "N1"], 2, "--capacity must be like"),
         (["calibrate", "schedule.csv", "-o", "schedule.csv"], 2, "would be overwritten"),

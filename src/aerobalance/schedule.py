@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.forms import BalanceType, Geometry
 from aerobalance.recording import Array
+
+UNLOADED: Final = 1e-3
+"""Load, over capacity, below which a point counts as a zero reading."""
+
+MOST_KEPT_ASIDE: Final = 0.5
+"""Largest share of the points that may be kept for confirmation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,3 +110,26 @@ class Schedule:
     def fitted(self) -> NDArray[np.bool_]:
         """True for the points that take part in the fit, shape (n,)."""
         return ~self.confirmation
+
+    @property
+    def unloaded(self) -> NDArray[np.bool_]:
+        """True for the points without load, shape (n,): zero readings."""
+        return np.asarray((np.abs(self.loads) < UNLOADED * self.capacities).all(axis=1))
+
+    def keeping_aside(self, share: float) -> Schedule:
+        """Return the schedule with a share of its loaded points, evenly over the series, marked for confirmation.
+
+        Raises
+        ------
+        ValueError
+            The share is negative, or above `MOST_KEPT_ASIDE`.
+        """
+        if not 0 <= share <= MOST_KEPT_ASIDE:
+            raise ValueError(f"the share kept aside must lie between 0 and {MOST_KEPT_ASIDE}, not {share}")
+        if not share:
+            return self
+        loaded = np.flatnonzero(~self.unloaded & self.fitted)
+        places = np.floor(np.arange(0.5, loaded.size, 1 / share)).astype(int)
+        confirmation = self.confirmation.copy()
+        confirmation[loaded[places]] = True
+        return replace(self, confirmation=confirmation)

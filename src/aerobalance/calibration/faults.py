@@ -30,9 +30,6 @@ SLOPE_DOUBT, SLOPE_FAULT = 0.05, 0.3
 DOUBTFUL, UNFIT = 0.005, 0.05
 """Standard deviation of the residuals, over capacity, that is doubted, and that is refused."""
 
-UNLOADED: Final = 1e-3
-"""Load, over capacity, below which a point counts as a zero reading."""
-
 DRIFT: Final = 0.005
 """Change of a zero within a series, over capacity, that is doubted."""
 
@@ -190,7 +187,7 @@ def _check_zeros(schedule: Schedule, residuals: Array) -> None:
     """Doubt bridges whose zero readings wander within a series by more than their noise can."""
     used = schedule.fitted
     series = schedule.series[used]
-    unloaded = (np.abs(schedule.loads[used]) < UNLOADED * schedule.capacities).all(axis=1)
+    unloaded = schedule.unloaded[used]
     for index, name in enumerate(schedule.components):
         column = residuals[:, index]
         # neighbours differ by noise alone; the median is not moved by the few that a drift or a step lies between

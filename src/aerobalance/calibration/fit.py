@@ -139,5 +139,5 @@ def _beyond_model(
 def _chosen(data: ScaledPoints, terms: tuple[Term, ...], tares: Array) -> NDArray[np.bool_]:
     """Terms of every component by significance, shape (c, t)."""
     design = data.design(terms, data.variables(tares))
-    targets = data.targets(tares)
+    targets = data.targets
     return np.array([select(targets[:, i], design, data.nuisance(i), terms=terms) for i in range(targets.shape[1])])

@@ -175,9 +175,9 @@ def _other_terms(calibration: Calibration, index: int, loads: Array) -> Array:
     """Terms of the matrix with other loads than the bridge's own, which must not be taken for its direction."""
     matrix = calibration.matrix
     columns = [
-        np.prod([loads[:, term.first], loads[:, term.second]], axis=0)
-        for term in matrix.terms
-        if matrix.way == "iterative" and term.kind == 4 and matrix.coefficients[matrix.terms.index(term), index]
+        loads[:, term.first] * loads[:, term.second]
+        for term, row in zip(matrix.terms, matrix.coefficients, strict=True)
+        if matrix.way == "iterative" and term.kind == 4 and row[index]
     ]
     return np.column_stack(columns) if columns else np.zeros((loads.shape[0], 0))
 

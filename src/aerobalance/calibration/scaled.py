@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from aerobalance import _term_kernels as kernels
 from aerobalance.balance import BalanceMatrix, TemperatureEffect, Way
-from aerobalance.calibration.faults import UNLOADED
 from aerobalance.calibration.regression import Regression, regress
 from aerobalance.problems import FitError
 from aerobalance.recording import Array
@@ -113,9 +112,9 @@ class ScaledPoints:
         """What the terms are made of, shape (n, c)."""
         return self.loads + self.per_point(tares) if self.way == "iterative" else self.outputs
 
-    def targets(self, tares: Array) -> Array:
+    @property
+    def targets(self) -> Array:
         """What the terms have to give, but for series intercepts, shape (n, c)."""
-        del tares
         return self.outputs if self.way == "iterative" else self.loads
 
     def design(self, terms: tuple[Term, ...], x: Array) -> Array:
@@ -155,7 +154,7 @@ class ScaledPoints:
 
     def _coefficients(self, terms: tuple[Term, ...], masks: NDArray[np.bool_], tares: Array) -> tuple[Array, Array]:
         """Coefficients (t, c) and series intercepts (s, c) alone, without the statistics that `regress` adds."""
-        design, targets = self.design(terms, self.variables(tares)), self.targets(tares)
+        design, targets = self.design(terms, self.variables(tares)), self.targets
         C = np.zeros((len(terms), targets.shape[1]))
         left = np.zeros((self.intercepts.shape[1], targets.shape[1]))
         for i, mask in enumerate(masks):
@@ -167,7 +166,7 @@ class ScaledPoints:
         return C, left
 
     def _regress(self, terms: tuple[Term, ...], masks: NDArray[np.bool_], tares: Array) -> tuple[Regression, ...]:
-        design, targets = self.design(terms, self.variables(tares)), self.targets(tares)
+        design, targets = self.design(terms, self.variables(tares)), self.targets
         return tuple(
             regress(targets[:, i], design, self.nuisance(i), included=masks[i]) for i in range(targets.shape[1])
         )
@@ -326,10 +325,9 @@ class ScaledPoints:
 
 def _series_zeros(schedule: Schedule, rough: Array) -> Array:
     """Zeros of every series where there are no natural ones, shape (s, c): readings without load, else a rough fit."""
-    unloaded = (np.abs(schedule.loads) < UNLOADED * schedule.capacities).all(axis=1)
     zeros = np.array(rough)
     for number in range(len(zeros)):
-        inside = unloaded & (schedule.series == number)
+        inside = schedule.unloaded & (schedule.series == number)
         if inside.any():
             zeros[number] = schedule.outputs[inside].mean(axis=0)
     return zeros

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerobalance.balance import BalanceMatrix, Way
+from aerobalance.calibration.doubts import doubt_quality
 from aerobalance.calibration.drift import compare_calibrations
-from aerobalance.calibration.faults import UNLOADED
 from aerobalance.calibration.fit import Calibration
 from aerobalance.calibration.fit import calibrate as fit_matrix
 from aerobalance.calibration.quality import Quality, assess
-from aerobalance.calibration.selection import HIGHEST_INFLATION
 from aerobalance.commands.loads import read_matrix
 from aerobalance.commands.shared import Account, check_out, doubts, table_text
 from aerobalance.forms import Geometry
@@ -28,13 +24,8 @@ from aerobalance.io.balfit_matrix import is_balfit_matrix
 from aerobalance.io.schedule import read_schedule
 from aerobalance.io.text_table import read_text
 from aerobalance.io.units import conversion
-from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Array
-from aerobalance.schedule import Schedule
 from aerobalance.terms import Model
-
-MOST_KEPT_ASIDE: Final = 0.5
-"""Largest share of the points that may be kept for confirmation."""
 
 
 def calibrate(
@@ -52,12 +43,12 @@ def calibrate(
     check_out(out, path)
     check_out(report, path)
     with doubts() as collected:
-        schedule = keeping_aside(read_schedule(path, capacities=capacities_from(capacities)), keep_aside)
+        schedule = read_schedule(path, capacities=capacities_from(capacities)).keeping_aside(keep_aside)
         if distances is not None:
             schedule = replace(schedule, geometry=geometry_from(distances))
         calibration = fit_matrix(schedule, model=model, way=way)
         quality = assess(calibration)
-        _doubt_quality(calibration, quality)
+        doubt_quality(calibration, quality)
     found = calibration_payload(calibration, quality)
     settings = {
         "model": model,
@@ -97,75 +88,6 @@ def geometry_from(text: str) -> Geometry:
             "--distances must be four distances from the balance's centre and a unit (forward and aft gauge of the "
             f"pitch plane, then of the yaw plane), like '1.5 1.5 1.25 1.25 in', not {text!r}: {error}"
         ) from None
-
-
-def keeping_aside(schedule: Schedule, share: float) -> Schedule:
-    """Mark a share of the loaded points for confirmation, evenly over the schedule."""
-    if not 0 <= share <= MOST_KEPT_ASIDE:
-        raise ValueError(f"--keep-aside must lie between 0 and {MOST_KEPT_ASIDE}, not {share}")
-    if not share:
-        return schedule
-    loaded = np.flatnonzero((np.abs(schedule.loads) > UNLOADED * schedule.capacities).any(axis=1) & schedule.fitted)
-    chosen = loaded[np.unique(np.floor(np.arange(0.5, loaded.size, 1 / share)).astype(int).clip(0, loaded.size - 1))]
-    confirmation = schedule.confirmation.copy()
-    confirmation[chosen] = True
-    return replace(schedule, confirmation=confirmation)
-
-
-def _doubt_quality(calibration: Calibration, quality: Quality) -> None:
-    """Warn of what makes the matrix worse than it looks."""
-    schedule, matrix = calibration.schedule, calibration.matrix
-    if quality.outliers:
-        worst = quality.outliers[0]
-        _doubt(
-            f"{schedule.name}: {len(quality.outliers)} readings do not go with the others, most "
-            f"{schedule.components[worst.component]} at point {schedule.points[worst.point]} of series "
-            f"{schedule.series_names[schedule.series[worst.point]]!r} ({1e3 * worst.residual:+.2g} uV/V, "
-            f"{abs(worst.studentised):.2g} standard deviations); they are in the fit and widen its uncertainty"
-        )
-    if calibration.unidentified:
-        labels = calibration.unidentified_labels
-        _doubt(
-            f"{schedule.name}: the schedule cannot identify {len(labels)} terms, which are left out: "
-            f"{', '.join(labels[:6])}{' ...' if len(labels) > 6 else ''}. Loads that would bring them out have an "
-            "error that the uncertainty does not show"
-        )
-    one_way = [name for name, d in zip(schedule.components, quality.directions, strict=True) if not d.known]
-    if one_way:
-        _doubt(
-            f"{schedule.name}: {', '.join(one_way)} loaded in one direction only; whether the bridge is bidirectional "
-            "is not known, and loads the other way are extrapolated"
-        )
-    missed = [
-        (name, 100 * d.difference)
-        for i, (name, d) in enumerate(zip(schedule.components, quality.directions, strict=True))
-        if d.bidirectional and not _has_direction(matrix, calibration.regressions[i].included, i)
-    ]
-    if missed:
-        texts = ", ".join(f"{name} ({difference:+.2g} %)" for name, difference in missed)
-        _doubt(
-            f"{schedule.name}: bridges with different sensitivities to + and - loads: {texts}; the model has no term "
-            "for that. Use --model abs, 96 or auto"
-        )
-    inflated = [float(np.nanmax(fit.vif)) for fit in calibration.regressions]
-    if max(inflated) > HIGHEST_INFLATION and calibration.model != "auto":
-        _doubt(
-            f"{schedule.name}: some terms are near copies of each other (variance inflation factor up to "
-            f"{max(inflated):.3g}, above {HIGHEST_INFLATION:g}); their coefficients mean little one by one. "
-            "--model auto leaves out those that do not pay"
-        )
-
-
-def _has_direction(matrix: BalanceMatrix, included: NDArray[np.bool_], index: int) -> bool:
-    """Whether the model of a component has a term that can stand for its direction: |F|, F*F or |F*F*F|."""
-    return any(
-        used and term.first == term.second == index and term.kind in (1, 2, 9)
-        for term, used in zip(matrix.terms, included, strict=True)
-    )
-
-
-def _doubt(text: str) -> None:
-    warnings.warn(text, DoubtWarning, stacklevel=3)
 
 
 def summary(calibration: Calibration, quality: Quality) -> str:

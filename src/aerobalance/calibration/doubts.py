@@ -1,0 +1,70 @@
+"""What makes a matrix worse than it looks, told as warnings."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.balance import BalanceMatrix
+from aerobalance.calibration.fit import Calibration
+from aerobalance.calibration.quality import Quality
+from aerobalance.calibration.selection import HIGHEST_INFLATION
+from aerobalance.problems import DoubtWarning
+
+
+def doubt_quality(calibration: Calibration, quality: Quality) -> None:
+    """Warn of what makes the matrix worse than it looks."""
+    schedule, matrix = calibration.schedule, calibration.matrix
+    if quality.outliers:
+        worst = quality.outliers[0]
+        _doubt(
+            f"{schedule.name}: {len(quality.outliers)} readings do not go with the others, most "
+            f"{schedule.components[worst.component]} at point {schedule.points[worst.point]} of series "
+            f"{schedule.series_names[schedule.series[worst.point]]!r} ({1e3 * worst.residual:+.2g} uV/V, "
+            f"{abs(worst.studentised):.2g} standard deviations); they are in the fit and widen its uncertainty"
+        )
+    if calibration.unidentified:
+        labels = calibration.unidentified_labels
+        _doubt(
+            f"{schedule.name}: the schedule cannot identify {len(labels)} terms, which are left out: "
+            f"{', '.join(labels[:6])}{' ...' if len(labels) > 6 else ''}. Loads that would bring them out have an "
+            "error that the uncertainty does not show"
+        )
+    one_way = [name for name, d in zip(schedule.components, quality.directions, strict=True) if not d.known]
+    if one_way:
+        _doubt(
+            f"{schedule.name}: {', '.join(one_way)} loaded in one direction only; whether the bridge is bidirectional "
+            "is not known, and loads the other way are extrapolated"
+        )
+    missed = [
+        (name, 100 * d.difference)
+        for i, (name, d) in enumerate(zip(schedule.components, quality.directions, strict=True))
+        if d.bidirectional and not _has_direction(matrix, calibration.regressions[i].included, i)
+    ]
+    if missed:
+        texts = ", ".join(f"{name} ({difference:+.2g} %)" for name, difference in missed)
+        _doubt(
+            f"{schedule.name}: bridges with different sensitivities to + and - loads: {texts}; the model has no term "
+            "for that. Use --model abs, 96 or auto"
+        )
+    inflated = [float(np.nanmax(fit.vif)) for fit in calibration.regressions]
+    if max(inflated) > HIGHEST_INFLATION and calibration.model != "auto":
+        _doubt(
+            f"{schedule.name}: some terms are near copies of each other (variance inflation factor up to "
+            f"{max(inflated):.3g}, above {HIGHEST_INFLATION:g}); their coefficients mean little one by one. "
+            "--model auto leaves out those that do not pay"
+        )
+
+
+def _has_direction(matrix: BalanceMatrix, included: NDArray[np.bool_], index: int) -> bool:
+    """Whether the model of a component has a term that can stand for its direction: |F|, F*F or |F*F*F|."""
+    return any(
+        used and term.first == term.second == index and term.kind in (1, 2, 9)
+        for term, used in zip(matrix.terms, included, strict=True)
+    )
+
+
+def _doubt(text: str) -> None:
+    warnings.warn(text, DoubtWarning, stacklevel=3)
