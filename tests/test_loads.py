@@ -168,7 +168,9 @@ def test_uncertainty_covers_the_error_of_the_calibration(seed: int) -> None:
 def test_static_uncertainty_is_that_of_a_load_of_the_size_of_the_force(seed: int) -> None:
     truth = random_balance(seed, model="abs")
     matrix = calibrate(CalibrationStand(truth).run(seed).schedule, model="abs").matrix
-    native = swinging(50, np.random.default_rng(seed))
+    # loads of one sign: where one crosses zero the |F| terms turn, and the few parts in a thousand of capacity between
+    # the loads found and the true ones could lie on two sides of that
+    native = 0.5 * (CAPACITIES + swinging(50, np.random.default_rng(seed)))
     felt = loads_felt(recorded(truth.outputs(native)), matrix, zero=NONE)
     same = static_uncertainty(felt, matrix, forces={})
     assert np.allclose(np.column_stack(list(same.values())), felt.calibration, rtol=1e-9)
@@ -176,7 +178,7 @@ def test_static_uncertainty_is_that_of_a_load_of_the_size_of_the_force(seed: int
     other[:, 5] = 0.1 * CAPACITIES[5]  # AF is a load of its own in both forms
     forced = static_uncertainty(felt, matrix, forces={"AF": other[:, 5]})
     there = loads_felt(recorded(truth.outputs(other)), matrix, zero=NONE)
-    # the loads found differ from the true ones by parts in a thousand of capacity, and u moves far less than loads do
+    # u moves by no larger a share than the loads do
     assert np.allclose(np.column_stack(list(forced.values())), there.calibration, rtol=5e-3), seed
 
 
