@@ -141,7 +141,7 @@ def test_second_mode_is_found_and_warned_about():
     other = Dynamics("AF", 1.0, (2 * np.pi * 171.0) ** 2, 2 * 0.008 * 2 * np.pi * 171.0)
     load = 0.9 * release() + 0.1 * release(dynamics=other)
     recording, seed = noisy(load, 5.0)
-    with pytest.warns(DoubtWarning, match=r"further mode at 17[01]\.\d+ Hz"):
+    with pytest.warns(DoubtWarning, match=r"further mode at 17[01]"):
         fit = identify_decay(recording, mass=T128.mass)
     meets(fit.dynamics, seed)
     (mode,) = fit.further_modes

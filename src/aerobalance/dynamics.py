@@ -22,16 +22,93 @@ from aerobalance.components import COMPONENTS
 from aerobalance.recording import Array
 
 PARAMETERS: Final = ("mass", "stiffness", "damping", "delay")
-"""Order of the rows and columns of `Dynamics.covariance`."""
+"""Order of the first rows and columns of `Dynamics.covariance`."""
+
+MODE_PARAMETERS: Final = ("natural_frequency", "damping_ratio", "share")
+"""Order of the rows and columns that every further mode adds to `Dynamics.covariance`."""
 
 
-def _no_covariance() -> Array:
-    return np.zeros((len(PARAMETERS), len(PARAMETERS)))
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One mode of the balance with its model: q'' + 2 zeta w q' + w^2 q = w^2 N under the net force N.
+
+    Attributes
+    ----------
+    natural_frequency
+        Undamped natural frequency w / 2 pi [Hz].
+    damping_ratio
+        Damping ratio zeta [1].
+    share
+        Share of a steady load that the mode carries, r / w^2 [1]; of either sign.
+    """
+
+    natural_frequency: float
+    damping_ratio: float
+    share: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.natural_frequency < np.inf:
+            raise ValueError(f"natural_frequency must be positive and finite, not {self.natural_frequency}")
+        if not 0 <= self.damping_ratio < np.inf:
+            raise ValueError(f"damping_ratio must be zero or more and finite, not {self.damping_ratio}")
+        if not np.isfinite(self.share):
+            raise ValueError(f"share must be finite, not {self.share}")
+
+    @property
+    def angular_frequency(self) -> float:
+        """Undamped natural angular frequency w [rad/s]."""
+        return 2 * np.pi * self.natural_frequency
+
+    @property
+    def poles(self) -> tuple[complex, complex]:
+        """The two poles [rad/s]; real when the damping ratio is above 1."""
+        w, decay = self.angular_frequency, self.damping_ratio * self.angular_frequency
+        split = np.sqrt(complex(decay**2 - w**2))
+        split = split or 1e-6 * w  # critical damping: a double pole has no partial fractions
+        return -decay + split, -decay - split
+
+    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """q/N at frequencies [Hz]; 1 at rest."""
+        ratio = np.asarray(frequency) / self.natural_frequency
+        return np.asarray(1 / (1 - ratio**2 + 2j * self.damping_ratio * ratio), dtype=np.complex128)
+
+    def free_decay(self, time: ArrayLike) -> Array:
+        """Release from rest at time 0, over the load held before [1]."""
+        t = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
+        p, q = self.poles
+        return np.asarray(np.real((p * np.exp(q * t) - q * np.exp(p * t)) / (p - q)))
+
+    def integrated_step(self, time: Array) -> Array:
+        """Integral of the response to a step of 1 at time 0, from 0 to time [s]."""
+        t = np.maximum(time, 0.0)
+        p, q = self.poles
+        swing = q / p * np.expm1(p * t) - p / q * np.expm1(q * t)
+        return np.asarray(t + np.real(swing / (p - q)))
+
+    def driven(self, net: Array, *, interval: float) -> tuple[Array, Array]:
+        """Response and its rate under a net force that is linear between samples, held before; shape (n,) each."""
+        response, rate = np.zeros((2, net.size), dtype=np.complex128)
+        change = net - net[0]
+        before = np.concatenate(([0.0], change[:-1]))
+        p, q = self.poles
+        for pole, sign in ((p, 1.0), (q, -1.0)):
+            growth = np.exp(pole * interval)
+            late = (np.expm1(pole * interval) - pole * interval) / (pole**2 * interval)
+            early = np.expm1(pole * interval) / pole - late
+            part = sign * lfilter([1.0], [1.0, -growth], early * before + late * change)
+            response += part
+            rate += pole * part
+        size = self.angular_frequency**2 / (p - q)
+        return np.asarray(net[0] + np.real(response * size)), np.asarray(np.real(rate * size))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dynamics:
-    """Moving mass, stiffness and damping of one component.
+    """Moving mass, stiffness and damping of one component, and the further modes that it has.
+
+    One mode is the paper's balance, Eq. (8). With more, AF/F is the sum of the modes' responses, each times its share
+    of a steady load; the shares add to 1, so the first mode has what the further ones leave. They belong to the place
+    where the force acts.
 
     Attributes
     ----------
@@ -40,13 +117,15 @@ class Dynamics:
     mass
         Moving mass M: live end of the balance and model [kg; kg*m for a moment on one axis of motion].
     stiffness
-        Stiffness k of the sensing element along the component [N/m].
+        Stiffness k of the sensing element along the component [N/m]; with `mass` the frequency of the first mode.
     damping
-        Damping coefficient b, force per velocity of the extension [N*s/m].
+        Damping coefficient b of the first mode, force per velocity of the extension [N*s/m].
     delay
         Time by which the load readings lag the ground acceleration [s]; may have either sign.
     covariance
-        Covariance of `PARAMETERS`, shape (4, 4), in the units above.
+        Covariance of `parameters`, shape (4 + 3 m, 4 + 3 m), in the units above; all zero where not given.
+    further_modes
+        The m modes beside the first.
     """
 
     component: str
@@ -54,7 +133,8 @@ class Dynamics:
     stiffness: float
     damping: float
     delay: float = 0.0
-    covariance: Array = field(default_factory=_no_covariance)
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    further_modes: tuple[Mode, ...] = ()
 
     def __post_init__(self) -> None:
         if self.component not in COMPONENTS:
@@ -66,10 +146,44 @@ class Dynamics:
             raise ValueError(f"damping must be zero or more and finite, not {self.damping}")
         if not np.isfinite(self.delay):
             raise ValueError(f"delay must be finite, not {self.delay}")
-        if self.covariance.shape != (len(PARAMETERS), len(PARAMETERS)):
-            raise ValueError(f"covariance must have shape (4, 4), not {self.covariance.shape}")
+        size = len(self.parameters)
+        if self.covariance.size == 0:
+            object.__setattr__(self, "covariance", np.zeros((size, size)))
+        if self.covariance.shape != (size, size):
+            raise ValueError(f"covariance must have shape ({size}, {size}), not {self.covariance.shape}")
         if not np.isfinite(self.covariance).all() or (np.diag(self.covariance) < 0).any():
             raise ValueError("covariance must be finite, with variances of zero or more")
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the rows of `covariance`: `PARAMETERS`, then those of each further mode, such as share_2."""
+        further = range(2, 2 + len(self.further_modes))
+        return (*PARAMETERS, *(f"{name}_{number}" for number in further for name in MODE_PARAMETERS))
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """All modes, the first one first."""
+        share = 1.0 - sum(mode.share for mode in self.further_modes)
+        return (Mode(self.natural_frequency, self.damping_ratio, share), *self.further_modes)
+
+    def with_parameters(self, values: Array) -> Dynamics:
+        """The same balance with other values of `parameters`, shape (4 + 3 m,); the covariance is left out.
+
+        Raises
+        ------
+        ValueError
+            A value is not physical.
+        """
+        further = np.reshape(values[len(PARAMETERS) :], (-1, len(MODE_PARAMETERS)))
+        mass, stiffness, damping, delay = (float(value) for value in values[: len(PARAMETERS)])
+        modes = tuple(Mode(*(float(value) for value in row)) for row in further)
+        return Dynamics(self.component, mass, stiffness, damping, delay, further_modes=modes)
+
+    @property
+    def values(self) -> Array:
+        """Values of `parameters`, shape (4 + 3 m,)."""
+        further = [(mode.natural_frequency, mode.damping_ratio, mode.share) for mode in self.further_modes]
+        return np.array([self.mass, self.stiffness, self.damping, self.delay, *np.ravel(further)])
 
     @property
     def angular_frequency(self) -> float:
@@ -111,31 +225,38 @@ class Dynamics:
         return self.damped_angular_frequency / (2 * np.pi)
 
     def uncertainty(self, parameter: str) -> float:
-        """Standard uncertainty of one of `PARAMETERS`, or of natural_frequency [Hz] or damping_ratio [1]."""
+        """Standard uncertainty of one of `parameters`, or of natural_frequency [Hz], damping_ratio or share [1]."""
         gradient = self.gradient(parameter)
         return float(np.sqrt(max(float(gradient @ self.covariance @ gradient), 0.0)))
 
     def gradient(self, parameter: str) -> Array:
-        """Derivative of a parameter or derived quantity with respect to `PARAMETERS`, shape (4,)."""
-        if parameter in PARAMETERS:
-            gradient: Array = np.eye(len(PARAMETERS))[PARAMETERS.index(parameter)]
-            return gradient
-        if parameter == "natural_frequency":
+        """Derivative of a parameter or derived quantity with respect to `parameters`, shape (4 + 3 m,).
+
+        natural_frequency, damping_ratio and share without a number are those of the first mode.
+        """
+        names = self.parameters
+        gradient: Array = np.zeros(len(names))
+        if parameter in names:
+            gradient[names.index(parameter)] = 1.0
+        elif parameter == "natural_frequency":
             f0 = self.natural_frequency
-            return np.array([-f0 / (2 * self.mass), f0 / (2 * self.stiffness), 0.0, 0.0])
-        if parameter == "damping_ratio":
+            gradient[:2] = -f0 / (2 * self.mass), f0 / (2 * self.stiffness)
+        elif parameter == "damping_ratio":
             half = -self.damping_ratio / 2
-            slope = 1 / (2 * np.sqrt(self.stiffness * self.mass))
-            return np.array([half / self.mass, half / self.stiffness, slope, 0.0])
-        raise ValueError(f"parameter must be one of {', '.join(PARAMETERS)}, natural_frequency, damping_ratio")
+            gradient[:3] = half / self.mass, half / self.stiffness, 1 / (2 * np.sqrt(self.stiffness * self.mass))
+        elif parameter == "share":
+            gradient[[index for index, name in enumerate(names) if name.startswith("share")]] = -1.0
+        else:
+            raise ValueError(f"parameter must be one of {', '.join(names)}, natural_frequency, damping_ratio, share")
+        return gradient
 
     def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
         """Load felt over force applied, AF/F, at frequencies [Hz]; the transform of Eq. (8) with x1 at rest.
 
         The delay is not included.
         """
-        ratio = np.asarray(frequency) / self.natural_frequency
-        return np.asarray(1 / (1 - ratio**2 + 2j * self.damping_ratio * ratio), dtype=np.complex128)
+        parts = (mode.share * mode.response(frequency) for mode in self.modes)
+        return np.asarray(sum(parts), dtype=np.complex128)
 
     def base_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
         """Load felt over ground acceleration, AF/x1'' [kg], at frequencies [Hz], for F = 0.
@@ -165,9 +286,7 @@ class Dynamics:
     @property
     def poles(self) -> tuple[complex, complex]:
         """The two poles of Eq. (8) of [Gorbushin2020]_ [rad/s]; real when the damping ratio is above 1."""
-        split = np.sqrt(complex(self.decay_rate**2 - self.angular_frequency**2))
-        split = split or 1e-6 * self.angular_frequency  # critical damping: a double pole has no partial fractions
-        return -self.decay_rate + split, -self.decay_rate - split
+        return self.modes[0].poles
 
     def free_decay(self, time: ArrayLike) -> Array:
         """Release from rest at time 0, over the load held before, Eq. (6) of [Gorbushin2020]_ [1].
@@ -175,9 +294,7 @@ class Dynamics:
         The sine term that (6) leaves out makes the velocity at release zero; with it the extrema of (7) are exact.
         It is 1 before the release.
         """
-        t = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
-        p, q = self.poles
-        return np.asarray(np.real((p * np.exp(q * t) - q * np.exp(p * t)) / (p - q)))
+        return np.asarray(sum(mode.share * mode.free_decay(time) for mode in self.modes))
 
     def step_response(self, time: ArrayLike, *, duration: float = 0.0) -> Array:
         """Load felt after a force of 1 N is applied at time 0, at once or linearly over a duration.
@@ -192,14 +309,8 @@ class Dynamics:
         t = np.asarray(time, dtype=np.float64)
         if duration <= 0:
             return 1 - self.free_decay(t)
-        return (self._integrated_step(t) - self._integrated_step(t - duration)) / duration
-
-    def _integrated_step(self, time: Array) -> Array:
-        """Integral of the step response from 0 to time [s]."""
-        t = np.maximum(time, 0.0)
-        p, q = self.poles
-        swing = q / p * np.expm1(p * t) - p / q * np.expm1(q * t)
-        return np.asarray(t + np.real(swing / (p - q)))
+        risen = (mode.share * (mode.integrated_step(t) - mode.integrated_step(t - duration)) for mode in self.modes)
+        return np.asarray(sum(risen) / duration)
 
     def load_felt(self, net: Array, *, interval: float) -> Array:
         """Load felt under a net force that is linear between samples: Eq. (8) integrated exactly.
@@ -212,16 +323,7 @@ class Dynamics:
         interval
             Time between samples [s].
         """
-        load = np.zeros(net.shape, dtype=np.complex128)
-        change = net - net[0]
-        before = np.concatenate(([0.0], change[:-1]))
-        p, q = self.poles
-        for pole, sign in ((p, 1.0), (q, -1.0)):
-            growth = np.exp(pole * interval)
-            late = (np.expm1(pole * interval) - pole * interval) / (pole**2 * interval)
-            early = np.expm1(pole * interval) / pole - late
-            load += sign * lfilter([1.0], [1.0, -growth], early * before + late * change)
-        return np.asarray(net[0] + np.real(load * self.angular_frequency**2 / (p - q)))
+        return np.asarray(sum(mode.share * mode.driven(net, interval=interval)[0] for mode in self.modes))
 
 
 def extremum_ratio(damping: float, mass: float, period: float, half_periods: ArrayLike) -> Array:

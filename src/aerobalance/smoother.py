@@ -1,8 +1,8 @@
 r"""The optimal estimator: the applied force as an unknown input of the balance, given all readings.
 
-The balance is Eq. (8) of [Gorbushin2020]_; the force is a stationary process of a given spectrum, made from white
-noise by a shaping filter, plus a constant and steps. Everything is discretised exactly, so with noise going to zero
-the estimate goes to Eq. (17).
+The balance is Eq. (8) of [Gorbushin2020]_, once for each mode; the force is a stationary process of a given spectrum,
+made from white noise by a shaping filter, plus a constant and steps. Everything is discretised exactly, so with noise
+going to zero the estimate goes to Eq. (17).
 
 References
 ----------
@@ -30,7 +30,9 @@ GAIN_TOLERANCE: Final = 1e-8
 """Relative change of the covariance in one sample below which the filter's gain is frozen."""
 
 LOAD, LOAD_RATE, FORCE = 0, 1, 2
-"""Places in the state: the load felt AF, its rate AF'/w0, and the force F, the first state of its shaping filter."""
+"""Places in the state: the load felt AF, its rate AF'/w0, and the force F, the first state of its shaping filter.
+
+The further modes q and their rates q'/w come last."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +70,7 @@ class StateSpace:
         Parameters
         ----------
         dynamics
-            Mass, stiffness and damping.
+            Mass, stiffness and damping, and further modes.
         force
             What makes the force out of white noise.
         interval
@@ -81,19 +83,33 @@ class StateSpace:
         swing
             Size of a free oscillation that may be under way when the record starts [N].
         """
-        w0, damping_ratio = dynamics.angular_frequency, dynamics.damping_ratio
-        size = FORCE + force.order
+        first, *further = dynamics.modes
+        w0 = first.angular_frequency
+        size = FORCE + force.order + 2 * len(further)
         A = np.zeros((size, size))
         B = np.zeros((size, 2))
         A[LOAD, LOAD_RATE] = w0
-        A[LOAD_RATE, [LOAD, LOAD_RATE, FORCE]] = -w0, -2 * damping_ratio * w0, w0
-        A[FORCE:, FORCE:] = force.drift
-        B[LOAD_RATE, 0] = w0 * np.sqrt(input_density)
-        B[FORCE:, 1] = force.drive
+        A[LOAD_RATE, [LOAD, LOAD_RATE, FORCE]] = -w0, -2 * first.damping_ratio * w0, first.share * w0
+        A[FORCE : FORCE + force.order, FORCE : FORCE + force.order] = force.drift
+        B[FORCE : FORCE + force.order, 1] = force.drive
+        for number, mode in enumerate(further):
+            # the first mode is the load less the other ones, so that the load itself stays the first state
+            q, rate = FORCE + force.order + 2 * number, FORCE + force.order + 2 * number + 1
+            w, share = mode.angular_frequency, mode.share
+            A[q, rate] = w
+            A[rate, [q, rate, FORCE]] = -w, -2 * mode.damping_ratio * w, w
+            A[LOAD_RATE, [q, rate]] = (
+                share * (w0 - w**2 / w0),
+                share * 2 * w * (first.damping_ratio - mode.damping_ratio * w / w0),
+            )
+            A[LOAD_RATE, FORCE] += share * w**2 / w0
+            B[rate, 0] = w * np.sqrt(input_density)
+        B[LOAD_RATE, 0] = A[LOAD_RATE, FORCE] * np.sqrt(input_density)
         transition, process_noise = _discretise(A, B @ B.T, interval)
         initial = solve_continuous_lyapunov(A, -B @ B.T)
         initial = (initial + initial.T) / 2
-        initial[[LOAD, LOAD_RATE], [LOAD, LOAD_RATE]] += swing**2
+        swinging = [LOAD, LOAD_RATE, *range(FORCE + force.order, size)]
+        initial[swinging, swinging] += swing**2
         return cls(transition, process_noise, initial, noise**2)
 
     @property

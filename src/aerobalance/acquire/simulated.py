@@ -18,7 +18,7 @@ from aerobalance.dynamics import Dynamics
 from aerobalance.published import CABLE_CUT, VIBRATION_RIG
 from aerobalance.recording import QUANTITIES, Array
 from aerobalance.rigs import ACCELEROMETER_RANGE, ARMATURE_MASS
-from aerobalance.rigs.oscillator import Mode
+from aerobalance.rigs.oscillator import Oscillator
 
 RigName = Literal["vibration", "cable_cut", "six"]
 
@@ -49,7 +49,7 @@ class Shaken:
         Steady force over mass at rest before the start [m/s^2].
     """
 
-    def __init__(self, mode: Mode, push: float = 0.0) -> None:
+    def __init__(self, mode: Oscillator, push: float = 0.0) -> None:
         self.mode, self.push = mode, push
         self.state = complex(-push / mode.pole)
 
@@ -236,7 +236,7 @@ class SimulatedSource:
         mass = dynamics.mass
         if self.settings.rig == "vibration":
             mass = mass * ARMATURE_MASS / (mass + ARMATURE_MASS)
-        mode = Mode(mass=mass, stiffness=dynamics.stiffness, damping=dynamics.damping)
+        mode = Oscillator(mass=mass, stiffness=dynamics.stiffness, damping=dynamics.damping)
         return Shaken(mode, self._cable / dynamics.mass)
 
     def _simulate(self, samples: Array) -> None:

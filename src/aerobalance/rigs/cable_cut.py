@@ -12,7 +12,7 @@ from aerobalance.dynamics import Dynamics
 from aerobalance.published import CABLE_CUT
 from aerobalance.recording import Array, Recording
 from aerobalance.rigs.drives import Signal
-from aerobalance.rigs.oscillator import Input, Mode
+from aerobalance.rigs.oscillator import Input, Oscillator
 from aerobalance.rigs.sensors import Sensor, Simulation, accelerometer, integration_grid, read_channels
 
 
@@ -33,7 +33,8 @@ class CableCut:
     Attributes
     ----------
     dynamics
-        Moving mass, stiffness and damping; its delay is not used (sensors have delays of their own).
+        Moving mass, stiffness and damping, and further modes, whose shares hold for all loads; its delay is not used
+        (sensors have delays of their own).
     cable_force
         Force of the cable on the model before the release [N], aft positive.
     release
@@ -82,29 +83,38 @@ class CableCut:
         generator
             Source of the randomness of the sensors.
         """
-        M, k, b = self.dynamics.mass, self.dynamics.stiffness, self.dynamics.damping
-        mode = Mode(mass=M, stiffness=k, damping=b)
+        M = self.dynamics.mass
+        modes = self.dynamics.modes
+        springs = [Oscillator.of(mode) for mode in modes]
         clock = np.arange(round(duration * self.rate)) / self.rate
-        before = min(10.0, 8 / -mode.pole.real) if b else 0.0
+        slowest = min(-spring.pole.real for spring in springs)
+        before = min(10.0, 8 / slowest) if slowest else 0.0
         grid = integration_grid(clock, self.rate * self.oversampling, self.sensors, before=before)
         other = self.applied or _nothing
         shaking = self.ground_acceleration or _nothing
         pitch = self.pitch or _nothing
         push = Input.through(other(grid) / M + STANDARD_GRAVITY * np.sin(pitch(grid)) - shaking(grid), grid)
-        state = mode.state(push)
+        states = [spring.state(push) for spring in springs]
 
-        def motion(time: Array) -> tuple[Array, Array]:
-            fall = mode.fall(time, instant=self.release, duration=self.release_duration)
-            rest = mode.between(state, push, time=time)
-            return mode.motion(rest + self.cable_force / M * fall)
+        def motions(time: Array) -> list[tuple[Array, Array]]:
+            found = []
+            for spring, state in zip(springs, states, strict=True):
+                fall = spring.fall(time, instant=self.release, duration=self.release_duration)
+                rest = spring.between(state, push, time=time)
+                found.append(spring.motion(rest + self.cable_force / M * fall))
+            return found
 
         def load(time: Array) -> Array:
-            return k * motion(time)[0]
+            parts = zip(modes, springs, motions(time), strict=True)
+            return np.asarray(M * sum(mode.share * spring.stiffness * y for mode, spring, (y, _) in parts))
 
         def live(time: Array) -> Array:
-            y, velocity = motion(time)
-            forces = self.cable(time) + M * (push.at(time) + shaking(time)) - k * y - b * velocity
-            return np.asarray(forces / M)
+            net = self.cable(time) / M + push.at(time)
+            moved = np.zeros(time.shape)
+            for mode, spring, (y, velocity) in zip(modes, springs, motions(time), strict=True):
+                size = mode.share * spring.stiffness / springs[0].stiffness
+                moved += size * (net - spring.stiffness * y - spring.damping * velocity)
+            return np.asarray(moved + shaking(time))
 
         signals: dict[str, Signal] = {"AF": load, "ground_acceleration": shaking, "live_acceleration": live}
         channels = read_channels(signals | {"pitch": pitch}, self.sensors, clock=clock, grid=grid, generator=generator)

@@ -1,4 +1,4 @@
-"""One mode of vibration, integrated exactly for inputs that are cubics between the points of a fine grid."""
+"""One oscillator, integrated exactly for inputs that are cubics between the points of a fine grid."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from aerobalance.dynamics import Mode
 from aerobalance.recording import Array
 
 
@@ -51,7 +52,7 @@ class Input:
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
+class Oscillator:
     """y'' + (c/m) y' + (s/m) y = p(t), underdamped, as one complex mode: y = Im(z) / wd with z' = pole z + p."""
 
     mass: float
@@ -61,6 +62,12 @@ class Mode:
     def __post_init__(self) -> None:
         if not self.damping < 2 * np.sqrt(self.stiffness * self.mass):
             raise ValueError("the rig is damped critically or more; the simulation needs a damping ratio below 1")
+
+    @classmethod
+    def of(cls, mode: Mode) -> Oscillator:
+        """A mode as an oscillator of mass 1."""
+        w = mode.angular_frequency
+        return cls(1.0, w**2, 2 * mode.damping_ratio * w)
 
     @property
     def pole(self) -> complex:

@@ -13,7 +13,7 @@ from aerobalance.dynamics import Dynamics
 from aerobalance.published import VIBRATION_RIG
 from aerobalance.recording import Array, Channel, Recording
 from aerobalance.rigs.drives import Drive, Signal
-from aerobalance.rigs.oscillator import Input, Mode
+from aerobalance.rigs.oscillator import Input, Oscillator
 from aerobalance.rigs.sensors import Sensor, Simulation, accelerometer, integration_grid, read_channels
 
 ARMATURE_MASS: Final = 2.07
@@ -56,6 +56,10 @@ class VibrationRig:
     sensors: Mapping[str, Sensor] = field(default_factory=_vibration_sensors)
     oversampling: int = 4
 
+    def __post_init__(self) -> None:
+        if self.dynamics.further_modes:
+            raise ValueError("the vibration rig has one mode; shake a cable cut's ground end for more")
+
     def run(self, drive: Drive, generator: np.random.Generator) -> Simulation:
         """Shake the balance from rest and record it.
 
@@ -70,7 +74,7 @@ class VibrationRig:
         grid = integration_grid(clock, self.rate * self.oversampling, self.sensors, before=0.0)
         force = Input.through(drive.signal(generator)(grid), grid)
         M, k, b = self.dynamics.mass, self.dynamics.stiffness, self.dynamics.damping
-        mode = Mode(mass=M * self.armature_mass / (M + self.armature_mass), stiffness=k, damping=b)
+        mode = Oscillator(mass=M * self.armature_mass / (M + self.armature_mass), stiffness=k, damping=b)
         push = Input.through(-force.values / self.armature_mass, grid)
         state = mode.state(push)
 
