@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from aerobalance.dynamics import PARAMETERS, Dynamics, extremum_ratio, stiffness_from_damped_frequency
+from aerobalance.dynamics import PARAMETERS, Dynamics, Mode, extremum_ratio, stiffness_from_damped_frequency
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RIG = Dynamics("AF", 0.68, 11.43e6, 371.98)
@@ -228,3 +228,71 @@ def test_unphysical_dynamics_are_refused(changes, words):
 def test_unknown_parameter_is_refused():
     with pytest.raises(ValueError, match="parameter must be one of"):
         T128.gradient("colour")
+
+
+TWO = T128.with_modes(Mode(165.0, 0.008, -0.05), Mode(310.0, 0.015, 0.03))
+
+
+def test_shares_of_the_modes_add_to_one():
+    assert [mode.share for mode in TWO.modes] == pytest.approx([1.02, -0.05, 0.03], abs=1e-15)
+    assert TWO.modes[0].natural_frequency == T128.natural_frequency
+    assert complex(TWO.response(0.0)) == pytest.approx(1.0, abs=1e-15)
+    assert TWO.step_response(np.array([1e3]))[0] == pytest.approx(1.0, abs=1e-12)
+
+
+def test_response_of_several_modes_is_that_of_their_masses_and_springs():
+    frequency = np.array([0.0, 30.0, 66.4, 165.0, 310.0, 700.0])
+    s = 2j * np.pi * frequency
+    expected = np.zeros(frequency.size, dtype=complex)
+    for mode in TWO.modes:  # METHOD: G(s) = sum of r / (s^2 + 2 zeta w s + w^2), r = share w^2
+        w = 2 * np.pi * mode.natural_frequency
+        expected += mode.share * w**2 / (s**2 + 2 * mode.damping_ratio * w * s + w**2)
+    assert TWO.response(frequency) == pytest.approx(expected, rel=1e-12)
+
+
+def test_load_of_several_modes_is_the_sum_of_integrated_oscillators():
+    time = np.arange(400) / 1600
+
+    def force(t):
+        return 50 * np.sin(2 * np.pi * 90 * t)
+
+    expected = sum(
+        mode.share
+        * integrated(
+            Dynamics("AF", 1.0, mode.angular_frequency**2, 2 * mode.damping_ratio * mode.angular_frequency),
+            time,
+            force,
+        )
+        for mode in TWO.modes
+    )
+    fine = np.arange(400 * 16) / 1600 / 16
+    found = TWO.load_felt(force(fine), interval=fine[1])[::16]
+    # the force is drawn straight between points: an error of (2 pi 90 h)^2 / 12 = 4e-5 of it, times the rise
+    assert found == pytest.approx(expected, abs=50 * 4e-5 * 5)
+    q, rate = TWO.modes[1].driven(force(fine), interval=fine[1])
+    assert np.gradient(q, fine[1])[1:-1] == pytest.approx(rate[1:-1], abs=1e-3 * np.max(np.abs(rate)))
+
+
+def test_parameters_of_several_modes_have_names_and_slopes():
+    assert TWO.parameters[4:] == (
+        "natural_frequency_2", "damping_ratio_2", "share_2", "natural_frequency_3", "damping_ratio_3", "share_3",
+    )  # fmt: skip
+    values = TWO.values
+    again = TWO.with_parameters(values)
+    assert again.values == pytest.approx(values, rel=0)
+    covariance = np.diag(np.linspace(1, 2, values.size) * 1e-4)
+    known = replace(TWO, covariance=covariance)
+    assert known.uncertainty("share_3") == pytest.approx(np.sqrt(covariance[9, 9]))
+    # the first share is 1 less the others
+    assert known.uncertainty("share") == pytest.approx(np.sqrt(covariance[6, 6] + covariance[9, 9]))
+    with pytest.raises(ValueError, match=r"covariance must have shape \(10, 10\)"):
+        replace(TWO, covariance=np.zeros((4, 4)))
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [((0.0, 0.1, 0.1), "natural_frequency"), ((9.0, -0.1, 0.1), "damping_ratio"), ((9.0, 0.1, np.nan), "share")],
+)
+def test_modes_are_validated(values, said):
+    with pytest.raises(ValueError, match=said):
+        Mode(*values)

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
-from aerobalance.dynamics import Dynamics
+from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.identification.decay import identify_decay
 from aerobalance.identification.extrema import extrema_fit
 from aerobalance.problems import DoubtWarning, FitError
@@ -148,6 +149,40 @@ def test_second_mode_is_found_and_warned_about():
     # its amplitude is 20 times the noise over 1 / (0.008 * 2 pi 171) = 0.12 s: frequency to 0.02 Hz, damping 2 %
     assert mode[0] == pytest.approx(other.damped_frequency, abs=0.15), seed
     assert mode[1] == pytest.approx(0.008, rel=0.15), seed
+
+
+@pytest.mark.parametrize("share", [0.08, 0.03, -0.03, -0.08])
+def test_modes_are_identified_with_shares_of_either_sign(share):
+    generator, seed = fresh()
+    frequency, ratio = generator.uniform(120, 400), generator.uniform(0.004, 0.015)
+    truth = T128.with_modes(Mode(frequency, ratio, share))
+    rig = CableCut(dynamics=truth, release=RELEASE, sensors={"AF": Sensor(noise=2.0)})
+    found = identify_decay(rig.run(3.0, generator).recording, mass=T128.mass, modes="auto").dynamics
+    assert len(found.further_modes) == 1, (found, seed)
+    error = (found.values - truth.values)[[1, 2, 4, 5, 6]]
+    covariance = found.covariance[np.ix_([1, 2, 4, 5, 6], [1, 2, 4, 5, 6])]
+    # chi2 of five, exceeded by chance once in a million
+    assert error @ np.linalg.solve(covariance, error) < chi2.isf(1e-6, 5), (found, truth, seed)
+
+
+def test_modes_asked_for_have_to_be_there():
+    recording, _ = noisy(release())
+    with pytest.raises(FitError, match="2 modes are asked for, and the record shows 1"):
+        identify_decay(recording, mass=T128.mass, modes=2)
+    with pytest.raises(ValueError, match="modes must be auto or a number from 1 to 7"):
+        identify_decay(recording, mass=T128.mass, modes=0)
+    assert identify_decay(recording, mass=T128.mass, modes="auto").dynamics.further_modes == ()
+
+
+def test_shares_need_a_clean_release():
+    time = clock(3.0)
+    swing = sum(
+        size * np.exp(-mode.damping_ratio * mode.angular_frequency * time) * np.sin(mode.angular_frequency * time + 1)
+        for size, mode in ((500.0, T128.modes[0]), (80.0, Mode(171.0, 0.008)))
+    )
+    recording, _ = noisy(swing, 2.0)
+    with pytest.raises(FitError, match="clean release from rest"):
+        identify_decay(recording, mass=T128.mass, modes="auto")
 
 
 def test_release_duration_is_found():

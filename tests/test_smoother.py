@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
-from aerobalance.dynamics import Dynamics
+from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.shaping import ShapingFilter
 from aerobalance.smoother import FORCE, LOAD, LOAD_RATE, Filter, StateSpace
 
@@ -186,3 +186,26 @@ def test_swing_adds_a_free_oscillation():
     expected = np.zeros(calm.initial.shape)
     expected[LOAD, LOAD] = expected[LOAD_RATE, LOAD_RATE] = 25.0
     assert swung.initial - calm.initial == pytest.approx(expected, abs=1e-9 * calm.initial.max())
+
+
+def test_a_constant_force_makes_the_step_response_of_all_modes():
+    balance = T128.with_modes(Mode(165.0, 0.008, -0.05), Mode(310.0, 0.015, 0.03))
+    held = ShapingFilter(np.array([[-1e-12]]), np.zeros(1))
+    system = StateSpace.of_balance(balance, held, interval=INTERVAL, noise=1.0, swing=1.0)
+    state = np.zeros(system.transition.shape[0])
+    state[FORCE] = 1.0
+    loads = []
+    for _ in range(300):
+        loads.append(float(system.observation @ state))
+        state = system.transition @ state
+    # double precision over 300 products of a matrix of norm below 2
+    assert loads == pytest.approx(balance.step_response(np.arange(300) * INTERVAL), abs=1e-10)
+
+
+def test_noise_of_the_input_excites_all_modes_alike():
+    balance = T128.with_modes(Mode(165.0, 0.008, -0.05))
+    system = StateSpace.of_balance(balance, ShapingFilter.silent(), interval=INTERVAL, noise=1.0, input_density=7.0)
+    frequency = np.linspace(-4e3, 4e3, 8_000_001)  # beyond, |G|^2 < 1e-7
+    transfer = balance.response(np.abs(frequency))
+    power = 7.0 * np.trapezoid(np.abs(transfer) ** 2, frequency)  # of white noise through Eq. (8), all modes
+    assert system.initial[LOAD, LOAD] == pytest.approx(power, rel=1e-4)

@@ -43,6 +43,7 @@ Out = Annotated[Path | None, typer.Option("-o", "--out", help="Where to write th
 NeededOut = Annotated[
     Path, typer.Option("-o", "--out", help="Where to write the result; the ending chooses the format.")
 ]
+Modes = Annotated[str, typer.Option("--modes", help="How many modes: a number, or auto for those the data show.")]
 Component = Annotated[str, typer.Option("--component", help="Which component: NF, PM, SF, YM, RM or AF.")]
 Gravity = Annotated[float, typer.Option("--gravity", help="Local acceleration of gravity in m/s^2.", min=9.7, max=9.9)]
 Map = Annotated[
@@ -306,13 +307,21 @@ def weigh(
 
 @identify.command("decay", epilog=example("identify decay cut.csv --component AF --mass 177.87 -o dynamics.json"))
 def identify_decay(
-    rec: Rec, mass: Mass, out: Out = None, component: Component = "AF", channel_map: Map = None, as_json: Json = False
+    rec: Rec,
+    mass: Mass,
+    out: Out = None,
+    component: Component = "AF",
+    modes: Modes = "1",
+    channel_map: Map = None,
+    as_json: Json = False,
 ) -> None:
     """Identify from a free decay: a load that is held and released."""
     from aerobalance.commands import identify
 
     show(
-        lambda: identify.identify_decay(rec, out, component=component, mass=mass, channel_map=channel_map),
+        lambda: identify.identify_decay(
+            rec, out, component=component, mass=mass, modes=modes, channel_map=channel_map
+        ),
         as_json,
         doing="fitting the decay",
     )

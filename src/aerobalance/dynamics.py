@@ -11,7 +11,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -165,6 +165,13 @@ class Dynamics:
         """All modes, the first one first."""
         share = 1.0 - sum(mode.share for mode in self.further_modes)
         return (Mode(self.natural_frequency, self.damping_ratio, share), *self.further_modes)
+
+    def with_modes(self, *further: Mode) -> Dynamics:
+        """The same balance with these further modes, taken as known exactly."""
+        size = len(PARAMETERS) + len(MODE_PARAMETERS) * len(further)
+        covariance = np.zeros((size, size))
+        covariance[: len(PARAMETERS), : len(PARAMETERS)] = self.covariance[: len(PARAMETERS), : len(PARAMETERS)]
+        return replace(self, covariance=covariance, further_modes=further)
 
     def with_parameters(self, values: Array) -> Dynamics:
         """The same balance with other values of `parameters`, shape (4 + 3 m,); the covariance is left out.

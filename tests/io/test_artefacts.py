@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerobalance.dynamics import PARAMETERS, Dynamics
+from aerobalance.dynamics import PARAMETERS, Dynamics, Mode
 from aerobalance.io.artefacts import read_dynamics, read_mass, write_dynamics, write_json, write_mass
 from aerobalance.problems import ReadError
 from aerobalance.weighing import weigh
@@ -74,6 +74,45 @@ def test_dynamics_have_the_structure_that_was_promised(tmp_path):
     assert provenance["inputs"] == [{"name": "run.csv", "sha256": SHA256}]
     assert provenance["settings"] == {"component": "AF", "mass": None, "file": "run.csv"}
     assert provenance["created"].endswith("+00:00")
+
+
+def modal():
+    modes = (Mode(165.0, 0.008, -0.05), Mode(310.0, 0.015, 0.03))
+    return Dynamics(
+        "AF", 177.87, 3.093e7, 828.21, covariance=np.diag(np.arange(1.0, 11.0)) * 1e-8, further_modes=modes
+    )
+
+
+def test_modes_round_trip(tmp_path):
+    path = tmp_path / "dynamics.json"
+    write_dynamics(path, {"AF": modal()})
+    found = read_dynamics(path)["AF"]
+    assert found.further_modes == modal().further_modes
+    np.testing.assert_array_equal(found.covariance, modal().covariance)
+    modes = json.loads(path.read_text())["components"]["AF"]["modes"]
+    assert [mode["natural_frequency"] for mode in modes] == [modal().natural_frequency, 165.0, 310.0]
+    assert sum(mode["share"] for mode in modes) == pytest.approx(1, abs=1e-15)
+    assert modes[1]["u_share"] == pytest.approx(np.sqrt(7e-8))
+    assert modes[2]["u_damping_ratio"] == pytest.approx(np.sqrt(9e-8))
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "said"),
+    [
+        (["modes", 1, "share"], 0.2, ["components.AF.modes", "add to 1.25"]),
+        (["modes", 0, "natural_frequency"], 70.0, ["modes[0].natural_frequency", "70", "66.3"]),
+        (["modes", 1, "damping_ratio"], -0.1, ["modes.1.damping_ratio", "greater than or equal to 0"]),
+        (["modes", 1, "u_share"], 9.0, ["covariance.matrix", "share_2.u"]),
+    ],
+)
+def test_broken_modes_are_refused_with_the_key(tmp_path, keys, value, said):
+    path = tmp_path / "dynamics.json"
+    write_dynamics(path, {"AF": modal()})
+    path.write_text(json.dumps(changed(json.loads(path.read_text()), [*AF, *keys], value)))
+    with pytest.raises(ReadError) as caught:
+        read_dynamics(path)
+    for words in ["dynamics.json", *said]:
+        assert words in str(caught.value)
 
 
 def test_the_same_inputs_give_the_same_bytes_but_for_the_time(tmp_path):

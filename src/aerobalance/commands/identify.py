@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from aerobalance.commands.shared import Account, check_out, doubts, known_component, recording_of
 from aerobalance.commands.weighing import mass_file, parse_mass
@@ -38,19 +38,38 @@ def identify_decay(
     *,
     component: str = "AF",
     mass: str,
+    modes: str = "1",
     channel_map: Path | None = None,
 ) -> Account:
-    """Stiffness and damping from a free decay."""
+    """Stiffness and damping, and further modes, from a free decay."""
     known_component(component)
     check_out(out, path, channel_map, mass_file(mass))
     weighed = parse_mass(mass, component)
     if weighed is None:
         raise ValueError("--mass is needed: a free decay tells stiffness and damping only in proportion to the mass")
+    wanted = _number_of_modes(modes)
     with doubts() as collected:
         recording = recording_of(path, channel_map)
-        fit = fit_decay(recording, component=component, mass=weighed)
+        fit = fit_decay(recording, component=component, mass=weighed, modes=wanted)
     details = {"method": "free decay, least squares on the waveform", **_decay_details(recording, fit)}
-    return _identified(path, out, fit.dynamics, details, mass=mass, collected=collected, channel_map=channel_map)
+    return _identified(
+        path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, channel_map=channel_map
+    )
+
+
+def _number_of_modes(given: str) -> int | Literal["auto"]:
+    """Read --modes.
+
+    Raises
+    ------
+    ValueError
+        It is neither auto nor a number of modes.
+    """
+    if given == "auto":
+        return "auto"
+    if not given.isdecimal() or int(given) < 1:
+        raise ValueError(f"--modes must be auto or a number from 1 up, not {given!r}")
+    return int(given)
 
 
 def _decay_details(recording: Recording, fit: DecayFit) -> Account:
@@ -191,6 +210,7 @@ def _identified(
     details: Account,
     *,
     mass: str | None,
+    modes: str | None = None,
     collected: list[str],
     channel_map: Path | None,
 ) -> Account:
@@ -198,6 +218,8 @@ def _identified(
     name = dynamics.component
     inputs = [path, *(file for file in (channel_map, mass_file(mass)) if file is not None)]
     settings = {"component": name, "mass": mass if mass_file(mass) is None else Path(str(mass)).name}
+    if modes is not None:
+        settings["modes"] = modes
     if out is not None:
         write_dynamics(
             out, {name: dynamics}, details={name: details}, inputs=inputs, settings=settings, warnings=collected

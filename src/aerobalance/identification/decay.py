@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from aerobalance.dynamics import Dynamics
+from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.identification.onset import first_look
 from aerobalance.identification.ring import (
     EVIDENCE,
@@ -67,7 +67,8 @@ class DecayFit:
     hum
         Frequency [Hz] and amplitude [N] of every steady line found.
     further_modes
-        Frequency [Hz], damping ratio [1] and share of the height [1] of every further decaying line found.
+        Frequency [Hz], damping ratio [1] and amplitude over the height [1] of every further decaying line found,
+        whether it is part of the dynamics or not.
     residual_deviation
         Standard deviation of the residuals [N].
     degrees_of_freedom
@@ -96,7 +97,13 @@ class DecayFit:
     notes: tuple[str, ...]
 
 
-def identify_decay(recording: Recording, *, component: str = "AF", mass: float | tuple[float, float]) -> DecayFit:
+def identify_decay(
+    recording: Recording,
+    *,
+    component: str = "AF",
+    mass: float | tuple[float, float],
+    modes: int | Literal["auto"] = 1,
+) -> DecayFit:
     """Identify the dynamics of one component from a free decay, Eq. (6) of [Gorbushin2020]_.
 
     Parameters
@@ -107,12 +114,17 @@ def identify_decay(recording: Recording, *, component: str = "AF", mass: float |
         The load channel.
     mass
         Moving mass [kg; kg*m for a moment], exact, or with its standard uncertainty.
+    modes
+        How many modes the dynamics have; ``"auto"``: as many as the record gives evidence of.
 
     Raises
     ------
     FitError
-        No ringing stands out of the noise, or it is too short.
+        No ringing stands out of the noise, or it is too short; or there are fewer modes than asked for, or further
+        modes without a clean release, which alone tells their shares.
     """
+    if modes != "auto" and not 1 <= modes <= MOST_LINES + 1:
+        raise ValueError(f"modes must be auto or a number from 1 to {MOST_LINES + 1}, not {modes}")
     value, uncertainty = mass if isinstance(mass, tuple) else (mass, 0.0)
     if not (0 < value < np.inf and uncertainty >= 0):
         raise ValueError(f"mass must be positive, its uncertainty zero or more: {value}, {uncertainty}")
@@ -123,8 +135,9 @@ def identify_decay(recording: Recording, *, component: str = "AF", mass: float |
     ring = fit_ring(time[present], channel.values[present], look)
     ring = freed(_shortened(_complete(_shortened(ring))))
     _check(ring, recording.name, component)
-    dynamics = _dynamics(ring, component, value, uncertainty)
-    notes = _notes(ring, dynamics, recording)
+    kept = _kept_modes(ring, modes, f"{recording.name}, {component}")
+    dynamics = _dynamics(ring, component, value, uncertainty, kept=kept)
+    notes = _notes(ring, dynamics, recording, kept=kept)
     for note in notes:
         warnings.warn(f"{recording.name}: {note}", DoubtWarning, stacklevel=2)
     return _result(ring, dynamics, recording, notes)
@@ -211,29 +224,80 @@ def _check(ring: Ring, name: str, component: str) -> None:
         )
 
 
-def _dynamics(ring: Ring, component: str, mass: float, uncertainty: float) -> Dynamics:
-    """Mass, stiffness and damping, Eqs. (6) and (19) of [Gorbushin2020]_, from decay rate and damped frequency."""
-    a, wd = ring.decay, 2 * np.pi * ring.frequency
-    square = wd**2 + a**2
-    slopes = np.array(  # of mass, stiffness, damping by mass, decay rate, damped angular frequency
-        [[1.0, 0.0, 0.0], [square, 2 * mass * a, 2 * mass * wd], [2 * a, 2 * mass, 0.0]]
+def _kept_modes(ring: Ring, modes: int | Literal["auto"], name: str) -> list[int]:
+    """Places in `Ring.lines` of the further modes that belong to the dynamics, the strongest first."""
+    decaying = [place for place, line in enumerate(ring.lines) if line.decay > 0]
+    if modes == 1:
+        return []
+    if decaying and ring.shape == "free":
+        raise FitError(
+            f"{name}: {len(decaying)} further mode(s), but the ringing is not that of a clean release from rest, "
+            "which alone tells what share of a load each mode carries: cut a cable, or ask for one mode"
+        )
+    sizes = ring.line_sizes()
+    decaying.sort(key=lambda place: -sizes[place])
+    if modes == "auto":
+        return decaying
+    if len(decaying) < modes - 1:
+        raise FitError(
+            f"{name}: {modes} modes are asked for, and the record shows {1 + len(decaying)} above its noise; a larger "
+            "release, or one at another place, may show the others"
+        )
+    return decaying[: modes - 1]
+
+
+def _dynamics(ring: Ring, component: str, mass: float, uncertainty: float, *, kept: list[int]) -> Dynamics:
+    """Mass, stiffness and damping, Eqs. (6) and (19) of [Gorbushin2020]_, and modes, with their covariance."""
+    waves, slopes = ring.modes()
+    decaying = [place for place, line in enumerate(ring.lines) if line.decay > 0]
+    rows = [0, *(1 + decaying.index(place) for place in kept)]
+    waves, slopes = waves[rows], slopes[rows]
+    shares, share_slopes = _shares(waves[:, 2], slopes[:, 2])
+    square = np.sum(waves[:, :2] ** 2, axis=1)
+    w = np.sqrt(square)
+    # what moves the covariance of the waveform's parameters, and the mass, into that of the dynamics
+    by_wave = [np.zeros(ring.covariance.shape[0]) for _ in range(4 + 3 * len(kept))]
+    by_wave[1] = 2 * mass * (waves[0, 0] * slopes[0, 0] + waves[0, 1] * slopes[0, 1])
+    by_wave[2] = 2 * mass * slopes[0, 0]
+    further = []
+    for number in range(1, len(waves)):
+        decay, wd = waves[number, :2]
+        w_slope = (decay * slopes[number, 0] + wd * slopes[number, 1]) / w[number]
+        further.append(Mode(w[number] / (2 * np.pi), decay / w[number], shares[number]))
+        place = 1 + 3 * number
+        by_wave[place] = w_slope / (2 * np.pi)
+        by_wave[place + 1] = slopes[number, 0] / w[number] - decay / square[number] * w_slope
+        by_wave[place + 2] = share_slopes[number]
+    J = np.array(by_wave)
+    covariance = J @ ring.covariance @ J.T
+    by_mass = np.zeros(len(by_wave))
+    by_mass[:3] = 1.0, square[0], 2 * waves[0, 0]
+    covariance += uncertainty**2 * np.outer(by_mass, by_mass)
+    return Dynamics(
+        component,
+        mass,
+        mass * float(square[0]),
+        2 * mass * float(waves[0, 0]),
+        covariance=(covariance + covariance.T) / 2,
+        further_modes=tuple(further),
     )
-    inner = np.zeros((3, 3))
-    inner[0, 0] = uncertainty**2
-    inner[1:, 1:] = ring.covariance[:2, :2]
-    covariance = np.zeros((4, 4))
-    covariance[:3, :3] = slopes @ inner @ slopes.T
-    return Dynamics(component, mass, mass * square, 2 * mass * a, covariance=(covariance + covariance.T) / 2)
 
 
-def _notes(ring: Ring, dynamics: Dynamics, recording: Recording) -> list[str]:
+def _shares(heights: Array, slopes: Array) -> tuple[Array, Array]:
+    """Each height over their sum, shape (m,), and its derivatives (m, p)."""
+    total = float(heights.sum())
+    shares = heights / total
+    return shares, (slopes - shares[:, None] * slopes.sum(axis=0)) / total
+
+
+def _notes(ring: Ring, dynamics: Dynamics, recording: Recording, *, kept: list[int]) -> list[str]:
     notes = []
-    for line, size in zip(ring.lines, ring.line_sizes(), strict=True):
-        if line.decay > 0:
+    for place, (line, size) in enumerate(zip(ring.lines, ring.line_sizes(), strict=True)):
+        if line.decay > 0 and place not in kept:
             notes.append(
                 f"a further mode at {line.frequency:.4g} Hz, {100 * size / ring.amplitude:.2g} % of the first, rings "
                 "in the record; it is fitted beside the first one but is not part of the dynamics, so forces near "
-                "that frequency will be wrong"
+                "that frequency will be wrong (--modes auto takes it up)"
             )
     doubt = dynamics.uncertainty("damping") / dynamics.damping
     if doubt > DOUBTFUL_DAMPING:

@@ -68,8 +68,11 @@ class Ring:
         Further lines.
     sizes
         Sizes of the linear columns: offset, drift, height or amplitudes, lines.
+    vector
+        Nonlinear parameters: decay rate, damped angular frequency, instant and duration where fitted, and for each
+        line its angular frequency and, where it decays, its decay rate.
     covariance
-        Of decay rate, damped angular frequency, and instant and duration where fitted.
+        Of `vector` and `sizes`, in this order.
     colour
         Spectrum of the residuals near the ring over that of white noise, 1 where the residuals pass as white.
     """
@@ -80,6 +83,7 @@ class Ring:
     start: float
     duration: float
     lines: tuple[Line, ...]
+    vector: Array
     sizes: Array
     covariance: Array
     colour: float
@@ -87,7 +91,6 @@ class Ring:
     values: Array
     residuals: Array
     rate: float
-    parameters: int
 
     @property
     def squares(self) -> float:
@@ -97,7 +100,7 @@ class Ring:
     @property
     def degrees_of_freedom(self) -> int:
         """Samples less parameters."""
-        return self.time.size - self.parameters
+        return self.time.size - self.vector.size - self.sizes.size
 
     @property
     def variance(self) -> float:
@@ -116,12 +119,40 @@ class Ring:
 
     def line_sizes(self) -> list[float]:
         """Amplitude of every further line [N]."""
-        found, place = [], 4 if self.shape == "free" else 3
-        for line in self.lines:
-            width = 1 if line.decay > 0 and self.shape != "free" else 2
-            found.append(float(np.linalg.norm(self.sizes[place : place + width])))
-            place += width
-        return found
+        return [float(np.linalg.norm(self.sizes[self._size_places(number)])) for number in range(len(self.lines))]
+
+    def modes(self) -> tuple[Array, Array]:
+        """Decay rate, damped angular frequency and height of the first mode and, after a release, of the further ones.
+
+        Returns
+        -------
+        values
+            Shape (m, 3) [1/s, rad/s, N]; heights have signs. A free ring has no height: 1 stands for it.
+        slopes
+            Their derivatives by the rows of `covariance`, shape (m, 3, p).
+        """
+        released = self.shape != "free"
+        nonlinear = self.vector.size
+        rows = [(0, 1, nonlinear + 2)]
+        place = 2 + released + (self.shape == "ramp")
+        for number, line in enumerate(self.lines):
+            if line.decay > 0 and released:
+                rows.append((place + 1, place, nonlinear + self._size_places(number).start))
+            place += 1 + (line.decay > 0)
+        every = np.concatenate([self.vector, self.sizes])
+        values, slopes = every[np.array(rows)], np.eye(every.size)[np.array(rows)]
+        slopes[:, 0] *= np.sign(values[:, :1])
+        values[:, 0] = np.abs(values[:, 0])
+        if not released:
+            values[:, 2], slopes[:, 2] = 1.0, 0.0
+        return values, slopes
+
+    def _size_places(self, number: int) -> slice:
+        """Places of a line's amplitudes in `sizes`."""
+        place = 4 if self.shape == "free" else 3
+        widths = [1 if line.decay > 0 and self.shape != "free" else 2 for line in self.lines]
+        place += sum(widths[:number])
+        return slice(place, place + widths[number])
 
 
 def fit_ring(time: Array, values: Array, start: Look | Ring, *, lines: tuple[Line, ...] = ()) -> Ring:
@@ -270,6 +301,7 @@ def _search(time: Array, values: Array, shape: Shape, *, start: Look | Ring, lin
         start=begin if shape == "free" else float(vector[2]),
         duration=abs(float(vector[3])) if shape == "ramp" else 0.0,
         lines=tuple(fitted),
+        vector=vector,
         sizes=sizes,
         covariance=covariance,
         colour=colour,
@@ -277,7 +309,6 @@ def _search(time: Array, values: Array, shape: Shape, *, start: Look | Ring, lin
         values=values,
         residuals=left,
         rate=start.rate,
-        parameters=origin.size + sizes.size,
     )
 
 
@@ -292,7 +323,7 @@ def _covariance(
     sizes: Array,
     left: Array,
 ) -> tuple[Array, float]:
-    """Covariance of the nonlinear parameters with the linear ones free, and the colour of the residuals."""
+    """Covariance of the nonlinear and the linear parameters, and the colour of the residuals."""
     columns = _columns(time, shape, vector, lines, begin=begin)
     slopes = []
     for k, step in enumerate(1e-3 * scale):
@@ -300,9 +331,7 @@ def _covariance(
         shift[k] = step
         late, early = (_columns(time, shape, vector + sign * shift, lines, begin=begin) for sign in (1, -1))
         slopes.append(((late - early) @ sizes) / (2 * step))
-    J = np.column_stack(slopes)
-    basis, _ = np.linalg.qr(columns)
-    J = J - basis @ (basis.T @ J)
+    J = np.column_stack([*slopes, columns])
     size = np.sqrt(np.sum(J**2, axis=0))
     size[size == 0] = 1.0
     inverse = np.linalg.pinv((J / size).T @ (J / size), hermitian=True) / np.outer(size, size)

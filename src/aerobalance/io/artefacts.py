@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from aerobalance import __version__
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, mass_unit, si_unit
-from aerobalance.dynamics import PARAMETERS, Dynamics
+from aerobalance.dynamics import MODE_PARAMETERS, PARAMETERS, Dynamics, Mode
 from aerobalance.io.messages import first_fault
 from aerobalance.io.safe_write import replacing
 from aerobalance.problems import ReadError
@@ -26,6 +26,9 @@ SCHEMA: Final = 1
 
 FREQUENCY_AGREEMENT: Final = 0.01
 """Relative difference up to which a natural frequency in dynamics.json may be a rounded one."""
+
+SHARE_AGREEMENT: Final = 1e-6
+"""Departure from 1 of the sum of the shares of the modes that rounding in a file may make."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -66,12 +69,22 @@ class Covariance(Loose):
     matrix: list[list[Finite]]
 
 
+class _Mode(Loose):
+    natural_frequency: Positive
+    u_natural_frequency: NotNegative = 0.0
+    damping_ratio: NotNegative
+    u_damping_ratio: NotNegative = 0.0
+    share: Finite
+    u_share: NotNegative = 0.0
+
+
 class _ComponentDynamics(Loose):
     mass: PositiveValue
     stiffness: PositiveValue
     damping: NotNegativeValue
     delay: Value = Value(value=0.0)
     natural_frequency: PositiveValue | None = None
+    modes: list[_Mode] = []
     covariance: Covariance | None = None
 
 
@@ -126,10 +139,22 @@ def dynamics_payload(dynamics: Dynamics, *, details: Mapping[str, object] | None
         value, u = float(getattr(dynamics, name)), dynamics.uncertainty(name)
         if name != "delay" or value or u:
             entry[name] = {"value": value, "u": u, "unit": unit}
-    entry["covariance"] = {"parameters": list(PARAMETERS), "matrix": dynamics.covariance.tolist()}
+    if dynamics.further_modes:
+        entry["modes"] = [_mode_payload(dynamics, number) for number in range(1, 1 + len(dynamics.modes))]
+    entry["covariance"] = {"parameters": list(dynamics.parameters), "matrix": dynamics.covariance.tolist()}
     if details:
         entry["fit"] = dict(details)
     return entry
+
+
+def _mode_payload(dynamics: Dynamics, number: int) -> dict[str, object]:
+    """One mode: its numbers, each with its standard uncertainty; its share is that of a steady load."""
+    mode, suffix = dynamics.modes[number - 1], "" if number == 1 else f"_{number}"
+    entry: dict[str, object] = {}
+    for name in MODE_PARAMETERS:
+        entry[name] = float(getattr(mode, name))
+        entry[f"u_{name}"] = dynamics.uncertainty(name + suffix)
+    return {**entry, "units": {"natural_frequency": "Hz", "damping_ratio": "1", "share": "1"}}
 
 
 def mass_payload(mass: MovingMass) -> dict[str, object]:
@@ -299,15 +324,45 @@ def read_dynamics(path: Path | str) -> dict[str, Dynamics]:
         for parameter, value in given.items():
             check_unit(file, f"{key}.{parameter}.unit", value, units[parameter])
         deviations = {parameter: value.u for parameter, value in given.items()}
+        for number, mode in enumerate(entry.modes[1:], start=2):
+            deviations |= {f"{item}_{number}": getattr(mode, f"u_{item}") for item in MODE_PARAMETERS}
         covariance = checked_covariance(file, f"{key}.covariance", entry.covariance, deviations)
         try:
             result[name] = Dynamics(
-                name, entry.mass.value, entry.stiffness.value, entry.damping.value, entry.delay.value, covariance
+                component=name,
+                mass=entry.mass.value,
+                stiffness=entry.stiffness.value,
+                damping=entry.damping.value,
+                delay=entry.delay.value,
+                covariance=covariance,
+                further_modes=tuple(
+                    Mode(mode.natural_frequency, mode.damping_ratio, mode.share) for mode in entry.modes[1:]
+                ),
             )
         except ValueError as error:
             raise ReadError(file, key, str(error)) from None
         _check_frequency(file, key, entry, result[name])
+        _check_modes(file, key, entry.modes, result[name])
     return result
+
+
+def _check_modes(path: Path, key: str, modes: Sequence[_Mode], dynamics: Dynamics) -> None:
+    """Refuse modes whose first is not that of mass and stiffness, or whose shares do not add to 1."""
+    if not modes:
+        return
+    first, own = modes[0], dynamics.modes[0]
+    for name, allowed in (("natural_frequency", own.natural_frequency), ("damping_ratio", own.damping_ratio)):
+        if abs(getattr(first, name) - allowed) > FREQUENCY_AGREEMENT * allowed:
+            raise ReadError(
+                path,
+                f"{key}.modes[0].{name}",
+                f"is {getattr(first, name):g}, but mass, stiffness and damping give {allowed:g}; the first mode is "
+                "theirs",
+            )
+    if abs(first.share - own.share) > SHARE_AGREEMENT:
+        raise ReadError(
+            path, f"{key}.modes", f"have shares that add to {sum(mode.share for mode in modes):g}; they must add to 1"
+        )
 
 
 def _check_frequency(path: Path, key: str, entry: _ComponentDynamics, dynamics: Dynamics) -> None:
