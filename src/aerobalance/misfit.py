@@ -1,0 +1,195 @@
+"""What a record says against the dynamics that it is read with: a mode that they lack, a spring that has changed.
+
+A record of a release is fitted as a free decay once more; in any other record the resonances of the reading's spectrum
+are looked at. Neither needs the force.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from aerobalance.components import si_unit
+from aerobalance.dynamics import Dynamics, Mode
+from aerobalance.force import reading_of
+from aerobalance.identification.decay import DecayFit, identify_decay
+from aerobalance.motion import GroundMotion
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording import Array, Recording
+from aerobalance.resonance import Averaged, missing_mode, own_resonance
+from aerobalance.steps import Step, columns_of
+
+DRIFT: Final = 5.0
+"""Standard uncertainties that frequency or damping has to be off before it is said to have changed."""
+
+SAME_MODE: Final = 0.02
+"""Relative difference of frequency up to which a mode in the record is one of the dynamics'."""
+
+LONGEST: Final = 1 << 17
+"""Samples from the start that are looked at: more tell nothing new."""
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """What a record says against the dynamics of one component.
+
+    Attributes
+    ----------
+    component
+        Which component.
+    missing
+        A mode that the dynamics lack; None if none is seen.
+    u_frequency
+        Standard uncertainty of its frequency [Hz].
+    size
+        Root mean square, or for a release the amplitude, of its ringing in the load felt [N].
+    frequency, damping
+        Relative change of natural frequency and damping ratio of the first mode with its standard uncertainty [1];
+        None where the record does not tell or nothing has changed.
+    released
+        True when a release tells, False when the spectrum does.
+    """
+
+    component: str
+    missing: Mode | None = None
+    u_frequency: float = 0.0
+    size: float = 0.0
+    frequency: tuple[float, float] | None = None
+    damping: tuple[float, float] | None = None
+    released: bool = False
+
+    def sentences(self, dynamics: Dynamics) -> list[str]:
+        """What to tell the user, a sentence for each finding."""
+        found, unit = [], si_unit(self.component)
+        if self.missing is not None:
+            mode = self.missing
+            cause = (
+                f"it rings after the release with {self.size:.3g} {unit}"
+                if self.released
+                else f"it swings with {self.size:.3g} {unit} rms; a narrow band of the load itself looks the same"
+            )
+            found.append(
+                f"{self.component} shows a mode at {mode.natural_frequency:.4g} Hz (u = {self.u_frequency:.2g} Hz), "
+                f"{100 * mode.share:.2g} % of a steady load, that the dynamics lack: {cause}; forces near that "
+                "frequency are wrong until it is identified (identify decay --modes auto)"
+            )
+        changed = []
+        if self.frequency is not None:
+            own = dynamics.natural_frequency
+            changed.append(f"natural frequency {own * (1 + self.frequency[0]):.5g} Hz and not {own:.5g} Hz")
+        if self.damping is not None:
+            own = dynamics.damping_ratio
+            changed.append(f"damping ratio {own * (1 + self.damping[0]):.3g} and not {own:.3g}")
+        if changed:
+            found.append(
+                f"{self.component} rings with another {' and another '.join(changed)}: stiffness, mass or damping "
+                "have changed since they were identified, or the flow adds its own; forces near that frequency are "
+                "wrong by as much"
+            )
+        return found
+
+
+def misfit_of(recording: Recording, dynamics: Dynamics, *, noise: float, steps: Sequence[Step] = ()) -> Misfit:
+    """Look in a record for a mode that the dynamics lack, and for a frequency or damping that has changed.
+
+    Parameters
+    ----------
+    recording
+        The record.
+    dynamics
+        What is known of the balance.
+    noise
+        Standard uncertainty of a reading of the load [N].
+    steps
+        Sudden changes of the force that were found in the record.
+    """
+    nothing = Misfit(dynamics.component)
+    reading = reading_of(recording, dynamics, GroundMotion.of(recording, dynamics.component))
+    reading = replace(reading, values=reading.values[:LONGEST])
+    if not reading.present.all() or float(np.ptp(reading.values)) == 0:
+        return nothing
+    release = _release(recording, dynamics, reading.values, noise=noise)
+    if release is not None:
+        return _after_release(release, dynamics)
+    steps = [step for step in steps if step.instant < reading.values.size * reading.interval]
+    columns = columns_of(steps, reading)
+    sizes, *_ = np.linalg.lstsq(columns, reading.values, rcond=None)
+    return _in_spectrum(reading.values - columns @ sizes, dynamics, interval=reading.interval, noise=noise)
+
+
+def _release(recording: Recording, dynamics: Dynamics, values: Array, *, noise: float) -> DecayFit | None:
+    """The record as a free decay, where that explains it down to its noise."""
+    name = dynamics.component
+    channel = replace(recording.channel(name), values=values)
+    alone = Recording.from_columns(np.arange(values.size) / recording.rate, {name: channel}, name=recording.name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        try:
+            fit = identify_decay(alone, component=name, mass=dynamics.mass, modes="auto")
+        except FitError:
+            return None
+    whole = fit.residual_time.size > 0.9 * values.size
+    return fit if fit.release is not None and whole and fit.residual_deviation < 1.2 * noise else None
+
+
+def _after_release(fit: DecayFit, dynamics: Dynamics) -> Misfit:
+    """What a release tells."""
+    seen = fit.dynamics
+    changes = []
+    for name in ("natural_frequency", "damping_ratio"):
+        own = getattr(dynamics, name)
+        u = float(np.hypot(seen.uncertainty(name), dynamics.uncertainty(name)))
+        changes.append((getattr(seen, name) / own - 1, u / own) if own else (0.0, 1.0))
+    further = [
+        (number, mode)
+        for number, mode in enumerate(seen.further_modes, start=2)
+        if all(abs(mode.natural_frequency / known.natural_frequency - 1) > SAME_MODE for known in dynamics.modes)
+    ]
+    number, mode = max(further, key=lambda item: abs(item[1].share), default=(0, None))
+    return Misfit(
+        dynamics.component,
+        missing=mode,
+        u_frequency=seen.uncertainty(f"natural_frequency_{number}") if mode else 0.0,
+        size=abs(mode.share * fit.height) if mode else 0.0,
+        frequency=_if_changed(changes[0]),
+        damping=_if_changed(changes[1]),
+        released=True,
+    )
+
+
+def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: float) -> Misfit:
+    """What the spectrum of a record tells."""
+    seen = Averaged.of(values, interval=interval, noise=noise)
+    if seen is None:
+        return Misfit(dynamics.component)
+    found = missing_mode(seen, dynamics)
+    size = 0.0
+    if found is not None:
+        mode = found[0]
+        width = max(4 * mode.damping_ratio * mode.natural_frequency, 2 * seen.resolution)
+        near = np.abs(seen.frequency - mode.natural_frequency) < width
+        size = float(np.sqrt(2 * np.sum(seen.power[near]) * seen.resolution))
+    own = own_resonance(seen, dynamics)
+    changes: list[tuple[float, float] | None] = [None, None]
+    if own is not None:
+        for index, name in enumerate(("natural_frequency", "damping_ratio")):
+            known = dynamics.uncertainty(name) / getattr(dynamics, name)
+            u = float(np.hypot(np.sqrt(own[1][index, index]), known))
+            changes[index] = _if_changed((float(np.expm1(own[0][index])), u))
+    return Misfit(
+        dynamics.component,
+        missing=None if found is None else found[0],
+        u_frequency=0.0 if found is None else found[1],
+        size=size,
+        frequency=changes[0],
+        damping=changes[1],
+    )
+
+
+def _if_changed(change: tuple[float, float]) -> tuple[float, float] | None:
+    """A change with its uncertainty where it is more than chance."""
+    return change if abs(change[0]) > DRIFT * change[1] else None

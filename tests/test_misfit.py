@@ -1,0 +1,156 @@
+"""A record that contradicts the dynamics: a missing mode is named, a changed spring or damper is told."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerobalance.dynamics import Dynamics, Mode
+from aerobalance.identification.decay import identify_decay
+from aerobalance.misfit import Misfit, misfit_of
+from aerobalance.problems import DoubtWarning
+from aerobalance.recording import Array, Channel, Recording
+from aerobalance.resonance import Averaged, missing_mode, own_resonance
+from aerobalance.rigs import CableCut, Sensor
+
+RATE = 1600.0
+BARE = CableCut().dynamics
+
+
+@pytest.fixture
+def seed() -> Iterator[int]:
+    entropy = int(np.random.SeedSequence().generate_state(1)[0])
+    print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
+    yield entropy
+
+
+def released(truth: Dynamics, generator: np.random.Generator, *, noise: float = 2.0) -> Recording:
+    return CableCut(dynamics=truth, sensors={"AF": Sensor(noise=noise)}).run(3.0, generator).recording
+
+
+def identified(truth: Dynamics, generator: np.random.Generator) -> Dynamics:
+    """One mode, from a release of the balance as it really is."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        return identify_decay(released(truth, generator), mass=BARE.mass).dynamics
+
+
+def looked_at(recording: Recording, dynamics: Dynamics) -> Misfit:
+    return misfit_of(recording, dynamics, noise=2.0)
+
+
+def shaken(
+    truth: Dynamics, generator: np.random.Generator, *, corner: float = 60.0, seconds: float = 8.0
+) -> Recording:
+    """Load felt under a force of 60 N rms that rolls off with the fourth power, and noise of 2 N."""
+    n = round(2 * seconds * RATE)
+    frequency = np.fft.rfftfreq(n, 1 / RATE)
+    shape = 1 / (1 + (frequency / corner) ** 4)
+    scale = np.sqrt(shape / np.sum(2 * shape) * 60**2 * n**2 / 2)
+    phasors = scale * (generator.normal(size=scale.size) + 1j * generator.normal(size=scale.size))
+    phasors[0] = 0
+    load = np.fft.irfft(phasors * truth.response(frequency), n)[: n // 2]
+    values = load + generator.normal(0, 2.0, load.size)
+    return Recording.from_columns(np.arange(load.size) / RATE, {"AF": Channel("AF", values, "N")}, name="shaken")
+
+
+def averaged(values: Array) -> Averaged:
+    seen = Averaged.of(values, interval=1 / RATE, noise=2.0)
+    assert seen is not None
+    return seen
+
+
+@pytest.mark.parametrize("share", [0.05, -0.05])
+def test_a_missing_mode_is_named_after_a_release(seed, share):
+    generator = np.random.default_rng(seed)
+    frequency = generator.uniform(140, 260)
+    truth = BARE.with_modes(Mode(frequency, 0.008, share))
+    dynamics = identified(truth, generator)
+    found = looked_at(released(truth, generator), dynamics)
+    assert found.missing is not None
+    assert found.missing.natural_frequency == pytest.approx(frequency, rel=0.01)
+    assert f"mode at {found.missing.natural_frequency:.4g} Hz" in found.sentences(dynamics)[0]
+    assert found.frequency is None
+    complete = identified(truth, generator).with_modes(*truth.further_modes)
+    assert looked_at(released(truth, generator), complete).missing is None
+
+
+def test_a_release_that_agrees_is_left_alone(seed):
+    generator = np.random.default_rng(seed)
+    dynamics = identified(BARE, generator)
+    # five standard uncertainties: passed by chance once in a million
+    assert looked_at(released(BARE, generator), dynamics).sentences(dynamics) == []
+
+
+def test_a_changed_spring_or_damper_is_told(seed):
+    generator = np.random.default_rng(seed)
+    dynamics = identified(BARE, generator)
+    stiffer = looked_at(released(replace(BARE, stiffness=1.002 * BARE.stiffness), generator), dynamics)
+    # u(f) / f is 2e-6 at 2 N: a thousandth is told to its uncertainty
+    assert stiffer.frequency is not None
+    assert stiffer.frequency[0] == pytest.approx(0.001, abs=1e-4)
+    damper = looked_at(released(replace(BARE, damping=1.1 * BARE.damping), generator), dynamics)
+    assert damper.frequency is None
+    assert damper.damping is not None
+    assert damper.damping[0] == pytest.approx(0.1, abs=0.01)
+    (told,) = damper.sentences(dynamics)
+    assert "damping ratio" in told
+    assert "or the flow" in told
+
+
+def test_a_missing_mode_is_named_under_a_broadband_load(seed):
+    generator = np.random.default_rng(seed)
+    truth = BARE.with_modes(Mode(165.0, 0.008, 0.05))
+    found = missing_mode(averaged(shaken(truth, generator).channel("AF").values), BARE)
+    assert found is not None
+    mode, u = found
+    # the uncertainty is about 0.25 Hz: 1 % of 165 Hz is six times that
+    assert mode.natural_frequency == pytest.approx(165.0, rel=0.01)
+    assert 0.05 < u < 0.6
+    assert 0.02 < mode.share < 0.12
+
+
+def test_a_smooth_load_shows_no_mode_and_no_change(seed):
+    generator = np.random.default_rng(seed)
+    seen = averaged(shaken(BARE, generator).channel("AF").values)
+    assert missing_mode(seen, BARE) is None
+    found = own_resonance(seen, BARE)
+    assert found is not None
+    change, covariance = found
+    # asymptotic: six ordinates of seven averages lie within the resonance, so allow six standard deviations
+    assert abs(change[0]) < 6 * np.sqrt(covariance[0, 0])
+
+
+def test_a_changed_spring_is_told_under_a_broadband_load(seed):
+    generator = np.random.default_rng(seed)
+    truth = replace(BARE, stiffness=1.08 * BARE.stiffness)
+    found = own_resonance(averaged(shaken(truth, generator).channel("AF").values), BARE)
+    assert found is not None
+    change, covariance = found
+    assert change[0] == pytest.approx(np.log(1.08) / 2, abs=6 * np.sqrt(covariance[0, 0]))
+    assert change[0] > 5 * np.sqrt(covariance[0, 0])
+
+
+def test_noise_alone_tells_nothing(seed):
+    generator = np.random.default_rng(seed)
+    seen = averaged(generator.normal(0, 2.0, 8192))
+    assert own_resonance(seen, BARE) is None
+    assert missing_mode(seen, BARE) is None
+
+
+def test_smearing_keeps_a_level_and_the_power_of_a_line(seed):
+    generator = np.random.default_rng(seed)
+    seen = averaged(generator.normal(0, 2.0, 8192))
+    assert seen.smeared(np.full(seen.fine.size, 3.0)) == pytest.approx(np.full(seen.frequency.size, 3.0), rel=1e-9)
+    line = np.zeros(seen.fine.size)
+    line[500] = 1.0
+    # the window moves power and keeps its sum; on the coarser grid every second ordinate is left
+    assert np.sum(seen.smeared(line)) == pytest.approx(0.5, rel=1e-9)
+
+
+def test_short_records_are_left_alone():
+    assert Averaged.of(np.zeros(100), interval=1 / RATE, noise=1.0) is None
