@@ -1,0 +1,424 @@
+"""Compiled loops of the live filter and its smoother with a fixed lag: SI numbers and arrays, nothing checked.
+
+Several series run through one filter: the readings first, then the known shapes whose sizes are free. A series of
+buffers holds what a sample leaves behind, one column a sample; places are counted from the start of the buffers.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+NOTHING, STEP, STRANGE = 0, 1, 2
+"""Why `advance` stopped: it came to the end; a step is likely; the readings are not explained."""
+
+FROZEN, UNSTEADY, FAST, HELD, SCANNED, STRANGE_FOR, AGE, EXPECTED = 0, 1, 2, 3, 4, 5, 6, 7
+"""Places in the array of counters: whether the gain is frozen; the last sample where it was not, and the last where it
+changed fast; the last sample for which the table of weights holds; the first instant that is scanned for a step;
+samples that have been strange without a break; samples taken; and how many of them there have to be before the
+response to a step is worked out again."""
+
+FAST_CHANGE = 1e-5
+"""Change of the covariance's correlations in one sample above which every sample has weights of its own."""
+
+HOLD = 16
+"""Samples that share their weights while the gain still changes slowly."""
+
+FOREVER = 1 << 60
+
+
+@numba.njit(cache=True)
+def _next_gain(
+    here: bool, A: Floats, columns: Floats, Q: Floats, h: Floats, R: float, P: Floats, K: Floats, kept: int
+) -> tuple[float, float]:
+    """Gain of one sample into K, covariance P carried to the next; innovation variance and relative change of P."""
+    d = h.size
+    Ph = P @ h
+    S = R + float(h @ Ph)
+    for i in range(d):
+        K[i] = Ph[i] / S if here else 0.0
+    updated = np.empty((d, d))
+    # Joseph form, one factor after the other, as in aerobalance._kernels.gains
+    for i in range(d):
+        across = 0.0
+        for j in range(d):
+            updated[i, j] = P[i, j] - K[i] * Ph[j]
+            across += updated[i, j] * h[j]
+        for j in range(d):
+            updated[i, j] += (R * K[i] - across) * K[j]
+    following = np.dot(np.dot(A, updated), columns) + Q
+    for i in range(d):
+        for j in range(i):
+            following[i, j] = 0.5 * (following[i, j] + following[j, i])
+            following[j, i] = following[i, j]
+    change = 0.0
+    for i in range(kept):
+        for j in range(d):
+            scale = np.sqrt(following[i, i] * following[j, j]) + 1e-300
+            change = max(change, abs(following[i, j] - P[i, j]) / scale)
+    P[:] = following
+    return S, change
+
+
+@numba.njit(cache=True)
+def _next_state(value: float, here: bool, columns: Floats, h: Floats, K: Floats, x: Floats, updated: Floats) -> float:
+    """Carry one series' state over one sample; its innovation, 0 where the reading is missing."""
+    d = h.size
+    updated[:] = x
+    v = 0.0
+    if here:
+        v = value
+        for i in range(d):
+            v -= h[i] * x[i]
+        for i in range(d):
+            updated[i] += K[i] * v
+    x[:] = 0.0
+    for j in range(d):  # column by column, so that the inner loop is one vector operation
+        for i in range(d):
+            x[i] += columns[j, i] * updated[j]
+    return v
+
+
+@numba.njit(cache=True)
+def solve(information: Floats, target: Floats, count: int, sizes: Floats, root: Floats) -> None:
+    """Sizes of the known shapes from their normal equations, by Cholesky; the factor is left in root."""
+    for i in range(count):
+        for j in range(i + 1):
+            left = information[i, j]
+            for m in range(j):
+                left -= root[i, m] * root[j, m]
+            if i == j:
+                # a shape that the readings do not show yet keeps the size zero
+                root[i, i] = np.sqrt(left) if left > 1e-12 * information[i, i] else 1e150
+            else:
+                root[i, j] = left / root[j, j]
+    for i in range(count):
+        left = target[i]
+        for m in range(i):
+            left -= root[i, m] * sizes[m]
+        sizes[i] = left / root[i, i]
+    for i in range(count - 1, -1, -1):
+        left = sizes[i]
+        for m in range(i + 1, count):
+            left -= root[m, i] * sizes[m]
+        sizes[i] = left / root[i, i]
+
+
+@numba.njit(cache=True)
+def spread(root: Floats, slope: Floats, count: int, work: Floats) -> float:
+    """Variance of a sum of the sizes with these weights."""
+    total = 0.0
+    for i in range(count):
+        left = slope[i]
+        for m in range(i):
+            left -= root[i, m] * work[m]
+        work[i] = left / root[i, i]
+        total += work[i] ** 2
+    return total
+
+
+@numba.njit(cache=True)
+def _weigh(
+    k: int,
+    last: int,
+    wanted: int,
+    columns: Floats,
+    h: Floats,
+    present: Flags,
+    gain_K: Floats,
+    gain_S: Floats,
+    gain_row: Floats,
+    weight: Floats,
+    variance: Floats,
+) -> None:
+    """What each innovation from k on adds to the wanted state at k, and its variance with each lag, into the tables.
+
+    The covariance of that state with all states goes the way of an error: as the states of a series of readings that
+    are zero. Beyond the last sample taken the gain is held.
+    """
+    m, updated = gain_row[k].copy(), np.empty(h.size)
+    left = m[wanted]
+    for j in range(weight.size):
+        n = min(k + j, last)
+        across = _next_state(0.0, present[n], columns, h, gain_K[n], m, updated)
+        weight[j] = -across / gain_S[n]
+        left -= across * across / gain_S[n]
+        variance[j] = max(left, 0.0)
+
+
+@numba.njit(cache=True)
+def emit(
+    k: int,
+    end: int,
+    phase: int,
+    wanted: int,
+    series: int,
+    columns: Floats,
+    h: Floats,
+    present: Flags,
+    shapes: Floats,
+    v: Floats,
+    ahead: Floats,
+    gain_K: Floats,
+    gain_S: Floats,
+    gain_row: Floats,
+    weight: Floats,
+    variance: Floats,
+    counters: Integers,
+    sizes: Floats,
+    root: Floats,
+) -> tuple[float, float]:
+    """Force at sample k from the readings up to sample end, and its variance."""
+    count = end - k + 1
+    if k <= counters[FAST]:
+        _weigh(k, end, wanted, columns, h, present, gain_K, gain_S, gain_row, weight[:count], variance[:count])
+        counters[HELD] = -1
+    elif k > counters[HELD]:
+        _weigh(k, end, wanted, columns, h, present, gain_K, gain_S, gain_row, weight, variance)
+        counters[HELD] = FOREVER if k > counters[UNSTEADY] else k + HOLD - 1 - (k + phase) % HOLD
+    slope, work = np.empty(series - 1), np.empty(series - 1)
+    force = ahead[0, k] + np.dot(weight[:count], v[0, k : end + 1])
+    for s in range(series - 1):
+        slope[s] = shapes[s, k] - ahead[s + 1, k] - np.dot(weight[:count], v[s + 1, k : end + 1])
+        force += sizes[s] * slope[s]
+    return force, variance[count - 1] + spread(root, slope, series - 1, work)
+
+
+@numba.njit(cache=True)
+def _expect_step(
+    columns: Floats, h: Floats, K: Floats, S: float, step: Floats, response: Floats, inverse: Floats
+) -> None:
+    """Whitened response to a step with the gain at hand, and the inverse of the information it brings by each age.
+
+    Both are in the order of the instants, the one longest ago first.
+    """
+    x, updated = np.zeros(h.size), np.empty(h.size)
+    total = 0.0
+    for j in range(step.size):
+        place = step.size - 1 - j
+        response[place] = _next_state(step[j], True, columns, h, K, x, updated) / np.sqrt(S)
+        total += response[place] ** 2
+        inverse[place] = 1 / total if total > 0 else 0.0
+
+
+@numba.njit(cache=True)
+def advance(
+    first: int,
+    stop: int,
+    lag: int,
+    phase: int,
+    wanted: int,
+    tolerance: float,
+    series: int,
+    A: Floats,
+    Q: Floats,
+    h: Floats,
+    R: float,
+    P: Floats,
+    x: Floats,
+    steady_K: Floats,
+    steady_S: Floats,
+    weight: Floats,
+    variance: Floats,
+    present: Flags,
+    values: Floats,
+    shapes: Floats,
+    v: Floats,
+    ahead: Floats,
+    gain_K: Floats,
+    gain_S: Floats,
+    gain_row: Floats,
+    residual: Floats,
+    information: Floats,
+    target: Floats,
+    sizes: Floats,
+    root: Floats,
+    counters: Integers,
+    scores: Floats,
+    step: Floats,
+    response: Floats,
+    inverse: Floats,
+    youngest: int,
+    threshold: float,
+    window: int,
+    strange: float,
+    patience: int,
+    out_from: int,
+    out: Floats,
+) -> tuple[int, int]:
+    """Take samples up to stop, each with the force that becomes final by it, until something happens.
+
+    Returns the sample after the last one taken, and what happened; the force that becomes final by that last sample
+    is then left to the caller.
+    """
+    columns = A.T.copy()
+    updated, work, shown = np.empty(h.size), np.empty(series), np.empty(series)
+    for n in range(first, stop):
+        here = present[n]
+        gain_row[n] = P[wanted]
+        if counters[FROZEN] and here:
+            gain_K[n] = steady_K
+            S = steady_S[0]
+        else:
+            S, change = _next_gain(here, A, columns, Q, h, R, P, gain_K[n], wanted + 1)
+            counters[UNSTEADY] = n
+            if counters[HELD] == FOREVER:
+                counters[HELD] = -1
+            if change > FAST_CHANGE or not here:
+                counters[FAST] = n
+            counters[FROZEN] = here and change < tolerance
+            steady_K[:] = gain_K[n]
+            steady_S[0] = S
+            if here and (counters[AGE] >= counters[EXPECTED] or counters[FROZEN]):
+                counters[EXPECTED] = 2 * counters[AGE]
+                _expect_step(columns, h, gain_K[n], S, step, response, inverse)
+        gain_S[n] = S
+        counters[AGE] += 1
+        for s in range(series):
+            ahead[s, n] = x[s, wanted]
+            v[s, n] = _next_state(values[s, n], here, columns, h, gain_K[n], x[s], updated)
+        residual[n] = 0.0
+        if here:
+            # recursive residual: what the readings before did not tell, white with variance 1
+            left = v[0, n]
+            for s in range(series - 1):
+                shown[s] = v[s + 1, n]
+                left -= sizes[s] * v[s + 1, n]
+            residual[n] = left / np.sqrt(S + spread(root, shown, series - 1, work))
+            for s in range(series - 1):
+                target[s] += v[0, n] * v[s + 1, n] / S
+                for other in range(series - 1):
+                    information[s, other] += v[s + 1, n] * v[other + 1, n] / S
+            solve(information, target, series - 1, sizes, root)
+        happened = _look(
+            n, counters, residual, scores, response, inverse, youngest, threshold, window, strange, patience
+        )
+        if happened != NOTHING:
+            return n + 1, happened
+        if n - lag >= out_from:
+            out[n - lag, 0], out[n - lag, 1] = emit(
+                n - lag, n, phase, wanted, series, columns, h, present, shapes, v, ahead, gain_K, gain_S, gain_row,
+                weight, variance, counters, sizes, root,
+            )  # fmt: skip
+    return stop, NOTHING
+
+
+@numba.njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+def _scan(scores: Floats, response: Floats, inverse: Floats, u: float, newest: int) -> float:
+    """Add a residual to what speaks for each instant, oldest first; the largest gain but for the newest instants."""
+    best = 0.0
+    for j in range(scores.size):
+        scores[j] += u * response[j]
+    for j in range(scores.size - newest):
+        gain = scores[j] * scores[j] * inverse[j]
+        best = gain if gain > best else best
+    return best
+
+
+@numba.njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+def _squares(residual: Floats) -> tuple[float, float]:
+    """Sum of squares, and the largest of them."""
+    total, largest = 0.0, 0.0
+    for j in range(residual.size):
+        square = residual[j] * residual[j]
+        total += square
+        largest = square if square > largest else largest
+    return total, largest
+
+
+@numba.njit(cache=True)
+def _look(
+    n: int,
+    counters: Integers,
+    residual: Floats,
+    scores: Floats,
+    response: Floats,
+    inverse: Floats,
+    youngest: int,
+    threshold: float,
+    window: int,
+    strange: float,
+    patience: int,
+) -> int:
+    """Look for a step and for readings that are not explained, now that sample n is there."""
+    since = counters[SCANNED]
+    reach = response.size
+    begin = max(since, n - reach + 1)
+    scores[n] = 0.0
+    if begin <= n:
+        ages = slice(reach - 1 - (n - begin), reach)
+        best = _scan(scores[begin : n + 1], response[ages], inverse[ages], residual[n], youngest)
+        # of a single reading: a stray one is no step
+        if best > threshold and best - _squares(residual[begin : n + 1])[1] > threshold:
+            return STEP
+    total, largest = _squares(residual[max(n - window + 1, since, 0) : n + 1])
+    counters[STRANGE_FOR] = counters[STRANGE_FOR] + 1 if total - largest > strange else 0
+    return STRANGE if counters[STRANGE_FOR] > patience else NOTHING
+
+
+@numba.njit(cache=True)
+def rebuild(
+    first: int,
+    stop: int,
+    series: int,
+    place: int,
+    A: Floats,
+    h: Floats,
+    x: Floats,
+    wanted: int,
+    present: Flags,
+    values: Floats,
+    v: Floats,
+    ahead: Floats,
+    gain_K: Floats,
+    gain_S: Floats,
+    information: Floats,
+    target: Floats,
+) -> None:
+    """Run one known shape, zero before sample first, through the gains of the samples taken and into the equations."""
+    d = h.size
+    columns = A.T.copy()
+    updated = np.empty(d)
+    x[place] = 0.0
+    v[place, :first] = 0.0
+    ahead[place, :first] = 0.0
+    row = place - 1
+    information[row, : series - 1] = 0.0
+    information[: series - 1, row] = 0.0
+    target[row] = 0.0
+    for n in range(first, stop):
+        S = gain_S[n]
+        ahead[place, n] = x[place, wanted]
+        v[place, n] = _next_state(values[place, n], present[n], columns, h, gain_K[n], x[place], updated)
+        if present[n]:
+            target[row] += v[0, n] * v[place, n] / S
+            for s in range(series - 1):
+                information[row, s] += v[place, n] * v[s + 1, n] / S
+    for s in range(series - 1):
+        information[s, row] = information[row, s]
+
+
+@numba.njit(cache=True)
+def innovate(first: int, stop: int, A: Floats, h: Floats, present: Flags, values: Floats, gain_K: Floats) -> Floats:
+    """Innovations of a shape that is zero before sample first, shape (stop - first,)."""
+    columns = A.T.copy()
+    x, updated, v = np.zeros(h.size), np.empty(h.size), np.empty(stop - first)
+    for n in range(first, stop):
+        v[n - first] = _next_state(values[n - first], present[n], columns, h, gain_K[n], x, updated)
+    return v
+
+
+@numba.njit(cache=True)
+def driven(transition: Floats, hold: Floats, ramp: Floats, x: Floats, force: Floats, last: Floats) -> Floats:
+    """First state after each value of a force that is a straight line between values; x and last are carried on."""
+    load = np.empty(force.size)
+    for i in range(force.size):
+        x[:] = transition @ x + hold * last[0] + ramp * (force[i] - last[0])
+        last[0] = force[i]
+        load[i] = x[0]
+    return load
