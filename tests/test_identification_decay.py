@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.stats import chi2
 
 from aerobalance.dynamics import Dynamics, Mode
@@ -327,3 +328,42 @@ def test_clean_result_says_nothing_of_doubt():
     assert fit.further_modes == (), seed
     assert fit.residuals.shape == fit.residual_time.shape
     assert replace(fit.dynamics, delay=0.0).covariance.shape == (4, 4)
+
+
+def bent_release(generator: np.random.Generator, *, damping: float = 0.0, frequency: float = 0.0) -> Recording:
+    """A release of an oscillator whose decay rate and frequency rise with its envelope, integrated independently."""
+    w, ratio = T128.angular_frequency, T128.damping_ratio
+    time = clock(3.0)
+
+    def slope(_, state):
+        load, rate = state
+        envelope = min(np.hypot(load, rate) / HEIGHT, 1.0)
+        here, loss = w * (1 + frequency * envelope), ratio * (1 + damping * envelope)
+        return [w * rate, -(here**2) / w * load - 2 * loss * here * rate]
+
+    after = time[time > RELEASE]
+    rung = solve_ivp(slope, (RELEASE, time[-1]), [-HEIGHT, 0.0], t_eval=after, rtol=1e-9, atol=1e-7).y[0]
+    load = np.concatenate([np.full(time.size - after.size, -HEIGHT), rung])
+    return record(load + generator.normal(0, 2.0, load.size))
+
+
+@pytest.mark.parametrize(("damping", "frequency"), [(0.1, 0.0), (-0.1, 0.0), (0.0, 3e-4)])
+def test_amplitude_dependence_is_found_and_warned_about(damping, frequency):
+    generator, seed = fresh()
+    said = "damping of AF depends" if damping else "frequency of AF depends"
+    with pytest.warns(DoubtWarning, match=said):
+        fit = identify_decay(bent_release(generator, damping=damping, frequency=frequency), mass=T128.mass)
+    found = fit.amplitude_dependence
+    # first order in the dependence: its square is what may be missed, beside five standard uncertainties
+    assert found.damping == pytest.approx(damping, abs=damping**2 + 5 * found.u_damping + 1e-3), seed
+    assert found.frequency == pytest.approx(frequency, abs=3 * damping**2 * 0.01 + 5 * found.u_frequency), seed
+
+
+def test_linear_ringing_shows_no_amplitude_dependence():
+    recording, seed = noisy(release(), 2.0)
+    found = identify_decay(recording, mass=T128.mass).amplitude_dependence
+    assert not found.damping_depends, seed
+    assert not found.frequency_depends, seed
+    # the last, of 2 N noise: about 1.4e-3 and 1e-5
+    assert found.u_damping < 5e-3
+    assert found.u_frequency < 5e-5

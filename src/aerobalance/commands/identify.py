@@ -84,9 +84,12 @@ def _decay_details(recording: Recording, fit: DecayFit) -> Account:
             {"natural_frequency": frequency, "damping_ratio": ratio, "share": share}
             for frequency, ratio, share in fit.further_modes
         ],
+        "amplitude_dependence": _amplitude_details(fit),
         "residual_standard_deviation": {"value": fit.residual_deviation, "unit": si_unit(fit.dynamics.component)},
         "degrees_of_freedom": fit.degrees_of_freedom,
     }
+    if fit.dynamics.further_modes:
+        details["shares_of_the_modes"] = "of a load at the place where the cable pulled"
     try:
         reference = extrema_fit(recording, fit)
     except FitError as problem:
@@ -101,21 +104,39 @@ def _decay_details(recording: Recording, fit: DecayFit) -> Account:
     return details
 
 
+def _amplitude_details(fit: DecayFit) -> Account | None:
+    """Change of damping and frequency from the smallest to the largest amplitude, relative."""
+    found = fit.amplitude_dependence
+    if found is None:
+        return None
+    return {
+        "damping": {"value": found.damping, "u": found.u_damping, "unit": "1", "significant": found.damping_depends},
+        "frequency": {
+            "value": found.frequency,
+            "u": found.u_frequency,
+            "unit": "1",
+            "significant": found.frequency_depends,
+        },
+    }
+
+
 def identify_rig(
     path: Path,
     out: Path | None,
     *,
     component: str = "AF",
     mass: str | None = None,
+    modes: str = "1",
     channel_map: Path | None = None,
 ) -> Account:
-    """Stiffness, damping and delay (and mass where it is not given) from a shaken ground end."""
+    """Stiffness, damping, delay and further modes (and mass where it is not given) from a shaken ground end."""
     known_component(component)
     check_out(out, path, channel_map, mass_file(mass))
     weighed = parse_mass(mass, component)
+    wanted = _number_of_modes(modes)
     with doubts() as collected:
         recording = recording_of(path, channel_map)
-        fit = fit_rig(recording, component=component, mass=weighed)
+        fit = fit_rig(recording, component=component, mass=weighed, modes=wanted)
         by_dwells = _dwell_details(recording, fit.dynamics)
     details: Account = {
         "method": "shaken ground end, maximum likelihood of the complex response",
@@ -126,12 +147,22 @@ def identify_rig(
         "coloured_residuals": fit.coloured,
         **by_dwells,
     }
+    if fit.dynamics.further_modes:
+        details["shares_of_the_modes"] = "of a load from the ground's motion"
+    if fit.left_out is not None:
+        details["left_out"] = {
+            "natural_frequency": fit.left_out.natural_frequency,
+            "damping_ratio": fit.left_out.damping_ratio,
+            "share": fit.left_out.share,
+        }
     if fit.live is not None:
         details["live_accelerometer"] = {
             "gain": {"value": fit.live.gain, "u": fit.live.u_gain, "unit": "1"},
             "delay": {"value": fit.live.delay, "u": fit.live.u_delay, "unit": "s"},
         }
-    return _identified(path, out, fit.dynamics, details, mass=mass, collected=collected, channel_map=channel_map)
+    return _identified(
+        path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, channel_map=channel_map
+    )
 
 
 def _dwell_details(recording: Recording, dynamics: Dynamics) -> Account:

@@ -2,8 +2,9 @@
 
 from aerobalance.identification.dwells import Dwell, HarmonicDeviation, find_dwells, harmonic_check
 from aerobalance.identification.frf import FrfFit, ResponseTable, identify_frf
+from aerobalance.identification.live_check import LiveCheck
 from aerobalance.identification.reference import ReferenceFit, reference_fit
-from aerobalance.identification.rig import LiveCheck, RigFit, identify_rig
+from aerobalance.identification.rig import RigFit, identify_rig
 
 __all__ = [
     "Dwell",

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from aerobalance.dynamics import Dynamics, Mode
+from aerobalance.identification.amplitude import AmplitudeDependence, amplitude_dependence, bent_where_plain
 from aerobalance.identification.onset import first_look
 from aerobalance.identification.ring import (
     EVIDENCE,
@@ -69,6 +70,8 @@ class DecayFit:
     further_modes
         Frequency [Hz], damping ratio [1] and amplitude over the height [1] of every further decaying line found,
         whether it is part of the dynamics or not.
+    amplitude_dependence
+        Test of damping and frequency for a dependence on the amplitude; None where the ringing cannot tell.
     residual_deviation
         Standard deviation of the residuals [N].
     degrees_of_freedom
@@ -90,6 +93,7 @@ class DecayFit:
     window: tuple[float, float]
     hum: tuple[tuple[float, float], ...]
     further_modes: tuple[tuple[float, float, float], ...]
+    amplitude_dependence: AmplitudeDependence | None
     residual_deviation: float
     degrees_of_freedom: int
     residual_time: Array
@@ -133,14 +137,15 @@ def identify_decay(
     time = np.arange(recording.samples) / recording.rate
     look = first_look(channel.values, rate=recording.rate, name=f"{recording.name}, {component}")
     ring = fit_ring(time[present], channel.values[present], look)
-    ring = freed(_shortened(_complete(_shortened(ring))))
+    ring = freed(_shortened(_complete(_shortened(bent_where_plain(ring)))))
+    dependence, ring = amplitude_dependence(ring)
     _check(ring, recording.name, component)
     kept = _kept_modes(ring, modes, f"{recording.name}, {component}")
     dynamics = _dynamics(ring, component, value, uncertainty, kept=kept)
-    notes = _notes(ring, dynamics, recording, kept=kept)
+    notes = [*_notes(ring, dynamics, recording, kept=kept), *_amplitude_notes(dependence, component)]
     for note in notes:
         warnings.warn(f"{recording.name}: {note}", DoubtWarning, stacklevel=2)
-    return _result(ring, dynamics, recording, notes)
+    return _result(ring, dynamics, recording, dependence, notes)
 
 
 def _usable(channel: Channel, name: str) -> NDArray[np.bool_]:
@@ -168,7 +173,9 @@ def _complete(ring: Ring) -> Ring:
         if line is None:
             break
         larger = fit_ring(ring.time, ring.values, ring, lines=(*ring.lines, line))
-        odd = any(not 0 <= fitted.decay < HEAVIEST * 2 * np.pi * fitted.frequency for fitted in larger.lines)
+        width = 5 * larger.decay / (2 * np.pi)
+        odd = any(fitted.decay > 0 and abs(fitted.frequency - larger.frequency) < width for fitted in larger.lines)
+        odd |= any(not 0 <= fitted.decay < HEAVIEST * 2 * np.pi * fitted.frequency for fitted in larger.lines)
         if odd or larger.squares > ring.squares - EVIDENCE * ring.variance:
             break
         ring = larger
@@ -329,7 +336,30 @@ def _notes(ring: Ring, dynamics: Dynamics, recording: Recording, *, kept: list[i
     return notes
 
 
-def _result(ring: Ring, dynamics: Dynamics, recording: Recording, notes: list[str]) -> DecayFit:
+def _amplitude_notes(dependence: AmplitudeDependence | None, component: str) -> list[str]:
+    notes = []
+    if dependence is not None and dependence.damping_depends:
+        notes.append(
+            f"the damping of {component} depends on the amplitude: {100 * dependence.damping:+.2g} % (u = "
+            f"{100 * dependence.u_damping:.1g} %) from the smallest to the largest, as friction does; "
+            "the damping found is a mean, and forces at the natural frequency are wrong by as much elsewhere"
+        )
+    if dependence is not None and dependence.frequency_depends:
+        notes.append(
+            f"the frequency of {component} depends on the amplitude: {100 * dependence.frequency:+.2g} % (u = "
+            f"{100 * dependence.u_frequency:.1g} %) from the smallest to the largest: the spring is not linear; the "
+            "stiffness found is a mean"
+        )
+    return notes
+
+
+def _result(
+    ring: Ring,
+    dynamics: Dynamics,
+    recording: Recording,
+    dependence: AmplitudeDependence | None,
+    notes: list[str],
+) -> DecayFit:
     u = np.sqrt(np.diag(ring.covariance))
     hum, modes = [], []
     for line, size in zip(ring.lines, ring.line_sizes(), strict=True):
@@ -350,6 +380,7 @@ def _result(ring: Ring, dynamics: Dynamics, recording: Recording, notes: list[st
         window=(recording.start + float(ring.time[0]), recording.start + float(ring.time[-1])),
         hum=tuple(hum),
         further_modes=tuple(modes),
+        amplitude_dependence=dependence,
         residual_deviation=float(np.sqrt(ring.variance)),
         degrees_of_freedom=ring.degrees_of_freedom,
         residual_time=recording.start + ring.time,

@@ -4,18 +4,25 @@ Stepped, swept and random excitation are one problem: in the discrete Fourier tr
 is Y = H U + T, with H = -M exp(-i w tau) / D, D = 1 - (w/w0)^2 + i w b/k, the same for all of them (the complex form
 1 + M x1''/AF = (w/w0)^2 - i w b/k of Eqs. (11) and (12)), and T the few terms that a motion already going on at the
 ends of the record adds. Both channels are noisy, so the likelihood is that of errors in both.
+
+With several modes 1 / D is the sum of the modes' own, each times its share of a steady load. The shares found here are
+those of the load from the ground's motion, as `force` needs them to take it out, and not those of a load at one place
+on the model.
 """
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
-from aerobalance.dynamics import Dynamics
-from aerobalance.identification.maximum_likelihood import HIGHEST, Estimate, Problem, maximise
+from aerobalance.dynamics import Dynamics, Mode
+from aerobalance.identification.further_modes import one_more_mode, with_further_modes
+from aerobalance.identification.live_check import LiveCheck, live_check
+from aerobalance.identification.maximum_likelihood import HIGHEST, Estimate, maximise
+from aerobalance.identification.response import Problem
 from aerobalance.identification.spectra import excited, transform
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Array, Recording
@@ -26,29 +33,14 @@ DOUBTFUL_DAMPING: Final = 0.1
 DOUBTFUL_MASS: Final = 0.01
 """Departure of the mass that the response implies from the one given, relative, that is worth a word."""
 
+MOST_MODES: Final = 5
+"""Modes that are looked for at most."""
+
 LEAST_BLOCKS: Final = 8
 """Blocks of frequencies that a narrowed band keeps at least."""
 
 DOUBTFUL_CORRELATION: Final = 0.95
 """Correlation of damping and delay above which the record hardly tells them apart."""
-
-
-@dataclass(frozen=True, slots=True)
-class LiveCheck:
-    """What the live accelerometer says about the fit: its reading over the live acceleration predicted from it.
-
-    Attributes
-    ----------
-    gain, u_gain
-        Gain and its standard uncertainty [1]; 1 where accelerometer, balance matrix and mass agree.
-    delay, u_delay
-        Time by which the live accelerometer lags the ground accelerometer, and its standard uncertainty [s].
-    """
-
-    gain: float
-    u_gain: float
-    delay: float
-    u_delay: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +50,8 @@ class RigFit:
     Attributes
     ----------
     dynamics
-        Mass, stiffness, damping and delay with their covariance.
+        Mass, stiffness, damping, delay and further modes with their covariance; the shares of the modes are those of
+        a load from the ground's motion.
     mass_identified
         Whether the mass was found from the record, or given.
     band
@@ -74,6 +67,8 @@ class RigFit:
         Squared coherence of load and ground acceleration in these blocks, shape (blocks,).
     coloured
         Whether the residual spectrum, not the noise floor, set the weights.
+    left_out
+        A further mode that the record shows but the dynamics leave out, or None.
     live
         Check by the live accelerometer, None where there is none.
     notes
@@ -90,6 +85,7 @@ class RigFit:
     expected_level: Array
     coherence: Array
     coloured: bool
+    left_out: Mode | None
     live: LiveCheck | None
     notes: tuple[str, ...]
 
@@ -99,6 +95,7 @@ def identify_rig(
     *,
     component: str = "AF",
     mass: float | tuple[float, float] | None = None,
+    modes: int | Literal["auto"] = 1,
     band: tuple[float, float] | None = None,
     delay: float | None = None,
 ) -> RigFit:
@@ -113,6 +110,8 @@ def identify_rig(
         The load channel.
     mass
         Moving mass [kg; kg*m for a moment], exact, or with its standard uncertainty; None to identify it.
+    modes
+        How many modes the dynamics have; ``"auto"``: as many as the record gives evidence of, five at most.
     band
         Lowest and highest frequency to use [Hz]; by default every frequency at which the load answers the ground.
     delay
@@ -125,9 +124,11 @@ def identify_rig(
     Raises
     ------
     FitError
-        The record cannot carry the result.
+        The record cannot carry the result, or shows fewer modes than asked for.
     """
     value, uncertainty = _mass(mass)
+    if modes != "auto" and not 1 <= modes <= MOST_MODES:
+        raise ValueError(f"modes must be auto or a number from 1 to {MOST_MODES}, not {modes}")
     if band is not None and not 0 <= band[0] < band[1]:
         raise ValueError(f"band must be two frequencies in rising order, not {band}")
     spectra = excited(transform(recording, component), band=band, name=recording.name)
@@ -135,16 +136,15 @@ def identify_rig(
     gains = [recording.channel(name).relative_uncertainty for name in (component, "ground_acceleration")]
     gain = float(np.linalg.norm(gains))
     looseness = 0.0 if value is None else float(np.hypot(uncertainty / value, gain))
-    problem, estimate, implied = _described(
-        problem, name=recording.name, fixed_band=band is not None, looseness=looseness
-    )
+    fitted = _described(problem, modes, name=recording.name, fixed_band=band is not None, looseness=looseness)
+    problem, estimate = fitted.problem, fitted.estimate
     spectra = problem.spectra
     dynamics = _dynamics(
         estimate, problem, component=component, uncertainty=uncertainty, gain=gain, name=recording.name
     )
-    live = _live_check(estimate, problem)
+    live = live_check(estimate, problem)
     notes = _notes(dynamics, estimate, problem=problem, live=live, component=component)
-    notes += _mass_notes(implied, value, looseness)
+    notes += _mass_notes(fitted.implied, value, looseness) + _left_out_notes(fitted.left_out)
     for note in notes:
         warnings.warn(f"{recording.name}: {note}", DoubtWarning, stacklevel=2)
     count = spectra.block_sum(np.ones(spectra.frequency.size))
@@ -159,6 +159,7 @@ def identify_rig(
         expected_level=np.sqrt(spectra.block_sum(estimate.floor) / count),
         coherence=spectra.coherence,
         coloured=estimate.coloured,
+        left_out=fitted.left_out,
         live=live,
         notes=tuple(notes),
     )
@@ -174,27 +175,80 @@ def _mass(mass: float | tuple[float, float] | None) -> tuple[float | None, float
     return value, uncertainty
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fitted:
+    """What was fitted in the end, the mass that the response implies, and a mode that was seen and left out."""
+
+    problem: Problem
+    estimate: Estimate
+    implied: float | None = None
+    left_out: Mode | None = None
+
+
 def _described(
-    problem: Problem, *, name: str, fixed_band: bool, looseness: float
-) -> tuple[Problem, Estimate, float | None]:
-    """Fit so that one mode describes the response, if that is possible.
+    problem: Problem, modes: int | Literal["auto"], *, name: str, fixed_band: bool, looseness: float
+) -> _Fitted:
+    """Fit so that as many modes as are wanted describe the response, if that is possible.
 
     The record fixes the product of mass and gains. Where a mass given is so uncertain (`looseness`, relative, gains
-    included) that it would blur the fit, or where one mode describes the response with another product only, natural
-    frequency, loss and delay are taken from the shape of the response alone; the mass implied is returned too.
+    included) that it would blur the fit, or where the modes describe the response with another product only, natural
+    frequencies, losses, shares and delay are taken from the shape of the response alone; the mass implied is returned
+    too.
     """
-    estimate = maximise(problem, name=name)
+    shapeless = replace(problem, mass=None)
+    estimate, free = maximise(problem, name=name), None
+    if modes != 1:
+        # The modes are sought with the mass free, so that a gain that is off is not taken for one.
+        free = maximise(shapeless, name=name, start=estimate.parameters) if problem.mass is not None else estimate
+        free = _with_modes(shapeless, free, modes, name=name)
+        if problem.mass is None:
+            estimate = free
+        elif free.further_modes:
+            estimate = maximise(problem, name=name, start=free.parameters)
     if problem.mass is not None and (looseness or not estimate.adequate):
-        free = maximise(replace(problem, mass=None), name=name)
+        free = free or maximise(shapeless, name=name)
         blurred = estimate.covariance[2, 2] + (looseness * estimate.sensitivity_to_mass[1]) ** 2
         if free.adequate and (not estimate.adequate or free.covariance[2, 2] < blurred):
             covariance = free.covariance.copy()
             covariance[0, :] = covariance[:, 0] = 0.0
-            shaped = replace(free, mass=problem.mass, covariance=covariance, sensitivity_to_mass=np.zeros(3))
-            return problem, shaped, free.mass
-    if not estimate.adequate and not fixed_band:
+            unmoved = np.zeros_like(free.sensitivity_to_mass)
+            shaped = replace(free, mass=problem.mass, covariance=covariance, sensitivity_to_mass=unmoved)
+            return _Fitted(problem, shaped, free.mass)
+    if estimate.adequate:
+        return _Fitted(problem, estimate)
+    sought = modes == "auto" and 1 + len(estimate.further_modes) < MOST_MODES
+    seen = None if sought else _left_out(shapeless, free or estimate, name=name)
+    if not fixed_band and not estimate.further_modes:
         problem, estimate = _narrowed(problem, estimate, name=name)
-    return problem, estimate, None
+    return _Fitted(problem, estimate, left_out=seen)
+
+
+def _with_modes(problem: Problem, estimate: Estimate, modes: int | Literal["auto"], *, name: str) -> Estimate:
+    """Fit so many modes, from an estimate with one.
+
+    Raises
+    ------
+    FitError
+        The record shows fewer.
+    """
+    most = (MOST_MODES if modes == "auto" else modes) - 1
+    estimate = with_further_modes(problem, estimate, most=most, name=name)
+    shown = 1 + len(estimate.further_modes)
+    if modes != "auto" and shown < modes:
+        raise FitError(
+            f"{name}: {modes} modes are asked for, and the record shows {shown} above its noise; shake harder, for "
+            "longer or over a wider band to see others"
+        )
+    return estimate
+
+
+def _left_out(problem: Problem, estimate: Estimate, *, name: str) -> Mode | None:
+    """A further mode that the record shows beside those that were fitted."""
+    larger = one_more_mode(problem, estimate, name=name)
+    if larger is None:
+        return None
+    known = [estimate.angular_frequency / (2 * np.pi)] + [mode.natural_frequency for mode in estimate.further_modes]
+    return max(larger.further_modes, key=lambda mode: min(abs(np.log(mode.natural_frequency / f)) for f in known))
 
 
 def _mass_notes(implied: float | None, given: float | None, looseness: float) -> list[str]:
@@ -204,6 +258,18 @@ def _mass_notes(implied: float | None, given: float | None, looseness: float) ->
     note = (
         f"the response implies a moving mass of {implied:.4g}, not {given:.4g}: the gain of the accelerometer or the "
         "balance is off, or the mass; stiffness and damping are those of the mass given"
+    )
+    return [note]
+
+
+def _left_out_notes(mode: Mode | None) -> list[str]:
+    """Name the mode that the dynamics leave out."""
+    if mode is None:
+        return []
+    note = (
+        f"a further mode at {mode.natural_frequency:.4g} Hz, {100 * mode.share:.2g} % of a steady load, answers the "
+        "ground motion; it is not part of the dynamics, so forces near that frequency will be wrong (--modes auto "
+        "takes it up)"
     )
     return [note]
 
@@ -232,7 +298,7 @@ def _narrowed(problem: Problem, estimate: Estimate, *, name: str) -> tuple[Probl
 def _dynamics(
     estimate: Estimate, problem: Problem, *, component: str, uncertainty: float, gain: float, name: str
 ) -> Dynamics:
-    """Turn the estimate into mass, stiffness, damping and delay, with what the gains and the mass leave open."""
+    """Turn the estimate into mass, stiffness, damping, delay and modes, with what gains and mass leave open."""
     mass, w0 = estimate.mass, estimate.angular_frequency
     # What one mode does not describe is no noise: it enlarges the covariance by how much there is of it.
     covariance = estimate.covariance * (1.0 if estimate.adequate else estimate.correlation / estimate.blocks)
@@ -246,14 +312,16 @@ def _dynamics(
         shift[0] = 1.0
         covariance += (uncertainty / mass) ** 2 * np.outer(shift, shift)
     stiffness, damping = mass * w0**2, mass * w0 * estimate.loss
-    jacobian = np.array(
-        [
-            [mass, 0.0, 0.0, 0.0],
-            [stiffness, 2 * stiffness, 0.0, 0.0],
-            [damping, damping, mass * w0, 0.0],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    jacobian = np.zeros(covariance.shape)
+    jacobian[:4, :4] = [
+        [mass, 0.0, 0.0, 0.0],
+        [stiffness, 2 * stiffness, 0.0, 0.0],
+        [damping, damping, mass * w0, 0.0],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+    for number, mode in enumerate(estimate.further_modes):
+        place = slice(4 + 3 * number, 7 + 3 * number)
+        jacobian[place, place] = np.diag([mode.natural_frequency, 0.5, 1.0])
     dynamics = Dynamics(
         component=component,
         mass=mass,
@@ -261,6 +329,7 @@ def _dynamics(
         damping=damping,
         delay=estimate.delay,
         covariance=jacobian @ covariance @ jacobian.T,
+        further_modes=estimate.further_modes,
     )
     f0, u = dynamics.natural_frequency, dynamics.uncertainty("natural_frequency")
     low, high = problem.spectra.frequency[0], problem.spectra.frequency[-1]
@@ -271,30 +340,6 @@ def _dynamics(
             "excite nearer to the natural frequency"
         )
     return dynamics
-
-
-def _live_check(estimate: Estimate, problem: Problem) -> LiveCheck | None:
-    """Compare the live accelerometer with M x2'' = -k x - b x', from the ground motion and load as fitted."""
-    spectra = problem.spectra
-    if spectra.live is None:
-        return None
-    w = 2 * np.pi * spectra.frequency
-    lead = np.exp(1j * w * estimate.delay)
-    predicted = -(1 + 1j * w * estimate.loss / estimate.angular_frequency) / estimate.mass * lead * estimate.load
-    power = np.abs(predicted) ** 2
-    ratio = complex(np.sum(np.conj(predicted) * spectra.live) / np.sum(power))
-    delay = -float(np.sum(power * w * np.imag(np.conj(predicted) * spectra.live / np.maximum(power, 1e-300))))
-    delay /= float(np.sum(power * w**2)) * ratio.real
-    # One step from the phase of the ratio: a delay d turns every frequency by -w d.
-    turned = predicted * np.exp(-1j * w * delay)
-    gain = float(np.sum(np.real(np.conj(turned) * spectra.live)) / np.sum(power))
-    noise = float(np.mean(np.abs(spectra.live - gain * turned) ** 2)) / 2
-    return LiveCheck(
-        gain=gain,
-        u_gain=float(np.sqrt(noise / np.sum(power))),
-        delay=delay,
-        u_delay=float(np.sqrt(noise / np.sum(power * w**2))) / abs(gain),
-    )
 
 
 def _notes(
@@ -328,15 +373,17 @@ def _notes(
             "used); noise or another force on the live end enlarges the uncertainties"
         )
     if not estimate.adequate:
+        count = 1 + len(estimate.further_modes)
+        what = "one mode does not" if count == 1 else f"{count} modes do not"
         notes.append(
-            "one mode does not describe the response over the band used: what is left follows the ground motion "
+            f"{what} describe the response over the band used: what is left follows the ground motion "
             f"({estimate.correlation / estimate.blocks:.2g} times as much as chance); name a band around the mode"
         )
     excess = estimate.chi2 / estimate.degrees_of_freedom
     if estimate.coloured and excess > 1.5:
         notes.append(
             f"the residuals exceed the noise of the channels ({excess:.3g} times in power): coloured noise or motion "
-            "that one mode does not describe; the weights and uncertainties come from the residual spectrum"
+            "that the modes found do not describe; the weights and uncertainties come from the residual spectrum"
         )
     if live is not None and abs(live.gain - 1) > max(0.02, 3 * live.u_gain):
         notes.append(

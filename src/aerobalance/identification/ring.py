@@ -31,6 +31,9 @@ HEAVIEST: Final = 0.3
 TAPPED: Final = 0.5
 """Change of level over amplitude of the ringing below which it was set off by a blow and not by a release."""
 
+STEEPEST_RISE: Final = 50.0
+"""Logarithm of the growth at which a rising trial waveform is cut, so that numbers stay finite."""
+
 EVIDENCE: Final = 20.0
 """Drop in the sum of squares over the noise variance that a richer shape must bring."""
 
@@ -67,7 +70,10 @@ class Ring:
     lines
         Further lines.
     sizes
-        Sizes of the linear columns: offset, drift, height or amplitudes, lines.
+        Sizes of the linear columns: offset, drift, height or amplitudes, lines; and where bent the change of decay
+        rate and of frequency with the envelope, each over the mean and times the height.
+    bent
+        Whether decay rate and frequency may change with the envelope.
     vector
         Nonlinear parameters: decay rate, damped angular frequency, instant and duration where fitted, and for each
         line its angular frequency and, where it decays, its decay rate.
@@ -83,6 +89,7 @@ class Ring:
     start: float
     duration: float
     lines: tuple[Line, ...]
+    bent: bool
     vector: Array
     sizes: Array
     covariance: Array
@@ -155,17 +162,22 @@ class Ring:
         return slice(place, place + widths[number])
 
 
-def fit_ring(time: Array, values: Array, start: Look | Ring, *, lines: tuple[Line, ...] = ()) -> Ring:
+def fit_ring(
+    time: Array, values: Array, start: Look | Ring, *, lines: tuple[Line, ...] = (), bent: bool | None = None
+) -> Ring:
     """Fit the waveform from a first look, or again from an earlier fit with other lines or another window.
 
-    A release at once is tried first, and one over a duration where that explains the record better.
+    A release at once is tried first, and one over a duration where that explains the record better. An earlier fit
+    says whether the waveform is bent, unless that is given.
     """
+    if bent is None:
+        bent = isinstance(start, Ring) and start.bent
     begun = _approach(time, values, start) if isinstance(start, Look) else start
     if begun.shape == "free":
         part = time >= begun.start
-        return _search(time[part], values[part], "free", start=begun, lines=lines)
-    sharp = _search(time, values, "release", start=begun, lines=lines)
-    ramp = _search(time, values, "ramp", start=sharp, lines=lines)
+        return _search(time[part], values[part], "free", start=begun, lines=lines, bent=bent)
+    sharp = _search(time, values, "release", start=begun, lines=lines, bent=bent)
+    ramp = _search(time, values, "ramp", start=sharp, lines=lines, bent=bent)
     return ramp if sharp.squares - ramp.squares > EVIDENCE * ramp.variance else sharp
 
 
@@ -200,7 +212,7 @@ def freed(ring: Ring) -> Ring:
     after = ring.time >= ring.start + ring.duration + 0.5 / ring.frequency
     if ring.shape == "free" or np.count_nonzero(after) < 8 * (3 + len(ring.lines)):
         return ring
-    free = _search(ring.time[after], ring.values[after], "free", start=ring, lines=ring.lines)
+    free = _search(ring.time[after], ring.values[after], "free", start=ring, lines=ring.lines, bent=ring.bent)
     resolution = (1e-9 * ring.amplitude) ** 2 * free.time.size
     allowed = (EVIDENCE + 3 * np.log(free.time.size)) * free.variance + resolution
     return ring if float(np.sum(ring.residuals[after] ** 2)) < free.squares + allowed else free
@@ -231,8 +243,10 @@ def _start_vector(start: Look | Ring, shape: Shape, lines: tuple[Line, ...]) -> 
     return np.array(vector)
 
 
-def _columns(time: Array, shape: Shape, vector: Array, lines: tuple[Line, ...], *, begin: float = 0.0) -> Array:
-    """Linear columns of the waveform: offset, drift, ring, lines; shape (n, p)."""
+def _columns(
+    time: Array, shape: Shape, vector: Array, lines: tuple[Line, ...], *, begin: float = 0.0, bent: bool = False
+) -> Array:
+    """Linear columns of the waveform: offset, drift, ring, lines, and what bends it; shape (n, p)."""
     decay, w = vector[:2]
     unit = Dynamics("AF", 1.0, w**2 + decay**2, max(2 * decay, 0.0))
     span = time[-1] - time[0] or 1.0
@@ -240,7 +254,7 @@ def _columns(time: Array, shape: Shape, vector: Array, lines: tuple[Line, ...], 
     rest = 2
     instant, duration = begin, 0.0
     if shape == "free":
-        fall = np.exp(-decay * (time - begin))
+        fall = np.exp(np.minimum(-decay * (time - begin), STEEPEST_RISE))
         columns += [fall * np.cos(w * (time - begin)), fall * np.sin(w * (time - begin))]
     else:
         instant, rest = vector[2], 3
@@ -262,7 +276,22 @@ def _columns(time: Array, shape: Shape, vector: Array, lines: tuple[Line, ...], 
         else:  # a mode of its own, released together with the first
             mode = Dynamics("AF", 1.0, frequency**2 + fall**2, 2 * fall)
             columns.append(1 - mode.step_response(time - instant, duration=duration))
+    if bent:
+        columns += _bending(time - instant - duration, decay, w)
     return np.column_stack(columns)
+
+
+def _bending(since: Array, decay: float, w: float) -> list[Array]:
+    """Change of a ringing of amplitude 1 when decay rate and frequency rise with its envelope, relative, shape (n,).
+
+    With a(t) = a (1 + e A(t)), A the envelope over its first value, the amplitude falls as exp(-a t - e (1 - A)) and,
+    likewise, the phase runs ahead by d (w / a) (1 - A); both to first order.
+    """
+    time = np.maximum(since, 0.0)
+    decay = max(decay, 1e-6 * abs(w))  # what does not fall does not bend
+    envelope = np.exp(-decay * time)
+    fallen = (1 - envelope) * envelope
+    return [-fallen * np.cos(w * time), -w / decay * fallen * np.sin(w * time)]
 
 
 def _project(columns: Array, values: Array) -> tuple[Array, Array]:
@@ -271,23 +300,31 @@ def _project(columns: Array, values: Array) -> tuple[Array, Array]:
     return sizes, values - columns @ sizes
 
 
-def _search(time: Array, values: Array, shape: Shape, *, start: Look | Ring, lines: tuple[Line, ...]) -> Ring:
-    """Least squares over the nonlinear parameters of one shape."""
-    begin = float(time[0])
-    origin = _start_vector(start, shape, lines)
-    scale = np.full(origin.size, 0.01 * start.decay + 1e-6 * start.frequency)
+def _scale(start: Look | Ring, shape: Shape, size: int) -> Array:
+    """Steps of the search in each nonlinear parameter, shape (size,)."""
+    scale = np.full(size, 0.01 * start.decay + 1e-6 * start.frequency)
     scale[0] = max(0.1 * start.decay, 1e-6 * start.frequency)
     if shape != "free":
         scale[2 : 3 + (shape == "ramp")] = 0.1 / start.rate
+    return scale
+
+
+def _search(
+    time: Array, values: Array, shape: Shape, *, start: Look | Ring, lines: tuple[Line, ...], bent: bool = False
+) -> Ring:
+    """Least squares over the nonlinear parameters of one shape."""
+    begin = float(time[0])
+    origin = _start_vector(start, shape, lines)
+    scale = _scale(start, shape, origin.size)
 
     def residuals(moved: Array) -> Array:
-        return _project(_columns(time, shape, origin + scale * moved, lines, begin=begin), values)[1]
+        return _project(_columns(time, shape, origin + scale * moved, lines, begin=begin, bent=bent), values)[1]
 
     found = least_squares(residuals, np.zeros(origin.size), method="lm", xtol=1e-12, ftol=1e-12, max_nfev=150)
     vector = origin + scale * found.x
-    columns = _columns(time, shape, vector, lines, begin=begin)
-    sizes, left = _project(columns, values)
-    covariance, colour = _covariance(time, shape, vector, lines, begin=begin, scale=scale, sizes=sizes, left=left)
+    sizes, left = _project(_columns(time, shape, vector, lines, begin=begin, bent=bent), values)
+    J = _jacobian(time, shape, vector, lines, begin=begin, scale=scale, sizes=sizes, bent=bent)
+    covariance, colour = _covariance(J, left, time=time, frequency=float(vector[1]) / (2 * np.pi), sizes=sizes)
     place = 2 + (shape != "free") + (shape == "ramp")
     fitted = []
     for line in lines:
@@ -301,6 +338,7 @@ def _search(time: Array, values: Array, shape: Shape, *, start: Look | Ring, lin
         start=begin if shape == "free" else float(vector[2]),
         duration=abs(float(vector[3])) if shape == "ramp" else 0.0,
         lines=tuple(fitted),
+        bent=bent,
         vector=vector,
         sizes=sizes,
         covariance=covariance,
@@ -312,7 +350,7 @@ def _search(time: Array, values: Array, shape: Shape, *, start: Look | Ring, lin
     )
 
 
-def _covariance(
+def _jacobian(
     time: Array,
     shape: Shape,
     vector: Array,
@@ -321,23 +359,26 @@ def _covariance(
     begin: float,
     scale: Array,
     sizes: Array,
-    left: Array,
-) -> tuple[Array, float]:
-    """Covariance of the nonlinear and the linear parameters, and the colour of the residuals."""
-    columns = _columns(time, shape, vector, lines, begin=begin)
+    bent: bool,
+) -> Array:
+    """Derivatives of the waveform by the nonlinear and the linear parameters, shape (n, p)."""
     slopes = []
     for k, step in enumerate(1e-3 * scale):
         shift = np.zeros(vector.size)
         shift[k] = step
-        late, early = (_columns(time, shape, vector + sign * shift, lines, begin=begin) for sign in (1, -1))
+        late, early = (_columns(time, shape, vector + sign * shift, lines, begin=begin, bent=bent) for sign in (1, -1))
         slopes.append(((late - early) @ sizes) / (2 * step))
-    J = np.column_stack([*slopes, columns])
+    return np.column_stack([*slopes, _columns(time, shape, vector, lines, begin=begin, bent=bent)])
+
+
+def _covariance(J: Array, left: Array, *, time: Array, frequency: float, sizes: Array) -> tuple[Array, float]:
+    """Covariance of the nonlinear and the linear parameters, and the colour of the residuals."""
     size = np.sqrt(np.sum(J**2, axis=0))
     size[size == 0] = 1.0
     inverse = np.linalg.pinv((J / size).T @ (J / size), hermitian=True) / np.outer(size, size)
-    variance = float(left @ left) / max(left.size - vector.size - sizes.size, 1)
+    variance = float(left @ left) / max(left.size - J.shape[1], 1)
     rounding = variance < (1e-9 * float(np.abs(sizes[2:]).max())) ** 2
-    colour = 1.0 if rounding else _colour(left, vector[1] / (2 * np.pi), time)
+    colour = 1.0 if rounding else _colour(left, frequency, time)
     return inverse * variance * colour, colour
 
 

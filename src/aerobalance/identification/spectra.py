@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft, rfftfreq
 from scipy.signal import detrend
+from scipy.signal.windows import hann
 
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.problems import DoubtWarning, FitError
@@ -22,6 +23,12 @@ LEAST_SAMPLES: Final = 256
 
 LEAST_COHERENCE: Final = 0.1
 """Coherence below which a block of frequencies tells more about noise than about the balance."""
+
+WINDOWED: Final = 35 / 18
+"""Neighbouring powers of a Hann-windowed transform that count as one independent power."""
+
+SWEPT: Final = 1.18
+"""Level by the median over level by the mean, between that of noise, 1, and that of a swept sine, 1 / ln 2 = 1.44."""
 
 LONGEST_BRIDGE: Final = 3
 """Missing samples in a row that are bridged by a straight line."""
@@ -114,7 +121,7 @@ def transform(recording: Recording, component: str) -> Spectra:
     weight = np.zeros(frequency.size, dtype=np.complex128)
     if "pitch" in columns:
         weight = STANDARD_GRAVITY * rfft(detrend(np.sin(columns["pitch"]))) / np.sqrt(samples)
-    noise = {c.name: c.noise**2 if c.noise else _floor(spectra[c.name]) for c in (load, ground)}
+    noise = {c.name: c.noise**2 if c.noise else _floor(columns[c.name]) for c in (load, ground)}
     live = None
     if "live_acceleration" in columns and np.ptp(columns["live_acceleration"]) > 0:
         live = _specific_force(recording.channel("live_acceleration"), spectra, frequency, weight)
@@ -183,17 +190,20 @@ def _blocks(bins: int) -> NDArray[np.intp]:
     return np.minimum(np.arange(bins) // width, max(bins // width - 1, 0)).astype(np.intp)
 
 
-def _floor(spectrum: Complex) -> float:
+def _floor(values: Array) -> float:
     """Noise power of a channel: the level that most blocks of its spectrum share.
 
     The median of exponentially distributed power is ln 2 of its mean, and a few lines in a block do not move it; the
     median of n of them has a relative standard deviation of 1 / (ln 2 sqrt(n)), so blocks of one level lie within
-    five of these on either side.
+    five of these on either side. A swept sine has a level too, but its power is no exponential: median and mean agree.
     """
-    power = np.abs(spectrum[1:]) ** 2
+    window = hann(values.size)  # without it, motion going on at the ends of the record leaks over the floor
+    power = np.abs(rfft(detrend(values) * window)[1:]) ** 2 / np.sum(window**2)
     blocks = np.array_split(power, max(4, min(64, power.size // 64)))
-    levels = np.sort([float(np.median(block)) / np.log(2) for block in blocks])
-    reach = 1 + 10 / (np.log(2) * np.sqrt(blocks[0].size))
+    medians = np.array([float(np.median(block)) / np.log(2) for block in blocks])
+    random = medians < SWEPT * np.array([float(np.mean(block)) for block in blocks])
+    levels = np.sort(medians[random] if np.count_nonzero(random) > 1 else medians)
+    reach = 1 + 10 / (np.log(2) * np.sqrt(blocks[0].size / WINDOWED))
     last = np.searchsorted(levels, levels * reach, side="right")
     first = int(np.argmax(last - np.arange(levels.size)))
     return max(float(np.mean(levels[first : last[first]])), 1e-12 * float(np.mean(power)))
