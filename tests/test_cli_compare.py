@@ -9,7 +9,9 @@ import pytest
 
 from aerobalance import tables
 from aerobalance.cli import main
+from aerobalance.dynamics import Mode
 from aerobalance.io import write_recording
+from aerobalance.io.artefacts import write_dynamics
 from aerobalance.published import CABLE_CUT, TABLE_1, TABLE_2
 from aerobalance.recording import Channel, Recording
 from aerobalance.rigs import CableCut, Sensor, band_noise
@@ -111,6 +113,25 @@ def test_text_names_what_could_not_be_run(here, capsys):
     assert re.search(r"accelerometer correction\s+not run: .*live_acceleration", out)
     assert re.search(r"^low-pass \*", out, flags=re.MULTILINE)
     assert re.search(r"^rms: this estimator is ", out, flags=re.MULTILINE)
+
+
+def test_two_modes_are_labelled_and_used(here, capsys, seed):
+    two = T128.with_modes(Mode(165.0, 0.012, 0.05))
+    write_dynamics("two.json", {"AF": two})
+    save("two", CableCut(dynamics=two, release=0.5003).run(2.0, np.random.default_rng(seed)))
+    line = "compare two.csv --dynamics two.json --truth two_truth.csv --step two.csv"
+    code, out, err = call(capsys, line)
+    assert code == 0, (err, seed)
+    assert "natural frequency 66.368 Hz, further 165 Hz (share 0.05)" in out
+    assert "central differences: knows one mode only, M, b and k are those of the first: 165 Hz left out" in out
+    code, out, err = call(capsys, f"{line} --json")
+    account = json.loads(out)
+    assert account["further_modes"] == [{"natural_frequency": 165.0, "damping_ratio": 0.012, "share": 0.05}]
+    rows = {row["name"]: row for row in account["rivals"] if row["setting"] == "customary"}
+    assert "notch at 66.37 Hz, 33.2 Hz wide, notch at 165 Hz, 82.5 Hz wide" in rows["notch and low-pass"]["settings"]
+    assert "165 Hz left out" in rows["central differences"]["settings"]
+    # at 10 N of noise the one-mode plateau is known to a newton (see above), and a second mode adds none
+    assert rows[THIS]["plateau"] < 1.0, seed
 
 
 def test_without_truth_only_differences_are_shown(here, capsys):

@@ -170,6 +170,41 @@ def test_force_counts_gravity_once(here, capsys, truth, seed, zero):
     assert np.sqrt(np.mean(error**2)) < 0.01 * CAPACITIES[5]  # the weight is 0.013 of it at 4 deg, 0.03 at 9 deg
 
 
+@pytest.mark.parametrize("way", ["loads", "balance"])
+def test_compare_takes_gauge_outputs(here, capsys, truth, seed, way):
+    generator = np.random.default_rng(seed)
+    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
+    dynamics = {"mass": {"value": MASS}, "stiffness": {"value": STIFFNESS}, "damping": {"value": DAMPING}}
+    Path("dynamics.json").write_text(json.dumps({"components": {"AF": dynamics}}))
+    count, rate = 1200, 1000.0
+    time = np.arange(count) / rate
+    applied = 200 * np.sin(2 * np.pi * 3 * time)
+    write("truth.csv", time, {"AF [N]": applied})
+    up = np.full(count, np.radians(9.0))
+    write("zero.csv", time, gauges(truth, weight(up), generator) | {"pitch [deg]": np.degrees(up)})
+    pitch = np.full(count, np.radians(4.0))
+    felt = weight(pitch)
+    felt[:, 5] += applied
+    write("run.csv", time, gauges(truth, felt, generator) | {"pitch [deg]": np.degrees(pitch)})
+    balance = ["--balance", "balance.json", "--zero", "zero.csv"]
+    force = run(capsys, "force", "run.csv", "--dynamics", "dynamics.json", *balance, "-o", "force.csv")
+    record = ["compare", "run.csv", "--dynamics", "dynamics.json", *(balance if way == "balance" else [])]
+    if way == "loads":  # the record has gauge outputs alone, and a zero belongs to them
+        assert "no channel AF" in run(capsys, *record, code=1)["error"]
+        assert "--balance" in run(capsys, *record, "--zero", "zero.csv", code=2)["error"]
+        return
+    account = run(capsys, *record, "--truth", "truth.csv", "-o", "compare.html")
+    assert account["loads"]["zero"]["from"] == force["loads"]["zero"]["from"]
+    page = Path("compare.html").read_text()
+    assert "balance.json" in page and "zero.csv" in page
+    rows = {row["name"]: row for row in account["rivals"] if row["setting"] == "customary"}
+    # the same way to the same loads: compare's deviation is that of the file that force writes
+    table = np.genfromtxt("force.csv", delimiter=",", names=True)
+    error = (table["AF_N"] - applied)[60:-60]
+    assert rows["this estimator"]["rms"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
+    assert rows["raw reading"]["rms"] < 0.01 * CAPACITIES[5]  # the weight of the zero put on again, and taken off
+
+
 def test_a_matrix_goes_to_the_text_layout_and_back(here, capsys, truth, seed):
     run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
     run(capsys, "convert", "balance.json", "-o", "matrix.txt")

@@ -14,7 +14,7 @@ from aerobalance.identification.decay import identify_decay
 from aerobalance.misfit import Misfit, misfit_of
 from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Array, Channel, Recording
-from aerobalance.resonance import Averaged, missing_mode, own_resonance
+from aerobalance.resonance import REACH, Averaged, missing_mode, own_resonance, smeared
 from aerobalance.rigs import CableCut, Sensor
 
 RATE = 1600.0
@@ -142,14 +142,20 @@ def test_noise_alone_tells_nothing(seed):
     assert missing_mode(seen, BARE) is None
 
 
-def test_smearing_keeps_a_level_and_the_power_of_a_line(seed):
+def test_smearing_is_that_of_the_window(seed):
     generator = np.random.default_rng(seed)
     seen = averaged(generator.normal(0, 2.0, 8192))
-    assert seen.smeared(np.full(seen.fine.size, 3.0)) == pytest.approx(np.full(seen.frequency.size, 3.0), rel=1e-9)
-    line = np.zeros(seen.fine.size)
-    line[500] = 1.0
-    # the window moves power and keeps its sum; on the coarser grid every second ordinate is left
-    assert np.sum(seen.smeared(line)) == pytest.approx(0.5, rel=1e-9)
+    band = seen.near(200.0)
+    assert smeared(np.full(seen.fine(band).size, 3.0)) == pytest.approx(np.full(band.size, 3.0), rel=1e-12)
+    size = 2 * (seen.frequency.size - 1)
+    middle = band[band.size // 2]
+    line = np.zeros(seen.fine(band).size)
+    line[2 * (band.size // 2 + REACH)] = 1.0
+    # the window's own spectrum about a line in the middle of the band, by the transform
+    window = np.hanning(size + 1)[:-1]
+    wave = np.exp(2j * np.pi * middle * np.arange(size) / size)
+    power = np.abs(np.fft.fft(window * wave)[band]) ** 2
+    assert smeared(line) == pytest.approx(power / power.sum() / 2, rel=1e-5, abs=1e-6)
 
 
 def test_short_records_are_left_alone():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 from scipy.integrate import quad
 
 from aerobalance.cli import main
-from aerobalance.dynamics import Dynamics
+from aerobalance.dynamics import Dynamics, Mode
+from aerobalance.io.artefacts import write_dynamics
 from aerobalance.planning import attainable, live_lag, usual_bandwidths
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
@@ -24,6 +26,33 @@ def test_noise_gain_of_the_exact_inverse(bandwidth, gain):
     assert found.noise_gain == pytest.approx(gain, rel=0.05)
     assert found.reading == pytest.approx(2 * found.noise_gain)
     assert found.acceleration == found.parameters == 0
+
+
+@pytest.mark.parametrize("share", [0.05, -0.05])
+def test_parameters_of_every_mode_count(share):
+    """Slopes of G by central differences are the oracle: 1e-5 of a parameter either way, so good to about 1e-8."""
+    two = T128.with_modes(Mode(165.0, 0.012, share))
+    relative = np.array([1e-3, 2e-3, 1e-2, 0.0, 1e-3, 2e-2, 3e-2])
+    known = replace(two, covariance=np.diag((relative * two.values) ** 2))
+    frequency = np.linspace(0, 120.0, 4097)
+    variance = np.zeros(frequency.size)
+    for place in np.flatnonzero(relative):
+        more, less = two.values, two.values
+        more[place] *= 1 + 1e-5
+        less[place] *= 1 - 1e-5
+        change = (two.with_parameters(more).response(frequency) - two.with_parameters(less).response(frequency)) / 2e-5
+        variance += np.abs(relative[place] * change / two.response(frequency)) ** 2
+    found = attainable(known, bandwidth=120.0, rate=RATE, noise=2.0, force=200.0)
+    assert found.parameters == pytest.approx(200 * np.sqrt(np.trapezoid(variance, frequency) / 120), rel=1e-6)
+
+
+def test_plan_names_every_mode(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    two = T128.with_modes(Mode(165.0, 0.012, 0.05))
+    relative = np.array([1e-3, 2e-3, 1e-2, 0.0, 1e-3, 2e-2, 3e-2])
+    write_dynamics("two.json", {"AF": replace(two, covariance=np.diag((relative * two.values) ** 2))})
+    assert main("plan --dynamics two.json --noise 2 --rate 1600 --force 200".split()) == 0
+    assert "f0 = 66.37 Hz (further modes 165 Hz)" in " ".join(capsys.readouterr().out.split())
 
 
 def test_weak_forces_have_the_wiener_bound():

@@ -7,10 +7,10 @@ from scipy.stats import multivariate_normal
 
 from aerobalance.dynamics import Dynamics
 from aerobalance.force import reconstruct
-from aerobalance.prior import Learned, Reading, generalised_least_squares, learn, log_likelihood
+from aerobalance.prior import Learned, Reading, confirmed, generalised_least_squares, learn, log_likelihood
 from aerobalance.recording import Channel, Recording
 from aerobalance.rigs import CableCut, Sensor
-from aerobalance.shaping import ShapingFilter
+from aerobalance.shaping import EDGE, ShapingFilter
 from aerobalance.smoother import FORCE, Filter
 from aerobalance.spectrum import Spectrum
 from aerobalance.steps import Step, find_steps, shape_of
@@ -158,7 +158,8 @@ def test_what_was_learned_does_not_hang_on_missing_readings():
     # 1.5 % of the readings are replaced by their expectation, without noise: 1.5 % of its variance. The 40 samples in
     # a row are 3 periods at the edge, which the expectation bridges but for a part that is as smooth as the load.
     assert some.noise == pytest.approx(whole.noise, rel=0.05), seed
-    assert some.spectrum.edges[0] == pytest.approx(whole.spectrum.edges[0], abs=0.4), seed
+    # what bridges the gap comes from a shaping filter that makes the edge wider by EDGE
+    assert some.spectrum.edges[0] == pytest.approx(whole.spectrum.edges[0], abs=0.4 + EDGE * 120), seed
 
 
 def test_smoother_with_a_learned_spectrum_is_the_gaussian_process():
@@ -202,7 +203,7 @@ def test_step_is_found_between_samples(noise):
     assert abs(step.instant - instant) < 5 * step.instant_uncertainty, seed
     assert step.duration == 0.0, seed
     assert abs(step.height - STEP) < 5 * step.height_uncertainty, seed
-    assert step.evidence > 25, seed
+    assert step.evidence > 40, seed
     assert learned.noise == pytest.approx(noise, rel=5 / np.sqrt(2 * 4800 / 1.94)), seed
 
 
@@ -248,10 +249,53 @@ def test_two_steps_are_told_apart():
         assert abs(step.height - height) < 5 * step.height_uncertainty, (steps, seed)
 
 
+@pytest.mark.long
+def test_steps_near_the_ends_are_found_too():
+    # The window of the periodogram hides what happens there, so the prior learned between them fits badly.
+    generator, seed = fresh()
+    time = np.arange(3200) / RATE
+    true = [(0.28013, 300.0), (0.61029, -500.0), (1.20041, 800.0), (1.68007, -300.0)]
+    load = sum(height * T128.step_response(time - instant) for instant, height in true)
+    steps, _ = find_steps(Reading(load + generator.normal(0, 2, time.size), 1 / RATE, T128))
+    assert len(steps) == len(true), (steps, seed)
+    for step, (instant, height) in zip(steps, true, strict=True):
+        assert abs(step.instant - instant) < 5 * step.instant_uncertainty, (steps, seed)
+        assert abs(step.height - height) < 5 * step.height_uncertainty, (steps, seed)
+
+
+def test_edge_of_a_short_record_is_put_where_the_innovations_want_it():
+    generator, seed = fresh()
+    reading = smooth_reading(generator, seconds=2.0, edge=30.0, noise=0.5)
+    columns = np.ones((reading.values.size, 1))
+    learned = learn(reading, columns=columns)
+    edges = learned.spectrum.edges.copy()
+    edges[0] = 29.0  # two ordinates too low, beyond anything the periodogram gives
+    spectrum = Spectrum(edges, learned.spectrum.levels)
+    rate, noise = 1 / reading.interval, learned.noise
+    shaping = ShapingFilter.of_spectrum(lambda f: spectrum.density(f) + 1e-6 / (1 + (f / rate) ** 4), centre=29.0)
+    better = confirmed(reading, Learned(spectrum, shaping, noise), columns=columns)
+    # the load is a sum of lines at multiples of 0.5 Hz up to 30 Hz; moves of half an ordinate and more bring it there
+    assert 29.4 < better.spectrum.edges[0] < 31.1, seed
+    gain = log_likelihood(reading, better, columns=columns) - log_likelihood(
+        reading, Learned(spectrum, shaping, noise), columns=columns
+    )
+    assert gain > 3, seed
+
+
+def test_steps_that_cancel_are_not_taken_up():
+    """A pair too high to be believed is one that the readings cannot tell apart."""
+    generator, seed = fresh()
+    time = np.arange(1600) / RATE
+    load = 500 * T128.step_response(time - 0.5002) + 300 * T128.step_response(time - 0.5052)
+    reading = Reading(load + generator.normal(0, 10, time.size), 1 / RATE, T128)
+    steps, _ = find_steps(reading)
+    assert steps, seed
+    assert max(abs(step.height) for step in steps) < 10 * reading.swing, (steps, seed)
+
+
 @pytest.mark.parametrize("edge", [30.0, 120.0])
 def test_no_step_in_a_smooth_record(edge):
-    # 25 in twice the log-likelihood for one of n instants: n exp(-25 / 2) = 0.02 at the very most for independent
-    # instants, far less for correlated ones.
+    # 40 in twice the log-likelihood, by chance one in n instants: n times the tail of chi-square is 1e-6.
     generator, seed = fresh()
     assert find_steps(smooth_reading(generator, seconds=3.0, edge=edge))[0] == [], seed
 

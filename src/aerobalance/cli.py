@@ -336,6 +336,7 @@ def identify_rig(
     ] = None,
     out: Out = None,
     component: Component = "AF",
+    modes: Modes = "1",
     channel_map: Map = None,
     as_json: Json = False,
 ) -> None:
@@ -343,7 +344,7 @@ def identify_rig(
     from aerobalance.commands import identify
 
     show(
-        lambda: identify.identify_rig(rec, out, component=component, mass=mass, channel_map=channel_map),
+        lambda: identify.identify_rig(rec, out, component=component, mass=mass, modes=modes, channel_map=channel_map),
         as_json,
         doing="fitting the response",
     )
@@ -375,14 +376,22 @@ def force(
         float | None, typer.Option("--bandwidth", help="Give the inverse limited to this band in Hz instead.")
     ] = None,
     gravity: Gravity = STANDARD_GRAVITY,
+    u_gravity: Annotated[float, typer.Option("--u-gravity", help="Its standard uncertainty.", min=0)] = 0.0,
     balance: MaybeBalance = None,
     zero: Zero = None,
     zero_after: ZeroAfter = None,
     tare: Tare = None,
     channel_map: Map = None,
+    monte_carlo: Annotated[
+        int | None, typer.Option("--monte-carlo", help="Check the uncertainty by so many draws (JCGM 101).", min=10)
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of these draws.", min=0)] = 1,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Page (HTML) with load, force, spectrum and budget.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Work out the force that was applied, with the standard uncertainty of every sample."""
+    """Work out the force that was applied, with the standard uncertainty of every sample, its budget and a check."""
     from aerobalance.commands import force as command
     from aerobalance.commands.loads import BalanceFiles
 
@@ -397,8 +406,11 @@ def force(
             method=method.value,
             bandwidth=bandwidth,
             gravity=gravity,
+            gravity_uncertainty=u_gravity,
             files=None if balance is None else BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare),
             channel_map=channel_map,
+            check=None if monte_carlo is None else command.Check(monte_carlo, seed),
+            report=report,
         ),
         as_json,
         doing="estimating the force",
@@ -461,11 +473,19 @@ def compare(
     ] = None,
     out: Out = None,
     gravity: Gravity = STANDARD_GRAVITY,
+    balance: MaybeBalance = None,
+    zero: Zero = None,
+    zero_after: ZeroAfter = None,
+    tare: Tare = None,
     channel_map: Map = None,
     as_json: Json = False,
 ) -> None:
     """Show this estimator and its rivals side by side on one record, with their errors where the truth is given."""
     from aerobalance.commands import compare as command
+    from aerobalance.commands.loads import BalanceFiles
+
+    if balance is None and (zero or zero_after or tare):
+        raise ValueError("--zero, --zero-after and --tare go with --balance: they are of gauge outputs")
 
     show(
         lambda: command.compare(
@@ -476,6 +496,7 @@ def compare(
             step=step,
             half_range=half_range,
             gravity=gravity,
+            files=None if balance is None else BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare),
             channel_map=channel_map,
             out=out,
         ),
@@ -545,7 +566,7 @@ def _lines(item: Any, prefix: str = "") -> list[tuple[str, str]]:
             return [(prefix, _quantity(item))]
         lines = []
         for key, value in item.items():
-            if key not in {"covariance", "warnings", "residuals", "model"}:
+            if key not in {"covariance", "warnings", "residuals", "model", "budget", "spectrum", "monte_carlo"}:
                 lines += _lines(value, f"{prefix}.{key}" if prefix else str(key))
         return lines
     if isinstance(item, list) and item and isinstance(item[0], dict):

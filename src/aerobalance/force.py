@@ -7,21 +7,23 @@ a band. Each gives every sample a standard uncertainty.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import numpy as np
-from scipy.stats import norm
 
-from aerobalance.components import STANDARD_GRAVITY
-from aerobalance.dynamics import PARAMETERS, Dynamics
-from aerobalance.motion import GroundMotion, load_from_ground
+from aerobalance.components import STANDARD_GRAVITY, si_unit
+from aerobalance.contributions import Contribution, Noise, Systematic, total_deviation
+from aerobalance.dynamics import Dynamics
+from aerobalance.hum import Hum, Line
+from aerobalance.motion import AXES, GroundMotion, Unknown, load_from_ground
 from aerobalance.noise import white_noise
-from aerobalance.prior import Learned, Reading, generalised_least_squares
+from aerobalance.prior import Learned, Reading
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Array, Recording
-from aerobalance.smoother import FORCE, LOAD, LOAD_RATE, Filter
-from aerobalance.steps import Step, columns_of, find_steps, response_to, shape_of
+from aerobalance.smoothing import Estimator, Smoothed, taken_apart
+from aerobalance.steps import Step
 
 Method = Literal["smoother", "paper"]
 
@@ -33,6 +35,15 @@ EXPLAINED_BLOCK: Final = 256
 
 DIFFERENCE_BANDWIDTH: Final = 0.3183
 """Frequency, over the sampling rate, at which the three-point second difference is 3 dB low."""
+
+DENSE: Final = 8193
+"""Frequencies from zero to half the sampling rate at which a response is taken."""
+
+PARAMETERS_NAME: Final = "mass, stiffness, damping, delay"
+"""Name of what the dynamics contribute to the uncertainty."""
+
+PROBE: Final = 0.1
+"""Change of a parameter, in standard uncertainties, over which the estimator's slope is taken."""
 
 BAND_ORDER: Final = 8
 """Order of the zero-phase Butterworth roll-off of the band-limited inverse."""
@@ -60,10 +71,16 @@ class ForceEstimate:
         Noise of the force over noise of the reading [1].
     steps
         Sudden changes of the force that were found.
+    hum
+        Steady lines of the reading that were taken for hum and not for force.
     assumptions
         What was taken as zero because the recording does not have it.
     budget
         Root mean square of each contribution to the uncertainty [N].
+    contributions
+        The contributions themselves.
+    learned
+        Prior of the force and noise that the smoother took; None for the other methods.
     """
 
     component: str
@@ -74,8 +91,11 @@ class ForceEstimate:
     bandwidth: float
     noise_gain: float
     steps: tuple[Step, ...] = ()
+    hum: tuple[Line, ...] = ()
     assumptions: tuple[str, ...] = ()
     budget: dict[str, float] = field(default_factory=dict)
+    contributions: tuple[Contribution, ...] = ()
+    learned: Learned | None = None
 
 
 def reconstruct(
@@ -85,6 +105,8 @@ def reconstruct(
     method: Method = "smoother",
     bandwidth: float | None = None,
     gravity: float = STANDARD_GRAVITY,
+    gravity_uncertainty: float = 0.0,
+    hum: Hum = "mains",
 ) -> ForceEstimate:
     """Work out the force applied along one component of a recording, Eq. (17) of [Gorbushin2020]_.
 
@@ -98,8 +120,12 @@ def reconstruct(
         ``"smoother"``: the optimal estimator. ``"paper"``: three-point central differences.
     bandwidth
         If given, the inverse limited to this band [Hz], zero phase, whichever the method.
-    gravity
-        Local acceleration of gravity [m/s^2].
+    gravity, gravity_uncertainty
+        Local acceleration of gravity and its standard uncertainty [m/s^2].
+    hum
+        What the smoother takes for hum and not for force: ``"mains"`` steady lines at 50 or 60 Hz and harmonics that
+        stand out of the reading (with a `DoubtWarning` that names them), ``"keep"`` none, or lines near given
+        frequencies [Hz].
 
     Raises
     ------
@@ -113,14 +139,33 @@ def reconstruct(
             f"{recording.name}: {np.count_nonzero(present)} readings of {dynamics.component}; "
             f"a force needs at least {FEWEST_SAMPLES}"
         )
-    motion = GroundMotion.of(recording, dynamics.component, gravity=gravity)
+    motion = GroundMotion.of(recording, dynamics.component, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
+    return with_motion(recording, dynamics, motion, method=method, bandwidth=bandwidth, hum=hum)
+
+
+def with_motion(
+    recording: Recording,
+    dynamics: Dynamics,
+    motion: GroundMotion,
+    *,
+    method: Method = "smoother",
+    bandwidth: float | None = None,
+    hum: Hum = "mains",
+) -> ForceEstimate:
+    """Work out the force as `reconstruct` does, with the motion of the ground end given."""
+    if not np.isfinite(dynamics.natural_frequency):
+        raise FitError(
+            f"mass and stiffness of {dynamics.component} leave the range that can be calculated with; check the units"
+        )
+    if not isinstance(hum, str) and (bandwidth is not None or method != "smoother"):
+        raise ValueError("only the smoother without a bandwidth can take lines for hum")
     job = _Job(recording, dynamics, motion)
     if bandwidth is not None:
         return _band_limited(job, bandwidth)
     if method == "paper":
         return _central_differences(job)
     if method == "smoother":
-        return _optimal(job)
+        return _optimal(job, hum)
     raise ValueError(f"method must be smoother or paper, not {method!r}")
 
 
@@ -139,11 +184,28 @@ def with_balance(estimate: ForceEstimate, static: Array) -> ForceEstimate:
     """
     known = np.isfinite(static)
     filled = np.where(known, static, np.max(static[known], initial=0.0))
+    matrix = _gain_and_offset(estimate.values, filled)
     return replace(
         estimate,
         uncertainty=np.hypot(estimate.uncertainty, filled),
-        budget={**estimate.budget, "balance matrix, zeros and tares": float(np.sqrt(np.mean(filled**2)))},
+        budget={**estimate.budget, matrix.name: float(np.sqrt(np.mean(filled**2)))},
+        contributions=(*estimate.contributions, matrix),
     )
+
+
+def _gain_and_offset(values: Array, static: Array) -> Systematic:
+    """The error of a matrix as a gain and an offset: its variance is then a parabola over the force."""
+    size = float(np.max(np.abs(values), initial=0.0)) or 1.0
+    share = values / size
+    terms = np.column_stack([np.ones(share.size), 2 * share, share**2])
+    offset, both, gain = np.linalg.lstsq(terms, static**2, rcond=1e-9)[0]
+    level, vectors = np.linalg.eigh([[offset, both], [both, gain]])
+    covariance = (vectors * np.maximum(level, 0.0)) @ vectors.T
+    slopes = np.column_stack([np.ones(share.size), share])
+    found = float(np.mean(np.sum((slopes @ covariance) * slopes, axis=1)))
+    covariance *= float(np.mean(static**2)) / found if found > 0 else 0.0
+    names = ("offset", f"gain, at {size:.4g}")
+    return Systematic("balance matrix, zeros and tares", "balance", names, slopes, covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,77 +229,130 @@ class _Job:
         """White noise of the ground's motion as a force per sample [N]."""
         return self.dynamics.mass * self.motion.noise
 
-    def parameter_uncertainty(self, load_rate: Array, load_acceleration: Array) -> dict[str, Array]:
-        """Standard uncertainty of Eq. (17) of [Gorbushin2020]_ from its coefficients, shape (n,) [N]."""
-        d = self.dynamics
-        known = self.motion.force(d.mass)
-        slopes = {
-            "mass": load_acceleration / d.stiffness + self.motion.specific_force,
-            "stiffness": -(d.damping * load_rate + d.mass * load_acceleration) / d.stiffness**2,
-            "damping": load_rate / d.stiffness,
-            "delay": np.gradient(known, self.interval) if known.size > 1 else np.zeros_like(known),
-        }
-        J = np.column_stack([slopes[name] for name in PARAMETERS])
-        return {
-            "mass, stiffness, damping, delay": np.sqrt(np.maximum(np.sum((J @ d.covariance) * J, axis=1), 0.0)),
-            "accelerometer gain": np.abs(d.mass * self.motion.acceleration) * self.motion.relative_uncertainty,
-        }
+    @property
+    def motion_source(self) -> str:
+        """Channels that the noise of the ground's motion comes from."""
+        axis = AXES.get(self.dynamics.component, "")
+        names = [name for name in (f"ground_acceleration{axis}", "pitch") if name in self.recording]
+        return " and ".join(names) or "ground_acceleration"
 
-    def finish(self, values: Array, parts: dict[str, Array], **facts: object) -> ForceEstimate:
-        total = np.sqrt(np.sum([part**2 for part in parts.values()], axis=0))
+    def parameter_errors(self, values: Array, again: Callable[[_Job], Array]) -> Systematic:
+        """What the parameters of the dynamics do to the force: the method is run again with each of them changed.
+
+        The slopes of Eq. (17) of [Gorbushin2020]_ would say too much where the smoother's prior has no force at a
+        frequency, and too little where a wrong frequency makes a wrong step.
+        """
+        d = self.dynamics
+        slopes = np.zeros((values.size, len(d.parameters)))
+        for place, deviation in enumerate(np.sqrt(np.diag(d.covariance))):
+            if deviation > 0:
+                changed = d.values
+                changed[place] += PROBE * deviation
+                moved = again(replace(self, dynamics=d.with_parameters(changed)))
+                slopes[:, place] = (moved - values) / (PROBE * deviation)
+        return Systematic(PARAMETERS_NAME, "dynamics", d.parameters, slopes, d.covariance)
+
+    def motion_errors(self, through: Callable[[Unknown], Array]) -> list[Contribution]:
+        """What holds along the ground's motion and is not known, by what a unit of it does to the force, (n,)."""
+        return [
+            Systematic(item.name, item.source, (item.name,), through(item)[:, None], np.array([[item.uncertainty**2]]))
+            for item in self.motion.unknowns
+        ]
+
+    def as_force(self, item: Unknown) -> Array:
+        """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, shape (n,)."""
+        return self.dynamics.mass * item.slope
+
+    def finish(self, values: Array, contributions: list[Contribution], **facts: object) -> ForceEstimate:
+        """Put the answer together; a contribution that is nothing is left out, but for those that are always there."""
+        parts = tuple(part for part in contributions if part.deviation.any() or part.source == "dynamics")
         return ForceEstimate(
             component=self.dynamics.component,
             values=values,
-            uncertainty=total,
+            uncertainty=total_deviation(parts),
             assumptions=self.motion.assumptions,
-            budget={name: float(np.sqrt(np.mean(part**2))) for name, part in parts.items()},
+            budget={part.name: float(np.sqrt(np.mean(part.deviation**2))) for part in parts},
+            contributions=parts,
             **facts,  # type: ignore[arg-type]
         )
 
 
-def _optimal(job: _Job) -> ForceEstimate:
+def _optimal(job: _Job, hum: Hum) -> ForceEstimate:
     """The smoother of `aerobalance.smoother` with its prior learned and its steps found."""
-    d, recording = job.dynamics, job.recording
-    channel = recording.channel(d.component)
-    from_ground = load_from_ground(job.motion, d, rate=recording.rate, load_delay=channel.delay)
-    reading = Reading(
-        values=job.load - from_ground,
-        interval=job.interval,
-        dynamics=d,
-        input_density=job.input_noise**2 * job.interval,
-        noise=channel.noise,
-    )
-    steps, learned = find_steps(reading)
-    filter_ = Filter.of(reading.system(learned), reading.present)
-    columns = columns_of(steps, reading)
-    shapes = np.column_stack([np.ones(reading.values.size), *(shape_of(step, reading) for step in steps)])
-    sizes, _, _ = generalised_least_squares(filter_, reading.filled, columns)
-    left = reading.filled - columns @ sizes
-    states, variance = filter_.smooth(left)
-    values = states[:, FORCE] + shapes @ sizes
-    load_rate, load_acceleration = _load_derivatives(job, states, columns @ sizes + from_ground, values)
-    _check_explained(job, filter_.whiten(left[:, None])[:, 0])
-    parts = {
-        "noise of the readings": np.sqrt(variance),
-        "size and instant of steps": _shape_uncertainty(reading, filter_, steps, shapes, sizes),
-        **job.parameter_uncertainty(load_rate, load_acceleration),
-    }
-    resolved = _resolved_bandwidth(reading, learned)
+    d = job.dynamics
+    reading, steps, learned, lines = taken_apart(reading_of(job.recording, d, job.motion), hum=hum)
+    fit = Smoothed.of(reading, learned=learned, steps=steps)
+    level = _unexplained(job, fit.innovations)
+    lines = fit.sized(lines)
+    _tell_of_hum(job, lines, given=hum != "mains")
+
+    def run(other: _Job) -> Array:
+        changed = reading_of(other.recording, other.dynamics, other.motion, hum=reading.hum)
+        estimator = fit.estimator if other is job else Estimator.of(changed, learned=learned, steps=steps)
+        return estimator.run(changed.filled[:, None])[:, 0]
+
+    def moved(item: Unknown) -> Array:
+        unit, delay = replace(job.motion, specific_force=item.slope), job.recording.channel(d.component).delay
+        felt = load_from_ground(unit, d, rate=job.recording.rate, load_delay=delay)
+        return -fit.estimator.run(np.where(reading.present, felt, 0.0)[:, None])[:, 0]
+
     return job.finish(
-        values,
-        parts,
+        fit.force,
+        [
+            *fit.noise_errors(level, sources=(d.component, job.motion_source)),
+            *fit.step_errors(),
+            job.parameter_errors(run(job), run),
+            *job.motion_errors(moved),
+        ],
         method=f"smoother: {learned.spectrum}, by Whittle's likelihood",
         noise=learned.noise,
-        bandwidth=resolved,
-        noise_gain=float(np.sqrt(np.mean(variance))) / learned.noise,
+        bandwidth=_resolved_bandwidth(reading, learned),
+        noise_gain=float(np.sqrt(np.mean(fit.variance))) / learned.noise,
         steps=tuple(steps),
+        hum=lines,
+        learned=learned,
     )
 
 
-def _check_explained(job: _Job, white: Array) -> None:
-    """Warn where the readings depart from what balance and prior expect: the uncertainty there is too small."""
+def _tell_of_hum(job: _Job, lines: tuple[Line, ...], *, given: bool) -> None:
+    """Say which lines are not in the force, where the user has not named them."""
+    if not lines or given:
+        return
+    unit = si_unit(job.dynamics.component)
+    named = [f"{line.frequency:.7g} Hz ({line.amplitude:.3g} {unit} in the reading)" for line in lines]
+    warnings.warn(
+        f"{job.recording.name}: steady lines of {job.dynamics.component} at {', '.join(named)} are taken for mains hum "
+        "and not for force; if a force was applied at such a frequency it is missing from the result: keep it with "
+        '--hum keep (hum="keep")',
+        DoubtWarning,
+        stacklevel=5,
+    )
+
+
+def reading_of(
+    recording: Recording, dynamics: Dynamics, motion: GroundMotion, *, hum: tuple[float, ...] = ()
+) -> Reading:
+    """The record as the estimator takes it: the load that the ground's motion has put on it is taken off.
+
+    Hum is named by its frequencies [Hz] and left in.
+    """
+    channel = recording.channel(dynamics.component)
+    from_ground = load_from_ground(motion, dynamics, rate=recording.rate, load_delay=channel.delay)
+    return Reading(
+        values=channel.values - from_ground,
+        interval=1 / recording.rate,
+        dynamics=dynamics,
+        input_density=(dynamics.mass * motion.noise) ** 2 / recording.rate,
+        noise=channel.noise,
+        hum=hum,
+    )
+
+
+def _unexplained(job: _Job, white: Array) -> Array:
+    """Variance of the innovations over what is expected, 1 where chance explains it, shape (n,); warns elsewhere."""
     count = max(white.size // EXPLAINED_BLOCK, 1)
-    level = np.array([np.mean(block**2) for block in np.array_split(white, count)])
+    blocks = np.array_split(white, count)
+    level = np.array([np.mean(block**2) for block in blocks])
     # the mean square over m samples scatters by sqrt(2 / m); eight times that is never reached by chance
     strange = np.flatnonzero(level > 1 + 8 * np.sqrt(2 * count / white.size))
     if strange.size:
@@ -246,48 +361,14 @@ def _check_explained(job: _Job, white: Array) -> None:
         warnings.warn(
             f"{job.recording.name}: in {strange.size} of {count} stretches the readings of {job.dynamics.component} "
             f"depart from what the model of balance and load expects, most between {start:.4g} and {stop:.4g} s "
-            f"({np.sqrt(level[worst]):.2g} times the chance scatter); the uncertainty of the force there is too small",
+            f"({np.sqrt(level[worst]):.2g} times the chance scatter); the uncertainty from noise is raised by as much "
+            "there, but an error that the model makes everywhere is not in it",
             DoubtWarning,
             stacklevel=4,
         )
-
-
-def _load_derivatives(job: _Job, states: Array, rest: Array, force: Array) -> tuple[Array, Array]:
-    """First and second derivative of the load felt [N/s, N/s^2], by Eq. (8) of [Gorbushin2020]_, the force known.
-
-    `rest` is the part of the load that is not in the smoother's state: response to steps and to the ground.
-    """
-    d = job.dynamics
-    load = states[:, LOAD] + rest
-    load_rate = states[:, LOAD_RATE] * d.angular_frequency + np.gradient(rest, job.interval)
-    net = force + job.motion.force(d.mass)
-    return load_rate, d.angular_frequency**2 * (net - load) - 2 * d.decay_rate * load_rate
-
-
-def _shape_uncertainty(reading: Reading, filter_: Filter, steps: list[Step], shapes: Array, sizes: Array) -> Array:
-    """Standard uncertainty from the sizes of constant and steps and from the steps' instants, shape (n,) [N]."""
-    columns, forms = list(columns_of(steps, reading).T), list(shapes.T)
-    small = 0.05 * reading.interval
-    time = np.arange(reading.values.size) * reading.interval
-    edge = np.zeros(time.size)
-    for step, size in zip(steps, sizes[1:], strict=True):
-        late, early = (Step(step.instant + shift, step.duration) for shift in (small, -small))
-        columns.append(size * (response_to(late, reading) - response_to(early, reading)) / (2 * small))
-        if step.duration > 0:
-            forms.append(size * (shape_of(late, reading) - shape_of(early, reading)) / (2 * small))
-        else:  # a pure step has no slope: each sample lies before or after it with some probability
-            forms.append(np.zeros(time.size))
-            after = norm.cdf((time - step.instant) / max(step.instant_uncertainty, 1e-12 * reading.interval))
-            edge += size**2 * after * (1 - after)
-    X = np.column_stack(columns)
-    covariance = generalised_least_squares(filter_, reading.filled, X)[1]
-    slopes = np.column_stack(
-        [
-            form - filter_.smooth(np.ascontiguousarray(column))[0][:, FORCE]
-            for form, column in zip(forms, X.T, strict=True)
-        ]
-    )
-    return np.asarray(np.sqrt(np.maximum(np.sum((slopes @ covariance) * slopes, axis=1), 0.0) + edge))
+    raised = np.ones(count)
+    raised[strange] = level[strange]
+    return np.repeat(raised, [block.size for block in blocks])
 
 
 def _resolved_bandwidth(reading: Reading, learned: Learned) -> float:
@@ -331,17 +412,22 @@ def _central_differences(job: _Job) -> ForceEstimate:
     noise = white_noise(load) if noise is None else noise
     slope, curve = d.damping / d.stiffness / (2 * h), d.mass / d.stiffness / h**2
     gain = float(np.sqrt((1 - 2 * curve) ** 2 + (curve + slope) ** 2 + (curve - slope) ** 2))
-    parts = {
-        "noise of the readings": np.full(load.size, gain * noise),
-        "noise of the ground motion": np.full(load.size, job.input_noise),
-        "ends of the record": ends,
-        **job.parameter_uncertainty(load_rate, load_acceleration),
-    }
+    frequency = np.linspace(0, np.pi, DENSE)
+    density = (1 - 2 * curve + 2 * curve * np.cos(frequency)) ** 2 + (2 * slope * np.sin(frequency)) ** 2
+    parts = [
+        Noise("noise of the readings", d.component, np.full(load.size, gain * noise), density / gain**2),
+        Noise("noise of the ground motion", job.motion_source, np.full(load.size, job.input_noise), np.ones(1)),
+        Noise("ends of the record", d.component, ends, np.ones(1)),
+        job.parameter_errors(values, lambda other: _central_differences(other).values),
+        *job.motion_errors(job.as_force),
+    ]
     bandwidth = DIFFERENCE_BANDWIDTH / h
+    further = ", ".join(f"{mode.natural_frequency:.4g}" for mode in d.further_modes)
+    left = f"; one mode only, {further} Hz left out" if further else ""
     return job.finish(
         values,
         parts,
-        method=f"paper: Eq. (17), three-point central differences, 3 dB low at {bandwidth:.4g} Hz",
+        method=f"paper: Eq. (17), three-point central differences, 3 dB low at {bandwidth:.4g} Hz{left}",
         noise=noise,
         bandwidth=bandwidth,
         noise_gain=gain,
@@ -375,20 +461,22 @@ def _band_limited(job: _Job, bandwidth: float) -> ForceEstimate:
     from_load, ends = _filtered(load, h, inverse)
     known = _delayed_force(job)
     from_ground, ground_ends = _filtered(known, h, band) if known.any() else (known, np.zeros(known.size))
-    load_rate, _ = _filtered(load, h, lambda f: 2j * np.pi * f * band(f))
-    load_acceleration, _ = _filtered(load, h, lambda f: -((2 * np.pi * f) ** 2) * band(f))
+    values = from_load - from_ground
     noise = job.recording.channel(d.component).noise
     noise = white_noise(load) if noise is None else noise
-    frequency = np.linspace(0, 0.5 / h, 8193)
+    frequency = np.linspace(0, 0.5 / h, DENSE)
     gain = float(np.sqrt(np.mean(np.abs(inverse(frequency)) ** 2)))
-    parts = {
-        "noise of the readings": np.full(load.size, gain * noise),
-        "noise of the ground motion": np.full(load.size, job.input_noise * np.sqrt(np.mean(band(frequency) ** 2))),
-        "ends of the record": np.hypot(ends, ground_ends),
-        **job.parameter_uncertainty(load_rate, load_acceleration),
-    }
+    density, passed = np.abs(inverse(frequency)) ** 2, band(frequency) ** 2
+    of_ground = np.full(load.size, job.input_noise * np.sqrt(np.mean(passed)))
+    parts = [
+        Noise("noise of the readings", d.component, np.full(load.size, gain * noise), density / gain**2),
+        Noise("noise of the ground motion", job.motion_source, of_ground, passed / np.mean(passed)),
+        Noise("ends of the record", d.component, np.hypot(ends, ground_ends), np.ones(1)),
+        job.parameter_errors(values, lambda other: _band_limited(other, bandwidth).values),
+        *job.motion_errors(job.as_force),
+    ]
     return job.finish(
-        from_load - from_ground,
+        values,
         parts,
         method=f"band-limited inverse to {bandwidth:g} Hz, zero phase, Butterworth roll-off of order {2 * BAND_ORDER}",
         noise=noise,

@@ -17,6 +17,8 @@ from aerobalance.components import si_unit
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.force import reading_of
 from aerobalance.identification.decay import DecayFit, identify_decay
+from aerobalance.identification.onset import first_look
+from aerobalance.identification.ring import fit_ring
 from aerobalance.motion import GroundMotion
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Array, Recording
@@ -31,6 +33,9 @@ SAME_MODE: Final = 0.02
 
 LONGEST: Final = 1 << 17
 """Samples from the start that are looked at: more tell nothing new."""
+
+RELEASED: Final = 0.1
+"""Share of a record's variance that a release of one mode leaves over at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +134,13 @@ def _release(recording: Recording, dynamics: Dynamics, values: Array, *, noise: 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)
         try:
+            look = first_look(values, rate=recording.rate, name=recording.name)
+            if look.shape != "release":
+                return None
+            time = np.arange(values.size) / recording.rate
+            ring = fit_ring(time, values, look)
+            if ring.variance > RELEASED * float(np.var(values)):
+                return None
             fit = identify_decay(alone, component=name, mass=dynamics.mass, modes="auto")
         except FitError:
             return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -30,6 +30,28 @@ AXES: Final = {"NF": "_z", "SF": "_y"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Unknown:
+    """A number behind the ground's motion that holds along the record and is not known exactly.
+
+    Attributes
+    ----------
+    name
+        What it is.
+    source
+        Channel, or setting, that it comes from.
+    slope
+        Change of the specific force with it, shape (n,) [m/s^2 per its unit].
+    uncertainty
+        Its standard uncertainty.
+    """
+
+    name: str
+    source: str
+    slope: Array
+    uncertainty: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class GroundMotion:
     """Specific force of the ground end along a component, x1'' less gravity, on the recording's clock.
 
@@ -47,6 +69,9 @@ class GroundMotion:
         Time by which its channel lags the clock [s].
     assumptions
         What had to be taken as zero because the recording does not have it.
+    unknowns
+        What holds along the record and is not known exactly: gain and zero of the accelerometer and of the angles,
+        and gravity.
     """
 
     specific_force: Array
@@ -55,10 +80,28 @@ class GroundMotion:
     relative_uncertainty: float
     delay: float
     assumptions: tuple[str, ...]
+    unknowns: tuple[Unknown, ...] = ()
 
     @classmethod
-    def of(cls, recording: Recording, component: str, *, gravity: float = STANDARD_GRAVITY) -> GroundMotion:
-        """Take the ground's motion from a recording's acceleration, pitch and roll channels."""
+    def of(
+        cls,
+        recording: Recording,
+        component: str,
+        *,
+        gravity: float = STANDARD_GRAVITY,
+        gravity_uncertainty: float = 0.0,
+    ) -> GroundMotion:
+        """Take the ground's motion from a recording's acceleration, pitch and roll channels.
+
+        Parameters
+        ----------
+        recording
+            What was recorded.
+        component
+            The component that is driven.
+        gravity, gravity_uncertainty
+            Local acceleration of gravity and its standard uncertainty [m/s^2].
+        """
         name = f"ground_acceleration{AXES.get(component, '')}"
         if name not in recording and "ground_acceleration" in recording:
             name = "ground_acceleration"
@@ -66,6 +109,7 @@ class GroundMotion:
         noise = relative = delay = 0.0
         coupling = "kinematic"
         assumptions = []
+        unknowns: list[Unknown] = []
         if name in recording:
             channel = recording.channel(name)
             acceleration = _bridged(recording, channel)
@@ -77,6 +121,11 @@ class GroundMotion:
                 noise *= share
                 rest = "only its tones are taken" if share else "the ground end is taken to be at rest"
                 assumptions.append(f"{name} shows {'little' if share else 'nothing'} beyond its noise; {rest}")
+            one = np.ones(recording.samples)
+            unknowns += [
+                Unknown("accelerometer gain", name, acceleration, relative),
+                Unknown("accelerometer zero", name, one, channel.zero_uncertainty),
+            ]
             if coupling == "ac":
                 warnings.warn(
                     f"{name} is ac-coupled: ground motion below its corner of {channel.corner:g} Hz is not in the "
@@ -89,6 +138,8 @@ class GroundMotion:
         weight, weight_noise = np.zeros(recording.samples), 0.0
         if coupling != "dc":
             weight, weight_noise = _gravity(recording, component, gravity, assumptions)
+            unknowns += _angles(recording, component, gravity)
+            unknowns.append(Unknown("gravity", "gravity", -weight / gravity, gravity_uncertainty))
         return cls(
             specific_force=acceleration - weight,
             noise=float(np.hypot(noise, weight_noise)),
@@ -96,7 +147,13 @@ class GroundMotion:
             relative_uncertainty=relative,
             delay=delay,
             assumptions=tuple(assumptions),
+            unknowns=tuple(item for item in unknowns if item.uncertainty > 0 and item.slope.any()),
         )
+
+    def moved(self, changes: Array) -> GroundMotion:
+        """The motion if the `unknowns` were off by so much, shape (number of unknowns,)."""
+        change = sum((item.slope * by for item, by in zip(self.unknowns, changes, strict=True)), np.zeros(1))
+        return replace(self, specific_force=self.specific_force + change)
 
     def force(self, mass: float) -> Array:
         """Force on the moving mass in the frame of the ground end, M g sin(theta) - M x1'', shape (n,) [N]."""
@@ -129,6 +186,29 @@ def _gravity(recording: Recording, component: str, gravity: float, assumptions: 
     if component not in AXES:
         return pull, noise * float(np.mean(np.abs(np.cos(pitch))))
     return pull, noise if component == "SF" else noise * float(np.mean(np.abs(np.sin(pitch))))
+
+
+def _angles(recording: Recording, component: str, gravity: float) -> list[Unknown]:
+    """Zero and gain of pitch and roll, with what they do to the pull of gravity; slopes by differences."""
+    if "pitch" not in recording:
+        return []
+    values = {name: np.zeros(recording.samples) for name in ("pitch", "roll")}
+    for name in values:
+        if name in recording:
+            channel = recording.channel(name)
+            index, known = np.arange(recording.samples), ~channel.missing
+            values[name] = np.interp(index, index[known], channel.values[known])
+    found = []
+    small = 1e-5
+    for name, angle in values.items():
+        if name not in recording:
+            continue
+        channel = recording.channel(name)
+        more, less = (gravity_share(component, **{**values, name: angle + change}) for change in (small, -small))
+        slope = -gravity * (more - less) / (2 * small)
+        found.append(Unknown(f"{name} zero", name, slope, channel.zero_uncertainty))
+        found.append(Unknown(f"{name} gain", name, slope * angle, channel.relative_uncertainty))
+    return found
 
 
 def gravity_share(component: str, *, pitch: Array, roll: Array) -> Array:

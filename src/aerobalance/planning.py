@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics import PARAMETERS, Dynamics
+from aerobalance.dynamics import Dynamics
 from aerobalance.recording import Array
 
 GRID: Final = 4097
@@ -129,18 +129,31 @@ def attainable(
 
 
 def _relative_variance(dynamics: Dynamics, frequency: Array) -> Array:
-    """Relative variance of the force by Eq. (17) of [Gorbushin2020]_ from its coefficients, shape (m,)."""
+    """Relative variance of the force from the parameters of the dynamics, shape (m,).
+
+    With one mode it is that of Eq. (17) of [Gorbushin2020]_ from its coefficients.
+    """
+    first, *further = dynamics.modes
+    response = dynamics.response(frequency)
     s = 2j * np.pi * frequency
     M, k, b = dynamics.mass, dynamics.stiffness, dynamics.damping
-    inverse = 1 + s * b / k + s**2 * M / k
+    # dG/dp; the first mode is 1 / (1 + s b/k + s^2 M/k), and the derivative of 1/D is -D' / D^2
+    own = -first.share * first.response(frequency) ** 2
     slopes = {
-        "mass": s**2 / k,
-        "stiffness": -(s * b + s**2 * M) / k**2,
-        "damping": s / k,
+        "mass": own * s**2 / k,
+        "stiffness": -own * (s * b + s**2 * M) / k**2,
+        "damping": own * s / k,
         # the delay is that of the load behind the ground's acceleration: it does not touch F/AF
         "delay": np.zeros_like(s),
     }
-    J = np.column_stack([slopes[name] for name in PARAMETERS]) / inverse[:, None]
+    for number, mode in enumerate(further, 2):
+        f, zeta = mode.natural_frequency, mode.damping_ratio
+        ratio = frequency / f
+        curve = -mode.share * mode.response(frequency) ** 2
+        slopes[f"natural_frequency_{number}"] = curve * 2 * (ratio**2 - 1j * zeta * ratio) / f
+        slopes[f"damping_ratio_{number}"] = curve * 2j * ratio
+        slopes[f"share_{number}"] = mode.response(frequency) - first.response(frequency)
+    J = np.column_stack([slopes[name] for name in dynamics.parameters]) / response[:, None]
     return np.asarray(np.real(np.sum((J @ dynamics.covariance) * np.conj(J), axis=1)))
 
 

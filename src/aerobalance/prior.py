@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from aerobalance.dynamics import Dynamics
 from aerobalance.problems import FitError
 from aerobalance.recording import Array
-from aerobalance.shaping import ShapingFilter
+from aerobalance.shaping import EDGE, ShapingFilter
 from aerobalance.smoother import LOAD, Filter, StateSpace
 from aerobalance.spectrum import Periodogram, Spectrum
 from aerobalance.whittle import fit_spectrum
@@ -22,6 +22,12 @@ BACKGROUND: Final = 1e-2
 
 TOLERANCE: Final = 100.0
 """Error of the shaping filter's density where it is largest, over the density of that background."""
+
+EDGE_MOVES: Final = (0.5, 1.0, 2.0, 4.0)
+"""Ordinates of the periodogram by which an edge of the spectrum is tried farther out, one after the other."""
+
+EDGE_EVIDENCE: Final = 3.0
+"""Gain in log-likelihood of the innovations for which an edge is moved by one of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +65,8 @@ class Reading:
         Density of the white force noise that comes with the known inputs [N^2/Hz].
     noise
         Standard uncertainty of a reading [N]; None when it is to be learned.
+    hum
+        Frequencies of steady lines that are no force [Hz].
     """
 
     values: Array
@@ -66,6 +74,7 @@ class Reading:
     dynamics: Dynamics
     input_density: float = 0.0
     noise: float | None = None
+    hum: tuple[float, ...] = ()
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -127,6 +136,49 @@ def learn(reading: Reading, *, columns: Array) -> Learned:
     if not present.all():
         left = np.where(present, left, filter_.smooth(left)[0][:, LOAD])
     return _learn(reading, left)
+
+
+def confirmed(reading: Reading, learned: Learned, *, columns: Array) -> Learned:
+    """The same with the edges of its spectrum where the innovations want them.
+
+    Of a short record the periodogram shows an edge to a good ordinate only, but its readings tell much better: a load
+    just beyond an edge that lies too far in is as strong as that within it, and is taken for a shock after the other.
+
+    Parameters
+    ----------
+    reading
+        The record.
+    learned
+        What was learned from its periodogram.
+    columns
+        Known shapes whose sizes are free, shape (n, p).
+    """
+    spectrum = learned.spectrum
+    ordinate = 1 / (reading.values.size * reading.interval)
+    # the shaping filter makes the edges of a longer record wider than that
+    narrow = [place for place in range(spectrum.edges.size - 1) if 2 * ordinate > EDGE * spectrum.edges[place]]
+    if spectrum.roll_off or not narrow:
+        return learned
+    here = log_likelihood(reading, learned, columns=columns)
+    for place in narrow:
+        for move in EDGE_MOVES:
+            wider = _widened(reading, learned, place=place, width=move * ordinate)
+            found = log_likelihood(reading, wider, columns=columns)
+            if found < here + EDGE_EVIDENCE:
+                break
+            learned, here = wider, found
+    return learned
+
+
+def _widened(reading: Reading, learned: Learned, *, place: int, width: float) -> Learned:
+    """The same with one edge moved into the fainter of its two segments, or to the end of it."""
+    edges, levels = learned.spectrum.edges.copy(), learned.spectrum.levels
+    if levels[place] > levels[place + 1]:
+        edges[place] = min(edges[place] + width, 0.5 * (edges[place] + edges[place + 1]))
+    else:
+        edges[place] = max(edges[place] - width, 0.5 * (edges[place] + (edges[place - 1] if place else 0.0)))
+    spectrum = replace(learned.spectrum, edges=edges)
+    return replace(learned, spectrum=spectrum, shaping=_shaped(reading, spectrum, learned.noise**2 * reading.interval))
 
 
 def _learn(reading: Reading, values: Array) -> Learned:

@@ -58,6 +58,8 @@ class Channel:
         High-pass corner of an ac-coupled sensor [Hz]; 0 for the others.
     file_unit
         Unit in the channel's file, in which results are written again; an empty string where there is no file.
+    zero_uncertainty
+        Standard uncertainty of the channel's zero [unit].
     """
 
     name: str
@@ -69,6 +71,7 @@ class Channel:
     coupling: Coupling = "kinematic"
     corner: float = 0.0
     file_unit: str = ""
+    zero_uncertainty: float = 0.0
 
     def __post_init__(self) -> None:
         expected = ("mV/V", "V") if is_gauge(self.name) else (QUANTITIES.get(self.name, self.unit),)
@@ -78,6 +81,10 @@ class Channel:
             raise ValueError(f"channel {self.name} must have shape (n,), not {self.values.shape}")
         if self.noise is not None and not self.noise >= 0:
             raise ValueError(f"channel {self.name}: noise must be zero or more, not {self.noise}")
+        if not self.zero_uncertainty >= 0:
+            raise ValueError(
+                f"channel {self.name}: zero_uncertainty must be zero or more, not {self.zero_uncertainty}"
+            )
         fixed = self.values.view()
         fixed.setflags(write=False)  # on a view, so that the caller's own array stays as it was
         object.__setattr__(self, "values", fixed)

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import minimize
 
@@ -35,6 +36,9 @@ INDEPENDENT: Final = 0.53
 
 BAND: Final = 0.25
 """Half width of the band in which the force's spectrum is taken for a power of frequency, over its centre."""
+
+REACH: Final = 12
+"""Ordinates over which the window smears a line."""
 
 CHANCE: Final = 4.5
 """Standard deviations of an ordinate, in the logarithm, by which a peak that is looked at stands out."""
@@ -97,24 +101,32 @@ class Averaged:
         """Distance of the ordinates [Hz]."""
         return float(self.frequency[1])
 
-    @property
-    def fine(self) -> Array:
-        """Frequencies at half the distance, on which a density is given to be smeared, shape (2 m - 1,) [Hz]."""
-        return np.linspace(0, float(self.frequency[-1]), 2 * self.frequency.size - 1)
+    def fine(self, band: NDArray[np.intp]) -> Array:
+        """Frequencies at half the distance, from `REACH` ordinates below a band to as many above it [Hz]."""
+        first, last = (2 * int(band[place]) + shift for place, shift in ((0, -2 * REACH), (-1, 2 * REACH)))
+        return np.abs(np.arange(first, last + 1)) * self.resolution / 2
 
-    def smeared(self, density: Array) -> Array:
-        """A density at `fine` as the Hann window shows it at `frequency`, shape (m,)."""
-        size = density.size - 1
-        window = np.hanning(size + 1)[:-1]
-        lag = np.fft.irfft(np.abs(np.fft.rfft(window, 2 * size)) ** 2)[: size + 1] / float(window @ window)
-        covariance = np.fft.irfft(density)
-        covariance *= np.concatenate([lag, lag[-2:0:-1]])
-        return np.fft.rfft(covariance).real[::2]
-
-    def near(self, centre: float) -> np.ndarray:
+    def near(self, centre: float) -> NDArray[np.intp]:
         """Places of the ordinates within the band about a frequency; not the lowest, from which the mean is taken."""
         lowest, highest = max((1 - BAND) * centre, 4 * self.resolution), (1 + BAND) * centre
         return np.flatnonzero((self.frequency >= lowest) & (self.frequency <= highest))
+
+
+def smeared(density: Array) -> Array:
+    """A density at `Averaged.fine` as the Hann window shows it at the ordinates of the band.
+
+    Beyond `REACH` ordinates the window passes less than 1e-6 of a line's power.
+    """
+    return np.convolve(density, _LOBE, mode="valid")[::2]
+
+
+def _lobe() -> Array:
+    place = np.arange(-2 * REACH, 2 * REACH + 1) / 2
+    power = (np.sinc(place) + 0.5 * np.sinc(place - 1) + 0.5 * np.sinc(place + 1)) ** 2
+    return np.asarray(power / power.sum())
+
+
+_LOBE: Final = _lobe()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,18 +219,18 @@ def _peaks(seen: Averaged, dynamics: Dynamics) -> list[float]:
 
 
 def _fit(
-    seen: Averaged, band: np.ndarray, model: Callable[[Array], Dynamics], *, start: Array, scale: Array
+    seen: Averaged, band: NDArray[np.intp], model: Callable[[Array], Dynamics], *, start: Array, scale: Array
 ) -> _LocalFit:
     """Maximum likelihood over a band; level and slope of the force's spectrum come after the given parameters."""
     centre = float(seen.frequency[band].mean())
-    frequency = seen.fine
-    log_ratio = np.log(np.maximum(frequency, frequency[1]) / centre)
+    frequency = seen.fine(band)
+    log_ratio = np.log(np.maximum(frequency, seen.resolution) / centre)
     weight = seen.averages * INDEPENDENT
 
     def expected(point: Array) -> Array:
         transfer = np.abs(model(point[: start.size]).response(frequency)) ** 2
         force = np.exp(np.clip(point[start.size] + point[start.size + 1] * np.clip(log_ratio, -1, 1), -690, 690))
-        return np.asarray(seen.smeared(transfer * force + seen.noise)[band])
+        return np.asarray(smeared(transfer * force + seen.noise))
 
     level0 = float(np.median(seen.power[band] / np.abs(model(start).response(seen.frequency[band])) ** 2))
     origin = np.concatenate([start, [np.log(max(level0, 1e-300)), 0.0]])

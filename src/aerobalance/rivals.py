@@ -117,13 +117,18 @@ def low_pass(recording: Recording, dynamics: Dynamics, settings: Settings) -> Ri
 
 
 def notch(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
-    """Notch at the natural frequency and a low-pass, customarily at twice the natural frequency."""
+    """Notch at every natural frequency and a low-pass, customarily at twice the first natural frequency."""
     f0, rate = dynamics.natural_frequency, recording.rate
     if f0 >= rate / 2:
         raise FitError(f"the natural frequency of {f0:.4g} Hz is above half the sampling rate")
     corner = _corner(recording, settings, 2 * f0)
-    values = filtfilt(*iirnotch(f0, NOTCH_QUALITY, fs=rate), _reading(recording, dynamics, settings))
-    words = f"notch at {f0:.4g} Hz, {f0 / NOTCH_QUALITY:.3g} Hz wide, {_butterworth(corner)}"
+    values = _reading(recording, dynamics, settings)
+    words = ""
+    for frequency in (mode.natural_frequency for mode in dynamics.modes):
+        if frequency < rate / 2:
+            values = filtfilt(*iirnotch(frequency, NOTCH_QUALITY, fs=rate), values)
+            words += f"notch at {frequency:.4g} Hz, {frequency / NOTCH_QUALITY:.3g} Hz wide, "
+    words += _butterworth(corner)
     return RivalEstimate("notch and low-pass", _smoothed(values, corner, rate), words, ZERO_PHASE, tuning=corner)
 
 
@@ -140,16 +145,17 @@ def accelerometer_correction(recording: Recording, dynamics: Dynamics, settings:
     values = _filled(load.values) + dynamics.mass * acceleration
     weight = None if channel.coupling == "dc" else _weight(recording, dynamics, settings)
     words = f"M = {dynamics.mass:.5g} kg, {name} {channel.coupling}"
+    delay = f"no delay{_one_mode(dynamics, 'the live end moves as one mass')}"
     if weight is not None:
         values = values - weight
     elif channel.coupling != "dc":
         words += ", no pitch"
     if settings.tuning is None:
-        return RivalEstimate("accelerometer correction", values, f"{words}, no filter", "no delay")
+        return RivalEstimate("accelerometer correction", values, f"{words}, no filter", delay)
     corner = _corner(recording, settings, settings.tuning)
     return RivalEstimate(
         "accelerometer correction", _smoothed(values, corner, recording.rate), f"{words}, {_butterworth(corner)}",
-        ZERO_PHASE, tuning=corner,
+        f"{ZERO_PHASE}{_one_mode(dynamics, 'the live end moves as one mass')}", tuning=corner,
     )  # fmt: skip
 
 
@@ -216,8 +222,9 @@ def central_differences(recording: Recording, dynamics: Dynamics, settings: Sett
     """Eq. (17) of [Gorbushin2020]_ with the paper's derivatives."""
     whole = _whole(recording, dynamics)
     estimate = reconstruct(whole, dynamics, method="paper", gravity=settings.gravity)
+    left = _one_mode(dynamics, "M, b and k are those of the first")
     return RivalEstimate(
-        "central differences", estimate.values, estimate.method, "no delay; first and last sample poor"
+        "central differences", estimate.values, estimate.method, f"no delay; first and last sample poor{left}"
     )
 
 
@@ -277,6 +284,8 @@ def estimates(
         What was applied; the second setting of a rival is the one with the least rms deviation from it.
     """
     settings = replace(settings or Settings(), tuning=None)
+    # what is compared are values: without a covariance no method is run again to learn its uncertainty
+    dynamics = dynamics.with_parameters(dynamics.values)
     if settings.response is None:
         settings = replace(settings, response=model_response(dynamics, recording.rate))
     found = []
@@ -342,6 +351,12 @@ def dominant_frequency(values: Array, rate: float) -> float:
     return float(minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 1e-6 * step}).x)
 
 
+def _one_mode(dynamics: Dynamics, why: str) -> str:
+    """What a method with one mode leaves out; empty where the balance has no more."""
+    further = ", ".join(f"{mode.natural_frequency:.4g}" for mode in dynamics.further_modes)
+    return f"; knows one mode only, {why}: {further} Hz left out" if further else ""
+
+
 def _load(recording: Recording, dynamics: Dynamics) -> Array:
     """Load felt, without gaps."""
     return _filled(recording.channel(dynamics.component).values)
@@ -349,9 +364,17 @@ def _load(recording: Recording, dynamics: Dynamics) -> Array:
 
 def _known(recording: Recording, dynamics: Dynamics, settings: Settings) -> Array:
     """Force of the ground's motion and gravity at the load's instants, as in Eq. (17) of [Gorbushin2020]_."""
-    motion = GroundMotion.of(recording, dynamics.component, gravity=settings.gravity)
+    return _known_force(recording, dynamics, settings.gravity)
+
+
+@lru_cache(maxsize=2)
+def _known_force(recording: Recording, dynamics: Dynamics, gravity: float) -> Array:
+    """Known force of one record; the search for the best corner asks for it again and again."""
+    motion = GroundMotion.of(recording, dynamics.component, gravity=gravity)
     lag = dynamics.delay + recording.channel(dynamics.component).delay - motion.delay
-    return _moved(motion.force(dynamics.mass), lag, recording.rate)
+    force = _moved(motion.force(dynamics.mass), lag, recording.rate)
+    force.setflags(write=False)
+    return force
 
 
 def _reading(recording: Recording, dynamics: Dynamics, settings: Settings) -> Array:

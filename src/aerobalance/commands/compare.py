@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from aerobalance.commands.loads import BalanceFiles, Reduction, from_gauges, loads_account
 from aerobalance.commands.shared import Account, check_out, doubts, known_component, recording_of
 from aerobalance.components import STANDARD_GRAVITY, si_unit
 from aerobalance.dynamics import Dynamics
@@ -38,12 +39,17 @@ def compare(
     step: Path | None = None,
     half_range: float | None = None,
     gravity: float = STANDARD_GRAVITY,
+    files: BalanceFiles | None = None,
     channel_map: Path | None = None,
     out: Path | None = None,
 ) -> Account:
-    """Every rival on one record: a table, a page, and errors where the truth is given."""
+    """Every rival on one record: a table, a page, and errors where the truth is given.
+
+    With `files` the record holds gauge outputs, and so does `step`.
+    """
     known_component(component)
-    check_out(out, path, dynamics, truth, step, channel_map)
+    inputs = [file for file in (path, dynamics, truth, step, channel_map, *_paths(files)) if file is not None]
+    check_out(out, *inputs)
     if half_range is not None and not 0 < half_range < np.inf:
         raise ValueError(f"--half-range must be positive, not {half_range:g}")
     known = read_dynamics(dynamics)
@@ -51,13 +57,14 @@ def compare(
         raise FitError(f"{dynamics} has no {component}; it has {', '.join(known)}")
     balance = known[component]
     with doubts() as collected:
-        recording = recording_of(path, channel_map)
+        source = _Source(known, files, gravity, channel_map)
+        recording, reduced = source.recording(path)
         recording.channel(component)
         applied = None
         if truth is not None:
             values = truth_on_clock(recording, read(truth), component)
             applied = Truth.of(values, rate=recording.rate, natural_frequency=balance.natural_frequency)
-        response = None if step is None else _response(step, recording, balance, channel_map)
+        response = None if step is None else _response(source.recording(step)[0], recording, balance)
         settings = Settings(gravity=gravity, response=response)
         found = estimates(recording, balance, settings=settings, truth=applied)
     account: Account = {
@@ -65,24 +72,44 @@ def compare(
         "component": component,
         "unit": si_unit(component),
         "natural_frequency": {"value": balance.natural_frequency, "unit": "Hz"},
+        "further_modes": [
+            {"natural_frequency": mode.natural_frequency, "damping_ratio": mode.damping_ratio, "share": mode.share}
+            for mode in balance.further_modes
+        ],
         **standings(found, applied, half_range=half_range, unit=si_unit(component)),
+        **({} if reduced is None else {"loads": loads_account(reduced.felt, reduced.matrix)}),
         "warnings": collected,
     }
     if out is not None:
         from aerobalance.compare_report import write_comparison  # noqa: PLC0415 - plotting is slow
 
-        inputs = [file for file in (path, dynamics, truth, step, channel_map) if file is not None]
         write_comparison(out, account, found, recording=recording, dynamics=balance, truth=applied, inputs=inputs)
         account["written"] = out.name
     return {**account, "summary": summary(account)}
 
 
-def _response(step: Path, recording: Recording, balance: Dynamics, channel_map: Path | None) -> MeasuredResponse:
+def _paths(files: BalanceFiles | None) -> tuple[Path, ...]:
+    return () if files is None else files.paths
+
+
+class _Source(NamedTuple):
+    """How a file becomes loads felt."""
+
+    known: Mapping[str, Dynamics]
+    files: BalanceFiles | None
+    gravity: float
+    channel_map: Path | None
+
+    def recording(self, path: Path) -> tuple[Recording, Reduction | None]:
+        recording = recording_of(path, self.channel_map)
+        if self.files is None:
+            return recording, None
+        return from_gauges(recording, self.files, self.known, gravity=self.gravity, channel_map=self.channel_map)
+
+
+def _response(step: Recording, recording: Recording, balance: Dynamics) -> MeasuredResponse:
     return response_of_record(
-        recording_of(step, channel_map),
-        balance.component,
-        natural_frequency=balance.natural_frequency,
-        rate=recording.rate,
+        step, balance.component, natural_frequency=balance.natural_frequency, rate=recording.rate
     )
 
 
@@ -203,7 +230,9 @@ def summary(account: Account) -> str:
     keys = [f"{row['name']}{' *' if row['setting'] != 'customary' else ''}" for row in account["rivals"]]
     width = max(len(key) for key in keys)
     f0 = account["natural_frequency"]["value"]
-    lines = [f"{account['file']}: {account['component']} [{account['unit']}], natural frequency {f0:.5g} Hz"]
+    head = f"{account['file']}: {account['component']} [{account['unit']}], natural frequency {f0:.5g} Hz"
+    further = [f"{mode['natural_frequency']:.5g} Hz (share {mode['share']:.3g})" for mode in account["further_modes"]]
+    lines = [f"{head}, further {', '.join(further)}" if further else head]
     if judged:
         half = account["half_range"]
         lines += [f"deviation from the truth; {account['scored']}"]
@@ -219,7 +248,9 @@ def summary(account: Account) -> str:
     for key, row in zip(keys, account["rivals"], strict=True):
         cells = " ".join(f"{_cell(value):>9}" for value in _cells(row, judged))
         lines.append(f"{key:<{width}} {cells if row['lacking'] is None else '  not run: ' + row['lacking']}")
-    lines += ["", *account["verdict"]]
+    marked = [row for row in account["rivals"] if "one mode only" in row["note"]]
+    notes = [f"{row['name']}: {row['note'].split('; ')[-1]}" for row in marked]
+    lines += ["", *dict.fromkeys(notes), *account["verdict"]]
     if "written" in account:
         lines += [f"written: {account['written']}"]
     return "\n".join(lines).rstrip() + "\n"

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from aerobalance.balance import BalanceMatrix
-from aerobalance.commands.loads import BalanceFiles, loads_account, reduced
+from aerobalance.commands.loads import BalanceFiles, from_gauges, loads_account
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of
+from aerobalance.commands.uncertainty import (
+    Origins,
+    budget_account,
+    monte_carlo_account,
+    scalar_account,
+    uncertainty_text,
+)
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.dynamics import Dynamics
 from aerobalance.force import ForceEstimate, Method, reconstruct, with_balance
@@ -23,10 +27,15 @@ from aerobalance.io import (
 from aerobalance.io.artefacts import (
     read_dynamics,
 )
-from aerobalance.loads import LoadsFelt, static_uncertainty, with_loads
-from aerobalance.motion import gravity_share
+from aerobalance.loads import static_uncertainty
+from aerobalance.misfit import misfit_of
+from aerobalance.monte_carlo import MonteCarlo, monte_carlo
+from aerobalance.motion import GroundMotion
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Force, Recording
+
+DEFAULT_SEED = 1
+"""Seed of Monte Carlo where none is given, so that the same inputs give the same result."""
 
 
 def force(
@@ -37,18 +46,23 @@ def force(
     method: Method = "smoother",
     bandwidth: float | None = None,
     gravity: float = STANDARD_GRAVITY,
+    gravity_uncertainty: float = 0.0,
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
+    check: Check | None = None,
+    report: Path | None = None,
 ) -> Account:
     """Force applied, with its uncertainty, from the loads felt or, with a balance, from its gauge outputs."""
     check_output(out)
-    check_out(out, path, dynamics, channel_map, *(() if files is None else files.paths))
+    inputs = [item for item in (path, dynamics, channel_map, *(() if files is None else files.paths)) if item]
+    check_out(out, *inputs)
+    check_out(report, *inputs, out)
     known = read_dynamics(dynamics)
     with doubts() as collected:
         recording = recording_of(path, channel_map)
         reduction = None
         if files is not None:
-            recording, reduction = _from_gauges(recording, files, known, gravity=gravity, channel_map=channel_map)
+            recording, reduction = from_gauges(recording, files, known, gravity=gravity, channel_map=channel_map)
         names = [name for name in known if name in recording]
         if not names:
             raise FitError(
@@ -56,13 +70,31 @@ def force(
                 f"it has {', '.join(recording.channels) or 'no channels'}"
             )
         estimates = {
-            name: reconstruct(recording, known[name], method=method, bandwidth=bandwidth, gravity=gravity)
+            name: reconstruct(
+                recording,
+                known[name],
+                method=method,
+                bandwidth=bandwidth,
+                gravity=gravity,
+                gravity_uncertainty=gravity_uncertainty,
+            )
             for name in names
         }
         if reduction is not None:
             forces = {name: estimate.values for name, estimate in estimates.items()}
             static = static_uncertainty(reduction.felt, reduction.matrix, forces=forces)
             estimates = {name: with_balance(estimate, static[name]) for name, estimate in estimates.items()}
+        for name, estimate in estimates.items():
+            misfit = misfit_of(recording, known[name], noise=estimate.noise, steps=estimate.steps)
+            for text in misfit.sentences(known[name]):
+                warnings.warn(f"{recording.name}: {text}", DoubtWarning, stacklevel=2)
+        checked = {}
+        if check is not None:
+            settings = Settings(method, bandwidth, gravity, gravity_uncertainty)
+            checked = {
+                name: _checked(recording, known[name], estimate, check=check, settings=settings)
+                for name, estimate in estimates.items()
+            }
     parts = list(estimates.values())
     write_force(
         out,
@@ -75,90 +107,89 @@ def force(
         ),
     )
     left_out = [name for name in COMPONENTS if name in recording and name not in names]
-    return {
+    origins = Origins(recording, dynamics, None if files is None else files.balance)
+    components = {name: force_account(estimate, origins) for name, estimate in estimates.items()}
+    for name, result in checked.items():
+        components[name]["monte_carlo"] = monte_carlo_account(result)
+    account: Account = {
         "written": out.name,
-        "components": {name: force_account(estimate, recording.start) for name, estimate in estimates.items()},
+        "components": components,
         "components_without_dynamics": left_out,
         **({} if reduction is None else {"loads": loads_account(reduction.felt, reduction.matrix)}),
         "warnings": collected,
     }
+    if report is not None:
+        from aerobalance.force_report import write_force_report  # noqa: PLC0415 - plotting is slow
+
+        write_force_report(report, account, estimates, recording=recording, inputs=inputs)
+        account["report"] = report.name
+    return {**account, "summary": uncertainty_text(components)}
 
 
-class _Reduction(NamedTuple):
-    felt: LoadsFelt
-    matrix: BalanceMatrix
+class Settings(NamedTuple):
+    """How the force is worked out.
+
+    Attributes
+    ----------
+    method, bandwidth
+        As `aerobalance.force.reconstruct` takes them.
+    gravity, gravity_uncertainty
+        Local acceleration of gravity and its standard uncertainty [m/s^2].
+    """
+
+    method: Method
+    bandwidth: float | None
+    gravity: float
+    gravity_uncertainty: float
 
 
-def _from_gauges(
-    recording: Recording,
-    files: BalanceFiles,
-    known: Mapping[str, Dynamics],
-    *,
-    gravity: float,
-    channel_map: Path | None,
-) -> tuple[Recording, _Reduction]:
-    """Put loads in the place of gauge outputs, with gravity counted once."""
-    if files.mass is not None:
-        raise ValueError("force takes the weight from the mass in the dynamics; --mass would take it off twice")
-    felt, matrix = reduced(recording, files, channel_map=channel_map)
-    ready = with_loads(recording, felt)
-    if files.tare:
-        return _without_gravity(ready), _Reduction(felt, matrix)
-    if files.zero and not files.as_they_are:
-        zeros = [recording_of(path, channel_map) for path in files.zero]
-        ready = _with_weight_at_zero(ready, zeros, known, gravity=gravity)
-    return ready, _Reduction(felt, matrix)
+def _checked(
+    recording: Recording, dynamics: Dynamics, estimate: ForceEstimate, *, check: Check, settings: Settings
+) -> MonteCarlo:
+    """Check one component's uncertainty by Monte Carlo, and warn where it differs."""
+    found = monte_carlo(
+        recording,
+        dynamics,
+        estimate,
+        motion=GroundMotion.of(
+            recording,
+            estimate.component,
+            gravity=settings.gravity,
+            gravity_uncertainty=settings.gravity_uncertainty,
+        ),
+        draws=check.draws,
+        seed=check.seed,
+        method=settings.method,
+        bandwidth=settings.bandwidth,
+    )
+    for text in found.doubts:
+        warnings.warn(f"{recording.name}: {estimate.component}: {text}", DoubtWarning, stacklevel=2)
+    return found
 
 
-def _without_gravity(recording: Recording) -> Recording:
-    """Drop the angles: the wind-off loads that were taken off have the weight in them."""
-    for channel in recording:
-        if channel.coupling == "dc":
-            raise FitError(
-                f"{recording.name}: {channel.name} is dc-coupled and reads gravity, which --tare has taken off too;"
-                " give the zero with --zero and leave the weight to the dynamics"
-            )
-    channels = {name: channel for name, channel in recording.channels.items() if name not in ("pitch", "roll")}
-    return replace(recording, channels=channels)
+class Check(NamedTuple):
+    """A Monte Carlo check that is wanted.
+
+    Attributes
+    ----------
+    draws
+        Number of draws.
+    seed
+        Seed that they come from.
+    """
+
+    draws: int
+    seed: int = DEFAULT_SEED
 
 
-def _with_weight_at_zero(
-    recording: Recording, zeros: Sequence[Recording], known: Mapping[str, Dynamics], *, gravity: float
-) -> Recording:
-    """Add the weight that the zero took off with it, as it was read with the model on."""
-    channels = dict(recording.channels)
-    for name, dynamics in known.items():
-        if name not in channels:
-            continue
-        shares = []
-        for zero in zeros:
-            angles = {
-                angle: zero.channel(angle).values if angle in zero else np.zeros(zero.samples)
-                for angle in ("pitch", "roll")
-            }
-            shares.append(float(np.nanmean(gravity_share(name, pitch=angles["pitch"], roll=angles["roll"]))))
-        weight = dynamics.mass * gravity * float(np.mean(shares))
-        channels[name] = replace(channels[name], values=channels[name].values + weight)
-    lacking = [zero.name for zero in zeros if "pitch" not in zero]
-    if lacking and "pitch" in recording:
-        warnings.warn(
-            f"{lacking[0]} has no channel pitch; the zero is taken as read level, with the model on",
-            DoubtWarning,
-            stacklevel=3,
-        )
-    return replace(recording, channels=channels)
-
-
-def force_account(estimate: ForceEstimate, start: float) -> Account:
-    """Plain data on one component's force; instants of steps are on the clock that starts at `start` [s]."""
+def force_account(estimate: ForceEstimate, origins: Origins) -> Account:
+    """Plain data on one component's force; instants are on the recording's own clock."""
+    start = origins.recording.start
     unit = si_unit(estimate.component)
     return {
         "unit": unit,
         "method": estimate.method,
-        "mean": float(estimate.values.mean()),
-        "rms_about_mean": float(estimate.values.std()),
-        "largest": float(estimate.values.max()),
-        "least": float(estimate.values.min()),
+        **scalar_account(estimate, origins.recording),
         "uncertainty_rms": float(np.sqrt(np.mean(estimate.uncertainty**2))),
         "uncertainty_budget_rms": estimate.budget,
         "noise_of_reading": estimate.noise,
@@ -175,4 +206,5 @@ def force_account(estimate: ForceEstimate, start: float) -> Account:
             for step in estimate.steps
         ],
         "assumptions": list(estimate.assumptions),
+        **budget_account(estimate, origins),
     }

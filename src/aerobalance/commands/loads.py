@@ -1,23 +1,26 @@
-"""The command loads, and the loads that weigh and force begin with where gauge outputs were recorded."""
+"""The command loads, and the loads that weigh, force and compare begin with where gauge outputs were recorded."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from aerobalance.balance import TOLERANCE, BalanceMatrix
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of
 from aerobalance.components import COMPONENTS
+from aerobalance.dynamics import Dynamics
 from aerobalance.forms import Form
 from aerobalance.io import check_output, write_loads
 from aerobalance.io.balance_file import read_balance, write_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix, read_balfit_matrix, write_balfit_matrix
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_loads, with_loads
+from aerobalance.motion import gravity_share
 from aerobalance.problems import DoubtWarning, FitError, ReadError
 from aerobalance.recording import Array, Recording
 from aerobalance.weighing import LoadPoints, points_from_recordings
@@ -129,6 +132,94 @@ def reduced(
     elif files.mass is not None:
         tare = _weight(recording, files.mass, matrix)
     return loads_felt(recording, matrix, zero=zero, tare=tare, form=form), matrix
+
+
+class Reduction(NamedTuple):
+    """Loads felt, and the balance matrix that they were worked out with."""
+
+    felt: LoadsFelt
+    matrix: BalanceMatrix
+
+
+def from_gauges(
+    recording: Recording,
+    files: BalanceFiles,
+    known: Mapping[str, Dynamics],
+    *,
+    gravity: float,
+    channel_map: Path | None,
+) -> tuple[Recording, Reduction]:
+    """Put loads in the place of gauge outputs, with gravity counted once: ready for the dynamics.
+
+    Parameters
+    ----------
+    recording
+        Gauge outputs, and what else is recorded.
+    files
+        The balance and its zeros and tares.
+    known
+        Dynamics by component, whose mass carries the weight.
+    gravity
+        Local acceleration of gravity [m/s^2].
+    channel_map
+        Channel map of foreign files.
+
+    Raises
+    ------
+    ValueError
+        The weight would be taken off twice.
+    FitError
+        The recordings do not go together.
+    """
+    if files.mass is not None:
+        raise ValueError("the weight comes from the mass in the dynamics; --mass would take it off twice")
+    felt, matrix = reduced(recording, files, channel_map=channel_map)
+    ready = with_loads(recording, felt)
+    if files.tare:
+        return _without_gravity(ready), Reduction(felt, matrix)
+    if files.zero and not files.as_they_are:
+        zeros = [recording_of(path, channel_map) for path in files.zero]
+        ready = _with_weight_at_zero(ready, zeros, known, gravity=gravity)
+    return ready, Reduction(felt, matrix)
+
+
+def _without_gravity(recording: Recording) -> Recording:
+    """Drop the angles: the wind-off loads that were taken off have the weight in them."""
+    for channel in recording:
+        if channel.coupling == "dc":
+            raise FitError(
+                f"{recording.name}: {channel.name} is dc-coupled and reads gravity, which --tare has taken off too;"
+                " give the zero with --zero and leave the weight to the dynamics"
+            )
+    channels = {name: channel for name, channel in recording.channels.items() if name not in ("pitch", "roll")}
+    return replace(recording, channels=channels)
+
+
+def _with_weight_at_zero(
+    recording: Recording, zeros: Sequence[Recording], known: Mapping[str, Dynamics], *, gravity: float
+) -> Recording:
+    """Add the weight that the zero took off with it, as it was read with the model on."""
+    channels = dict(recording.channels)
+    for name, dynamics in known.items():
+        if name not in channels:
+            continue
+        shares = []
+        for zero in zeros:
+            angles = {
+                angle: zero.channel(angle).values if angle in zero else np.zeros(zero.samples)
+                for angle in ("pitch", "roll")
+            }
+            shares.append(float(np.nanmean(gravity_share(name, pitch=angles["pitch"], roll=angles["roll"]))))
+        weight = dynamics.mass * gravity * float(np.mean(shares))
+        channels[name] = replace(channels[name], values=channels[name].values + weight)
+    lacking = [zero.name for zero in zeros if "pitch" not in zero]
+    if lacking and "pitch" in recording:
+        warnings.warn(
+            f"{lacking[0]} has no channel pitch; the zero is taken as read level, with the model on",
+            DoubtWarning,
+            stacklevel=3,
+        )
+    return replace(recording, channels=channels)
 
 
 def _stand_in(zero: GaugeZero | None, recordings: Sequence[Recording], matrix: BalanceMatrix) -> GaugeZero | None:

@@ -47,6 +47,7 @@ def plan(
         "component": component,
         "unit": si_unit(component),
         "natural_frequency": {"value": chosen.natural_frequency, "unit": "Hz"},
+        "further_natural_frequencies": [mode.natural_frequency for mode in chosen.further_modes],
         "rate": rate,
         "noise_of_reading": noise,
         "noise_of_acceleration": acceleration_noise,
@@ -94,9 +95,11 @@ def _advice(row: Attainable, dynamics: Dynamics, force: float | None) -> str:
 
 def _summary(account: Account) -> str:
     unit = account["unit"]
+    others = ", ".join(f"{frequency:.5g}" for frequency in account["further_natural_frequencies"])
+    further = f" (further modes {others} Hz)" if others else ""
     table = table_text(
         f"{account['component']}: standard uncertainty of one sample, f0 = "
-        f"{account['natural_frequency']['value']:.5g} Hz, {account['rate']:.5g} Hz",
+        f"{account['natural_frequency']['value']:.5g} Hz{further}, {account['rate']:.5g} Hz",
         ("bandwidth", "u", "reading", "accelerometer", "parameters", "noise gain", "limited by"),
         [("Hz", unit, unit, unit, unit, "", "")]
         + [

@@ -67,6 +67,7 @@ class MappedChannel(_Strict):
     delay: Number = 0.0
     noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
     relative_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    zero_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     coupling: Coupling = "kinematic"
     corner: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     derivative: Literal[0, 1, 2] = 0
@@ -305,6 +306,7 @@ def _channel(raw: RawColumns, chosen: ChannelMap, name: str) -> Channel:
         "m/s^2" if given.derivative else inside,
         noise=None if given.noise is None else given.noise * change.factor * gain,
         relative_uncertainty=given.relative_uncertainty,
+        zero_uncertainty=0.0 if given.derivative else given.zero_uncertainty * change.factor * abs(gain),
         delay=given.delay + (column.delay if raw.rate is not None else 0.0),
         coupling=given.coupling,
         corner=given.corner,

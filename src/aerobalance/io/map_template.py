@@ -105,6 +105,7 @@ _CHANNEL_KEYS: Final = """\
 #   delay = 0.0                 time by which the readings lag the clock [s]
 #   noise = 0.1                 standard uncertainty of one reading, in unit; estimated if left out
 #   relative_uncertainty = 0.0  standard uncertainty of the gain [1]
+#   zero_uncertainty = 0.0      standard uncertainty of the zero, in unit
 #   derivative = 0              1: a velocity, 2: a position, to be turned into an acceleration
 #   coupling = "kinematic"      or "dc" (reads gravity too) or "ac" (then corner = high-pass corner [Hz])
 # and a gauge output (rAF, rN1) moreover:

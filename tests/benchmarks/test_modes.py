@@ -1,0 +1,127 @@
+"""A balance with a second mode: found in the decay and removed, or named where the dynamics lack it."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from test_estimator import SHARP, SOFT, T128, generator, inner, rms_of, smooth_run, wiener_bound
+
+from aerobalance.dynamics import Dynamics, Mode
+from aerobalance.force import reconstruct
+from aerobalance.identification.decay import identify_decay
+from aerobalance.misfit import misfit_of
+from aerobalance.problems import DoubtWarning
+from aerobalance.recording import Array, Channel, Recording
+from aerobalance.rigs import CableCut, Sensor, Simulation
+
+HALF_RANGE = 2000.0
+ALLOWED = 0.02e-2 * HALF_RANGE
+SHARES = (0.03, 0.08, -0.03, -0.08)
+RUNS = 4
+
+
+def balance(rng: np.random.Generator, share: float) -> Dynamics:
+    return T128.with_modes(Mode(rng.uniform(120, 300), rng.uniform(0.004, 0.015), share))
+
+
+def released(truth: Dynamics, rng: np.random.Generator, *, noise: float) -> Simulation:
+    rig = CableCut(dynamics=truth, release=1 + rng.uniform(0, 1) / 1600, sensors={"AF": Sensor(noise=noise)})
+    return rig.run(4.0, rng)
+
+
+def identified(truth: Dynamics, rng: np.random.Generator, *, noise: float, modes: int | str = "auto") -> Dynamics:
+    """Dynamics from a release of their own."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        recording = released(truth, rng, noise=noise).recording
+        return identify_decay(recording, mass=truth.mass, modes=modes).dynamics  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("noise", [2.0, 10.0])
+def test_a_second_mode_is_found_and_removed(noise: float, record) -> None:
+    rng = generator()
+    errors: list[Array] = []
+    for share in SHARES:
+        for _ in range(RUNS):
+            truth = balance(rng, share)
+            found = identified(truth, rng, noise=noise)
+            assert len(found.further_modes) == 1, truth
+            run = released(truth, rng, noise=noise)
+            error = reconstruct(run.recording, found).values - run.applied
+            errors.append(error[np.abs(run.recording.time - run.release) > 0.001])
+    ratio = ALLOWED / rms_of(errors)
+    record(f"0.02 % of half range over the error, second mode of 3-8 %, noise {noise:g} N", ratio, 1.0)
+    assert ratio >= 1
+
+
+@pytest.mark.parametrize("noise", [2.0, 10.0])
+def test_broadband_loads_through_two_modes_at_the_bound(noise: float, record) -> None:
+    rng = generator()
+    ratios = []
+    for share in SHARES:
+        truth = balance(rng, share)
+        found = identified(truth, rng, noise=2.0)
+        setup = {"dynamics": truth, "rate": 1600.0, "rms": 500.0, "noise": noise}
+        run, force = smooth_run(rng, SHARP["0-300 Hz"], seconds=10.0, **setup)
+        bound = wiener_bound(SHARP["0-300 Hz"], **setup)
+        ratios.append(bound / rms_of([inner(reconstruct(run, found).values - force)]))
+    record(f"least of bound over error, 0-300 Hz through two modes, noise {noise:g} N", min(ratios), 0.9091)
+    assert min(ratios) >= 1 / 1.1
+
+
+@pytest.mark.parametrize("noise", [2.0, 10.0])
+def test_a_mode_left_out_is_named_after_a_release(noise: float, record) -> None:
+    rng = generator()
+    worst = 0.0
+    for share in SHARES:
+        for _ in range(RUNS):
+            truth = balance(rng, share)
+            found = identified(truth, rng, noise=noise, modes=1)
+            misfit = misfit_of(released(truth, rng, noise=noise).recording, found, noise=noise)
+            assert misfit.missing is not None, truth
+            worst = max(worst, abs(misfit.missing.natural_frequency / truth.further_modes[0].natural_frequency - 1))
+    record(f"1 % over the worst error of the frequency named, release, noise {noise:g} N", 0.01 / worst, 1.0)
+    assert worst < 0.01
+
+
+def test_a_mode_left_out_is_named_under_a_broadband_load(record) -> None:
+    rng = generator()
+    worst, named = 0.0, 0
+    for share in (0.05, 0.08, -0.05, -0.08):
+        for _ in range(RUNS):
+            truth = T128.with_modes(Mode(rng.uniform(140, 280), 0.008, share))
+            run, _ = smooth_run(rng, SHARP["0-300 Hz"], dynamics=truth, rate=1600.0, rms=60.0, noise=2.0, seconds=10.0)
+            misfit = misfit_of(run, T128, noise=2.0)
+            if misfit.missing is not None:
+                named += 1
+                error = misfit.missing.natural_frequency / truth.further_modes[0].natural_frequency - 1
+                worst = max(worst, abs(error))
+    record("share of missing modes that are named, broadband load", named / (4 * RUNS), 1.0)
+    record("1 % over the worst error of the frequency named, broadband load", 0.01 / worst, 1.0)
+    assert named == 4 * RUNS
+    assert worst < 0.01
+
+
+def test_smooth_loads_and_releases_raise_no_doubt(record) -> None:
+    rng = generator()
+    false = 0
+    for shape in (SHARP | SOFT).values():
+        for noise in (0.5, 2.0, 10.0):
+            for _ in range(5):
+                run, _ = smooth_run(rng, shape, dynamics=T128, rate=1600.0, rms=60.0, noise=noise, seconds=8.0)
+                false += bool(misfit_of(run, T128, noise=noise).sentences(T128))
+    for _ in range(10):
+        found = identified(T128, rng, noise=2.0)
+        false += bool(misfit_of(released(T128, rng, noise=2.0).recording, found, noise=2.0).sentences(found))
+    record("records without a false doubt about the dynamics, of 100", (100 - false) / 100, 1.0)
+    assert false == 0
+
+
+def test_a_held_tone_is_no_mode() -> None:
+    rng = generator()
+    time = np.arange(12_800) / 1600
+    load = 500 * np.abs(T128.response(140.0)) * np.sin(2 * np.pi * 140 * time) + rng.normal(0, 2.0, time.size)
+    run = Recording.from_columns(time, {"AF": Channel("AF", load, "N")}, name="tone")
+    assert misfit_of(run, T128, noise=2.0).missing is None

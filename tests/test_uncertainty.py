@@ -1,0 +1,345 @@
+"""Uncertainty of a force: closed forms for what sums it up, the budget, and the Monte Carlo check."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from aerobalance.components import STANDARD_GRAVITY
+from aerobalance.contributions import Noise, Systematic
+from aerobalance.dynamics import Dynamics
+from aerobalance.force import ForceEstimate, reading_of, reconstruct, with_balance
+from aerobalance.monte_carlo import drawn_dynamics, drawn_numbers, monte_carlo
+from aerobalance.motion import GroundMotion
+from aerobalance.prior import Learned
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording import QUANTITIES, Channel, Recording
+from aerobalance.smoothing import Estimator, Smoothed
+from aerobalance.uncertainty import advice, budget, scalars, spectrum
+
+RATE = 1600.0
+T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
+UNSURE = replace(T128, covariance=np.diag((np.array([2e-4, 2e-4, 5e-2, 0]) * T128.values) ** 2))
+
+
+def fresh() -> tuple[np.random.Generator, int]:
+    seed = np.random.SeedSequence().entropy
+    return np.random.default_rng(seed), seed
+
+
+def record(**channels) -> Recording:
+    built = {}
+    for name, content in channels.items():
+        values, settings = content if isinstance(content, tuple) else (content, {})
+        built[name] = Channel(name, values, QUANTITIES[name], **settings)
+    count = next(iter(built.values())).values.size
+    return Recording.from_columns(np.arange(count) / RATE, built, name="test record")
+
+
+def run(
+    generator: np.random.Generator, *, count=2000, rms=100.0, noise=2.0, highest=100.0, dynamics=T128
+) -> Recording:
+    """Load felt under a force with a flat spectrum, and its noise."""
+    frequency = np.fft.rfftfreq(8 * count, 1 / (8 * RATE))
+    inside = (frequency > 0) & (frequency < highest)
+    phasors = inside * (generator.normal(size=inside.size) + 1j * generator.normal(size=inside.size))
+    force = np.fft.irfft(phasors, 8 * count)
+    load = dynamics.load_felt(force * rms / force.std() + 50, interval=1 / (8 * RATE))[::8]
+    return record(AF=load + noise * generator.normal(size=count))
+
+
+def made(values: np.ndarray, *contributions, smoothed=False) -> ForceEstimate:
+    deviation = np.sqrt(sum(part.deviation**2 for part in contributions))
+    return ForceEstimate(
+        component="AF",
+        values=values,
+        uncertainty=deviation,
+        method="made",
+        noise=1.0,
+        bandwidth=100.0,
+        noise_gain=1.0,
+        contributions=contributions,
+        learned=prior() if smoothed else None,
+    )
+
+
+@cache
+def prior() -> Learned:
+    """Any prior: it marks an estimate as the smoother's."""
+    learned = reconstruct(run(np.random.default_rng(1)), T128).learned
+    assert learned is not None
+    return learned
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+# --- what sums up a force
+
+
+def test_an_offset_goes_to_the_mean_and_not_to_the_rms():
+    values = np.sin(np.arange(500) / 7)
+    offset = Systematic("offset", "somewhere", ("offset",), np.ones((500, 1)), np.array([[0.3**2]]))
+    found = {item.name: item for item in scalars(made(values, offset))}
+    assert found["mean"].u == pytest.approx(0.3)
+    assert found["rms_about_mean"].u == pytest.approx(0, abs=1e-9)
+    assert found["largest"].u == pytest.approx(0.3)
+
+
+def test_a_gain_goes_to_the_rms_in_proportion():
+    values = 5 + 3 * np.sin(np.arange(500) / 7)
+    gain = Systematic("gain", "somewhere", ("gain",), values[:, None], np.array([[0.02**2]]))
+    found = {item.name: item for item in scalars(made(values, gain))}
+    assert found["rms_about_mean"].u == pytest.approx(0.02 * values.std())
+    assert found["mean"].u == pytest.approx(0.02 * values.mean())
+    assert found["least"].u == pytest.approx(0.02 * abs(values.min()))
+
+
+def test_white_noise_averages_out():
+    count = 1000
+    values = 10 * np.sin(np.arange(count) / 7)
+    noise = Noise("noise", "AF", np.full(count, 2.0), np.ones(1))
+    found = {item.name: item for item in scalars(made(values, noise))}
+    assert found["mean"].u == pytest.approx(2 / np.sqrt(count))
+    # r^2 = mean((F + e)^2): variance 4 r^2 s^2 / n + 2 s^4 / n, over (2 r)^2; r is less the noise for an inverse
+    r = np.sqrt(values.var() - 4 + 4 / count)
+    of_square = (4 * values.var() * 4 + 2 * 16) / count
+    assert found["rms_about_mean"].value == pytest.approx(r)
+    assert found["rms_about_mean"].u == pytest.approx(np.sqrt(of_square) / (2 * r))
+    # the smoother's force lies about its estimate, so there the noise is added
+    found = {item.name: item for item in scalars(made(values, noise, smoothed=True))}
+    assert found["rms_about_mean"].value == pytest.approx(np.sqrt(values.var() + 4 - 4 / count))
+
+
+def test_noise_of_a_spectrum_is_carried_by_its_spectrum():
+    # cos(w n) picks the density at w: variance of (2/n) sum cos e = (2/n) S(w), S = 1 + cos(w) being of mean 1
+    count = 4096
+    density = 1 + np.cos(np.linspace(0, np.pi, 2049))
+    noise = Noise("noise", "AF", np.ones(count), density)
+    for harmonic in (300, 1024, 1700):
+        w = 2 * np.pi * harmonic / count
+        weights = 2 / count * np.cos(w * np.arange(count))
+        # the record's ends smear the density over 1/n: relative error of order w/n
+        assert noise.variance_of(weights) == pytest.approx(2 / count * (1 + np.cos(w)), rel=5e-3)
+    assert noise.variance_of(np.eye(count)[7]) == pytest.approx(1, rel=1e-3)
+
+
+def test_draws_of_a_noise_have_its_spectrum():
+    generator, seed = fresh()
+    density = 1 + np.cos(np.linspace(0, np.pi, 129))
+    noise = Noise("noise", "AF", np.full(200, 3.0), density)
+    draws = np.array([noise.draw(generator) for _ in range(500)])
+    # 100,000 values, neighbours correlated by a half: 9 within 4 * 9 * sqrt(2 * 1.5 / 1e5); 5 standard deviations
+    assert np.mean(draws**2) == pytest.approx(9, rel=5 * np.sqrt(3 / 1e5)), seed
+    assert np.mean(draws[:, 1:] * draws[:, :-1]) == pytest.approx(4.5, rel=5 * np.sqrt(2 * 3 / 1e5)), seed
+
+
+def test_the_mean_of_the_smoother_is_as_good_as_that_of_the_readings():
+    # With the constant free the mean force is that of the readings, of noise over the root of their number, but for
+    # what the balance has in it at both ends: by Eq. (8) its rate there over w0^2 T, not known better than the force.
+    generator, seed = fresh()
+    count = 4000
+    estimate = reconstruct(run(generator, count=count), T128)
+    u = scalars(estimate)[0].u
+    ends = estimate.uncertainty[[0, -1]] * RATE / (count * T128.angular_frequency)
+    least, most = 2 / np.sqrt(count), np.hypot(2 / np.sqrt(count), np.linalg.norm(ends))
+    assert 0.9 * least < u < 1.1 * most, seed  # the noise is learned from half of 4000 readings, to 1.6 %
+
+
+def test_spectrum_of_a_force_has_both_uncertainties():
+    generator, seed = fresh()
+    estimate = reconstruct(run(generator, count=8000), UNSURE)
+    found = spectrum(estimate, rate=RATE)
+    inside = (found.frequency > 10) & (found.frequency < 90)
+    # 100 N rms flat to 100 Hz is 100 N^2/Hz; 15 segments of 1000 over 400 ordinates / 5: 5 standard deviations
+    level = found.density[inside]
+    assert level.mean() == pytest.approx(100, rel=5 / np.sqrt(14 * 40)), seed
+    assert np.std(level) == pytest.approx(found.scatter[inside].mean(), rel=0.6), seed
+    assert (found.uncertainty[inside] < found.scatter[inside]).all(), seed  # 2 N of noise do not hide 100 N
+
+
+def test_an_error_of_gain_is_twice_as_large_in_the_spectrum():
+    values = np.random.default_rng(2).normal(size=4000)
+    gain = Systematic("gain", "somewhere", ("gain",), values[:, None], np.array([[0.02**2]]))
+    found = spectrum(made(values, gain), rate=RATE)
+    assert found.uncertainty[1:] == pytest.approx(2 * 0.02 * found.density[1:])
+
+
+# --- where it comes from
+
+
+def test_pitch_zero_turns_the_weight():
+    pitch = np.full(800, np.deg2rad(10.0))
+    weight = T128.mass * STANDARD_GRAVITY * np.sin(pitch)
+    u = np.deg2rad(0.05)
+    given = record(AF=weight + np.sin(np.arange(800)), pitch=(pitch, {"noise": 0.0, "zero_uncertainty": u}))
+    expected = T128.mass * STANDARD_GRAVITY * np.cos(pitch[0]) * u
+    for options in ({}, {"method": "paper"}, {"bandwidth": 100.0}):
+        estimate = reconstruct(given, T128, **options)
+        # M g cos(theta) u, to second order in the step of the difference; the smoother hands a constant on
+        assert estimate.budget["pitch zero"] == pytest.approx(expected, rel=1e-5), options
+        mean = scalars(estimate)[0]
+        assert mean.parts["pitch zero"] == pytest.approx(expected, rel=1e-5), options
+
+
+def test_gravity_and_accelerometer_zero_are_carried():
+    pitch = np.full(800, 0.2)
+    ground = np.full(800, 2.0) + 1e-3 * np.sin(np.arange(800) / 9)
+    given = record(
+        AF=np.sin(np.arange(800.0)),
+        pitch=(pitch, {"noise": 0.0}),
+        ground_acceleration=(ground, {"noise": 0.0, "zero_uncertainty": 0.03}),
+    )
+    estimate = reconstruct(given, T128, method="paper", gravity_uncertainty=0.01)
+    assert estimate.budget["gravity"] == pytest.approx(T128.mass * np.sin(0.2) * 0.01)
+    assert estimate.budget["accelerometer zero"] == pytest.approx(T128.mass * 0.03)
+
+
+def test_a_matrix_is_a_gain_and_an_offset():
+    generator, _ = fresh()
+    estimate = reconstruct(run(generator), T128, bandwidth=150.0)
+    static = np.hypot(0.3, 0.01 * estimate.values)
+    found = with_balance(estimate, static)
+    matrix = found.contributions[-1]
+    assert matrix.deviation == pytest.approx(static, rel=1e-6)
+    assert np.hypot(0.3, 0.01 * estimate.values.mean()) == pytest.approx(
+        scalars(found)[0].parts[matrix.name], rel=1e-6
+    )
+
+
+def test_readings_that_the_model_does_not_explain_raise_the_uncertainty():
+    generator, seed = fresh()
+    load = run(generator, count=4096).channel("AF").values.copy()
+    load[2048:2304] += 8 * generator.normal(size=256)
+    name = "what the model does not explain"
+    with pytest.warns(DoubtWarning, match="depart from what the model"):
+        estimate = reconstruct(record(AF=(load, {"noise": 2.0})), T128)
+    part = next(item for item in estimate.contributions if item.name == name)
+    noise = next(item for item in estimate.contributions if item.name == "noise of the readings")
+    # told where 256 readings have more than 1 + 8 sqrt(2 / 256) times the variance expected, and raised by as much
+    assert (part.deviation[2100:2250] > np.sqrt(8 * np.sqrt(2 / 256)) * noise.deviation[2100:2250]).all(), seed
+    assert part.deviation[:1500].max() == 0, seed
+    assert estimate.uncertainty[2200] == pytest.approx(np.hypot(part.deviation[2200], noise.deviation[2200]), rel=0.01)
+
+
+def test_the_budget_adds_up_and_says_what_to_improve_first():
+    generator, seed = fresh()
+    estimate = reconstruct(run(generator), UNSURE)
+    rows = budget(estimate)
+    assert sum(row.share for row in rows) == pytest.approx(1), seed
+    assert np.linalg.norm([row.rms for row in rows]) == pytest.approx(rms(estimate.uncertainty)), seed
+    assert [row.rms for row in rows] == sorted((row.rms for row in rows), reverse=True)
+    text = advice(estimate, sources={"AF": "the balance's channel"})
+    assert rows[0].name in text
+    assert f"{rows[0].if_halved:.3g} N" in text
+
+
+def test_halving_the_noise_brings_what_the_budget_says():
+    # the spectrum of the force is learned anew: its own scatter makes a few per cent
+    generator, seed = fresh()
+    quiet = run(generator, noise=0.0, count=4000).channel("AF").values
+    noise = generator.normal(size=quiet.size)
+    loud, half = (reconstruct(record(AF=(quiet + u * noise, {"noise": u})), T128) for u in (4.0, 2.0))
+    row = next(row for row in budget(loud) if row.name == "noise of the readings")
+    assert rms(half.uncertainty) == pytest.approx(row.if_halved, rel=0.1), seed
+
+
+# --- Monte Carlo
+
+
+def test_drawn_numbers_have_exactly_their_covariance():
+    covariance = np.array([[4.0, 1.0, 0.0], [1.0, 0.5, 0.0], [0.0, 0.0, 0.0]])
+    drawn = drawn_numbers(np.random.default_rng(3), covariance, 12)
+    assert np.cov(drawn.T) == pytest.approx(covariance, abs=1e-12)
+    assert drawn.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
+
+
+def test_drawn_dynamics_have_the_covariance_of_the_dynamics():
+    drawn = np.array([item.values for item in drawn_dynamics(np.random.default_rng(3), UNSURE, 30)])
+    unit = np.where(np.diag(UNSURE.covariance) > 0, np.sqrt(np.diag(UNSURE.covariance)), 1.0)
+    # numbers of 1e7 are drawn: their last digit is 1e-9 of u(k) = 6e3 or better
+    assert np.cov((drawn / unit).T) == pytest.approx(UNSURE.covariance / np.outer(unit, unit), abs=1e-6)
+
+
+def test_dynamics_that_are_hardly_known_are_refused():
+    wild = replace(T128, covariance=np.diag([(3 * T128.mass) ** 2, 0, 0, 0]))
+    with pytest.raises(FitError, match="not physical"):
+        drawn_dynamics(np.random.default_rng(3), wild, 50)
+
+
+def test_the_fast_estimator_is_the_obvious_one():
+    generator, seed = fresh()
+    given = run(generator, count=1200)
+    values = given.channel("AF").values - 800 * T128.step_response(given.time - 0.40012)
+    values[900:920] = np.nan
+    given = record(AF=values)
+    reading = reading_of(given, T128, GroundMotion.of(given, "AF"))
+    estimate = reconstruct(given, T128)
+    assert len(estimate.steps) == 1, seed
+    obvious = Smoothed.of(reading, learned=estimate.learned, steps=estimate.steps)
+    fast = Estimator.of(reading, learned=estimate.learned, steps=estimate.steps)
+    size = np.ptp(obvious.force)
+    left = reading.filled - obvious.columns @ obvious.sizes
+    assert fast.smooth(left[:, None])[:, 0] == pytest.approx(obvious.states[:, 2], abs=1e-9 * size), seed
+    # with the instant free the force moves by less than its own uncertainty
+    moved = fast.run(reading.filled[:, None])[:, 0] - obvious.force
+    assert rms(moved) < rms(estimate.uncertainty), seed
+
+
+def test_simulated_readings_are_those_of_the_model():
+    generator, seed = fresh()
+    given = run(generator, count=4000)
+    estimate = reconstruct(given, T128)
+    reading = reading_of(given, T128, GroundMotion.of(given, "AF"))
+    estimator = Estimator.of(reading, learned=estimate.learned, steps=())
+    _, simulated = estimator.simulate(generator)
+    white = estimator.filter.whiten(simulated[:, None])[:, 0]
+    # innovations over their standard deviation: 4000 of variance 1; 5 standard deviations
+    assert np.mean(white**2) == pytest.approx(1, abs=5 * np.sqrt(2 / 4000)), seed
+    assert abs(np.mean(white[1:] * white[:-1])) < 5 / np.sqrt(4000), seed
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "paper"}, {"bandwidth": 100.0}], ids=["smoother", "paper", "band"])
+def test_monte_carlo_agrees_with_first_order(options):
+    generator, seed = fresh()
+    given = run(generator)
+    estimate = reconstruct(given, UNSURE, **options)
+    found = monte_carlo(given, UNSURE, estimate, draws=50, seed=int(seed % 2**32), **options)
+    names = [row.name for row in found.contributions]
+    assert "mass, stiffness, damping, delay" in names
+    # 10 % for first order, and five times the scatter of 50 draws; the ends of an inverse are drawn as they are
+    for row in (*found.contributions, *found.scalars):
+        if np.isfinite(row.analytic):
+            assert abs(row.ratio - 1) < 0.1 + 5 * row.scatter, (row, seed)
+    inner = slice(100, -100)
+    ratio = rms(found.deviation[inner]) / rms(estimate.uncertainty[inner])
+    assert abs(ratio - 1) < 0.1 + 5 * found.contributions[-1].scatter, seed
+    assert (found.low < found.high).all()
+
+
+def test_monte_carlo_sees_what_is_not_linear():
+    # A frequency wrong by two per cent, 1.3 Hz, puts the ringing after a step out of phase within half a second: what
+    # is left rings with up to twice the step, where first order goes on growing or sees nothing.
+    generator, seed = fresh()
+    count = 1200
+    unsure = replace(T128, covariance=np.diag([0, (4e-2 * T128.stiffness) ** 2, 0, 0]))
+    load = 1000 * T128.step_response(np.arange(count) / RATE - 0.20012) + 2 * generator.normal(size=count)
+    given = record(AF=load)
+    found = monte_carlo(given, unsure, reconstruct(given, unsure), draws=60, seed=1)
+    assert any("not linear" in text for text in found.doubts), seed
+
+
+def test_a_seed_gives_the_same_draws():
+    given = run(np.random.default_rng(5))
+    estimate = reconstruct(given, UNSURE)
+    one, same, other = (monte_carlo(given, UNSURE, estimate, draws=10, seed=seed) for seed in (7, 7, 8))
+    assert np.array_equal(one.deviation, same.deviation)
+    assert not np.array_equal(one.deviation, other.deviation)
+
+
+def test_too_few_draws_are_refused():
+    given = run(np.random.default_rng(5))
+    with pytest.raises(ValueError, match="at least 10"):
+        monte_carlo(given, T128, reconstruct(given, T128), draws=9, seed=1)
