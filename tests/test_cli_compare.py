@@ -9,6 +9,7 @@ import pytest
 
 from aerobalance import tables
 from aerobalance.cli import main
+from aerobalance.commands.compare import compare
 from aerobalance.dynamics import Mode
 from aerobalance.io import write_recording
 from aerobalance.io.artefacts import write_dynamics
@@ -115,17 +116,15 @@ def test_text_names_what_could_not_be_run(here, capsys):
     assert re.search(r"^rms: this estimator is ", out, flags=re.MULTILINE)
 
 
-def test_two_modes_are_labelled_and_used(here, capsys, seed):
+def test_two_modes_are_labelled_and_used(here, seed):
     two = T128.with_modes(Mode(165.0, 0.012, 0.05))
     write_dynamics("two.json", {"AF": two})
     save("two", CableCut(dynamics=two, release=0.5003).run(2.0, np.random.default_rng(seed)))
-    line = "compare two.csv --dynamics two.json --truth two_truth.csv --step two.csv"
-    code, out, err = call(capsys, line)
-    assert code == 0, (err, seed)
+    truth, step = Path("two_truth.csv"), Path("two.csv")
+    account = compare(Path("two.csv"), dynamics=Path("two.json"), truth=truth, step=step)
+    out = account["summary"]
     assert "natural frequency 66.368 Hz, further 165 Hz (share 0.05)" in out
     assert "central differences: knows one mode only, M, b and k are those of the first: 165 Hz left out" in out
-    code, out, err = call(capsys, f"{line} --json")
-    account = json.loads(out)
     assert account["further_modes"] == [{"natural_frequency": 165.0, "damping_ratio": 0.012, "share": 0.05}]
     rows = {row["name"]: row for row in account["rivals"] if row["setting"] == "customary"}
     assert "notch at 66.37 Hz, 33.2 Hz wide, notch at 165 Hz, 82.5 Hz wide" in rows["notch and low-pass"]["settings"]
@@ -197,7 +196,7 @@ def test_half_range_of_a_truth_that_is_zero(here, capsys):
 
 @pytest.fixture
 def short_tables(monkeypatch):
-    """Both tables with the step and one shaken record only: the whole takes minutes."""
+    """Both tables with the step and one shaken record only: the whole takes half a minute."""
 
     def tunnel(generator):
         step = CABLE_CUT.excitation.value

@@ -363,3 +363,16 @@ def test_a_tone_under_the_noise_of_the_accelerometer_is_motion():
     error = motion.specific_force[inner] - shaken[inner]
     assert np.sqrt(np.mean(error**2)) < 2 * np.hypot(0.04 * amplitude, 0.042 * noise), seed
     assert motion.noise < 0.06 * noise
+
+
+def test_readings_that_rest_on_a_limit_are_taken_for_missing():
+    generator, seed = fresh()
+    run = CableCut(sensors={"AF": Sensor(noise=2.0)}).run(3.0, generator)
+    clipped = np.clip(run.recording.channel("AF").values, -1100.0, 900.0)
+    recording = Recording.from_columns(run.recording.time, {"AF": Channel("AF", clipped, "N")}, name="clipped")
+    assert recording.channel("AF").saturated.sum() >= 6, seed
+    estimate = reconstruct(recording, CableCut().dynamics)
+    error = (estimate.values - run.applied)[np.abs(run.recording.time - run.release) > 0.002]
+    # as without clipping: five standard uncertainties, which are 0.03 to 0.06 N where nothing is missing
+    assert np.max(np.abs(error / estimate.uncertainty[np.abs(run.recording.time - run.release) > 0.002])) < 5, seed
+    assert np.sqrt(np.mean(error**2)) < 0.2, seed

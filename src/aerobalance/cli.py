@@ -377,6 +377,12 @@ def force(
     ] = None,
     gravity: Gravity = STANDARD_GRAVITY,
     u_gravity: Annotated[float, typer.Option("--u-gravity", help="Its standard uncertainty.", min=0)] = 0.0,
+    hum: Annotated[
+        str,
+        typer.Option(
+            "--hum", metavar="mains|keep|HZ,HZ", help="Lines that are no force: mains hum if found, none, or near HZ."
+        ),
+    ] = "mains",
     balance: MaybeBalance = None,
     zero: Zero = None,
     zero_after: ZeroAfter = None,
@@ -407,6 +413,7 @@ def force(
             bandwidth=bandwidth,
             gravity=gravity,
             gravity_uncertainty=u_gravity,
+            hum=command.hum_of(hum),
             files=None if balance is None else BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare),
             channel_map=channel_map,
             check=None if monte_carlo is None else command.Check(monte_carlo, seed),

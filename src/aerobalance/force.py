@@ -16,12 +16,13 @@ import numpy as np
 from aerobalance.components import STANDARD_GRAVITY, si_unit
 from aerobalance.contributions import Contribution, Noise, Systematic, total_deviation
 from aerobalance.dynamics import Dynamics
-from aerobalance.hum import Hum, Line
+from aerobalance.hum import Hum, Line, reading_of_lines
 from aerobalance.motion import AXES, GroundMotion, Unknown, load_from_ground
 from aerobalance.noise import white_noise
 from aerobalance.prior import Learned, Reading
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Array, Recording
+from aerobalance.sensing import corrected
 from aerobalance.smoothing import Estimator, Smoothed, taken_apart
 from aerobalance.steps import Step
 
@@ -159,7 +160,7 @@ def with_motion(
         )
     if not isinstance(hum, str) and (bandwidth is not None or method != "smoother"):
         raise ValueError("only the smoother without a bandwidth can take lines for hum")
-    job = _Job(recording, dynamics, motion)
+    job = _Job(corrected(recording), dynamics, motion)
     if bandwidth is not None:
         return _band_limited(job, bandwidth)
     if method == "paper":
@@ -263,8 +264,23 @@ class _Job:
         """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, shape (n,)."""
         return self.dynamics.mass * item.slope
 
+    def reading_errors(self, values: Array) -> list[Contribution]:
+        """Gain and zero of the load's channel: a gain acts on all that the readings say of the net force."""
+        channel = self.recording.channel(self.dynamics.component)
+        net = values + self.motion.force(self.dynamics.mass)
+        unknown = (
+            ("gain of the readings", net, channel.relative_uncertainty),
+            ("zero of the readings", np.ones(values.size), channel.zero_uncertainty),
+        )
+        return [
+            Systematic(name, channel.name, (name,), slope[:, None], np.array([[u**2]]))
+            for name, slope, u in unknown
+            if u > 0
+        ]
+
     def finish(self, values: Array, contributions: list[Contribution], **facts: object) -> ForceEstimate:
         """Put the answer together; a contribution that is nothing is left out, but for those that are always there."""
+        contributions = [*contributions, *self.reading_errors(values)]
         parts = tuple(part for part in contributions if part.deviation.any() or part.source == "dynamics")
         return ForceEstimate(
             component=self.dynamics.component,
@@ -321,12 +337,21 @@ def _tell_of_hum(job: _Job, lines: tuple[Line, ...], *, given: bool) -> None:
     unit = si_unit(job.dynamics.component)
     named = [f"{line.frequency:.7g} Hz ({line.amplitude:.3g} {unit} in the reading)" for line in lines]
     warnings.warn(
-        f"{job.recording.name}: steady lines of {job.dynamics.component} at {', '.join(named)} are taken for mains hum "
-        "and not for force; if a force was applied at such a frequency it is missing from the result: keep it with "
-        '--hum keep (hum="keep")',
+        f"{job.recording.name}: steady lines of {job.dynamics.component} at {', '.join(named)} are taken for mains "
+        "hum and not for force; if a force was applied at such a frequency it is missing from the result: keep it "
+        'with --hum keep (hum="keep")',
         DoubtWarning,
         stacklevel=5,
     )
+
+
+def without_hum(recording: Recording, estimate: ForceEstimate) -> Recording:
+    """The recording without the lines of hum that an estimate has found in its component's readings."""
+    if not estimate.hum:
+        return recording
+    load = recording.channel(estimate.component)
+    hum = reading_of_lines(estimate.hum, count=load.values.size, interval=1 / recording.rate)
+    return replace(recording, channels={**recording.channels, load.name: replace(load, values=load.values - hum)})
 
 
 def reading_of(
@@ -334,12 +359,12 @@ def reading_of(
 ) -> Reading:
     """The record as the estimator takes it: the load that the ground's motion has put on it is taken off.
 
-    Hum is named by its frequencies [Hz] and left in.
+    Hum is named by its frequencies [Hz] and left in; readings that rest on a limit count as missing.
     """
-    channel = recording.channel(dynamics.component)
+    channel = corrected(recording).channel(dynamics.component)
     from_ground = load_from_ground(motion, dynamics, rate=recording.rate, load_delay=channel.delay)
     return Reading(
-        values=channel.values - from_ground,
+        values=np.where(recording.channel(dynamics.component).at_limit, np.nan, channel.values - from_ground),
         interval=1 / recording.rate,
         dynamics=dynamics,
         input_density=(dynamics.mass * motion.noise) ** 2 / recording.rate,

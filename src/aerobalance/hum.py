@@ -1,8 +1,8 @@
 r"""Mains hum: steady lines at 50 or 60 Hz and their harmonics that the wiring adds to a reading.
 
-Nothing in a reading but its frequency tells such a line from a force. A line is taken for hum if it lies where the mains
-do, stands out of the periodogram around it far beyond chance, is as narrow as the record's length allows, and keeps
-amplitude and phase from the beginning of the record to its end.
+Nothing in a reading but its frequency tells such a line from a force. A line is taken for hum if it lies where the
+mains do, stands out of the periodogram around it far beyond chance, is as narrow as the record's length allows, and
+keeps amplitude and phase from the beginning of the record to its end.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def columns_of_lines(frequencies: Sequence[float], *, count: int, interval: floa
 def reading_of_lines(lines: Sequence[Line], *, count: int, interval: float) -> Array:
     """What lines make of a reading, shape (n,) [N]."""
     columns = columns_of_lines([line.frequency for line in lines], count=count, interval=interval)
-    return columns @ np.array([size for line in lines for size in (line.sine, line.cosine)])
+    return np.asarray(columns @ np.array([size for line in lines for size in (line.sine, line.cosine)]))
 
 
 def hum_lines(values: Array, interval: float, *, hum: Hum = "mains") -> tuple[Line, ...]:
@@ -106,13 +106,13 @@ def hum_lines(values: Array, interval: float, *, hum: Hum = "mains") -> tuple[Li
     ValueError
         A given frequency does not lie between zero and half the sampling rate, or two lie too close together.
     """
-    if hum == "keep":
+    if isinstance(hum, str) and hum not in ("mains", "keep"):
+        raise ValueError(f"hum must be mains, keep or frequencies in Hz, not {hum!r}")
+    if isinstance(hum, str) and hum == "keep":
         return ()
     record = _Record.of(values, interval)
-    if hum == "mains":
-        return max((tuple(_comb(record, mains)) for mains in MAINS), key=_strength)
     if isinstance(hum, str):
-        raise ValueError(f"hum must be mains, keep or frequencies in Hz, not {hum!r}")
+        return max((tuple(_comb(record, mains)) for mains in MAINS), key=_strength)
     for frequency in hum:
         if not 2 * record.ordinate < frequency < 0.5 / interval - 2 * record.ordinate:
             raise ValueError(
@@ -137,6 +137,8 @@ def _comb(record: _Record, mains: float) -> Iterator[Line]:
     found: dict[int, Line] = {}
     for number in numbers:
         reach = MAINS_TOLERANCE * number * mains + record.ordinate
+        if not record.promising(number * mains, reach=reach):
+            continue
         line = record.line(number * mains, reach=reach)
         near = abs(line.frequency - number * mains) <= MAINS_TOLERANCE * number * mains + 4 * line.u_frequency
         if near and line.evidence > LINE_EVIDENCE and record.steady(line.frequency):
@@ -189,9 +191,20 @@ class _Record:
         turns = -2j * np.pi * self.interval * np.arange(self.values.size)
         return np.array([abs(np.exp(turns * f) @ self.windowed) ** 2 for f in frequency])
 
+    def strongest(self, middle: float, *, reach: float) -> int:
+        """Number of the ordinate with the largest power within a reach of a frequency [Hz]."""
+        first = max(int(np.ceil((middle - reach) / self.ordinate)), 1)
+        last = min(int((middle + reach) / self.ordinate), self.power.size - 2)
+        return first + int(np.argmax(self.power[first : last + 1]))
+
+    def promising(self, middle: float, *, reach: float) -> bool:
+        """Whether a line may be found within a reach of a frequency: an ordinate shows at least half of its power."""
+        place = self.strongest(middle, reach=reach)
+        return bool(2 * 2 * 1.5 * self.power[place] > LINE_EVIDENCE * self.surroundings(place * self.ordinate))
+
     def line(self, middle: float, *, reach: float) -> Line:
         """The strongest line within a reach of a frequency [Hz]."""
-        tried = np.arange(middle - reach, middle + reach, self.ordinate / FINE)
+        tried = self.ordinate * (self.strongest(middle, reach=reach) + np.arange(-FINE, FINE + 1) / FINE)
         power = self.at(tried)
         best = int(np.clip(np.argmax(power), 1, tried.size - 2))
         # the lobe's logarithm is a parabola to better than a hundredth of an ordinate
@@ -199,7 +212,8 @@ class _Record:
         bend = low - 2 * here + high
         shift = float(np.clip(0.5 * (low - high) / bend, -1, 1)) if bend < 0 else 0.0
         frequency = float(tried[best] + shift * (tried[1] - tried[0]))
-        level = self.surroundings(frequency)
+        offsets = self.ordinate * np.array([sign * place for place in NEXT for sign in (-1, 1)])
+        level = max(self.surroundings(frequency), float(np.mean(self.at(frequency + offsets))))
         # of a sine's likelihood the Hann window sees two thirds
         evidence = 2 * 1.5 * float(self.at(np.array([frequency]))[0]) / max(level, 1e-300)
         u_frequency = self.ordinate * np.sqrt(6 / max(evidence, 1e-300)) / np.pi
@@ -208,15 +222,14 @@ class _Record:
         return Line(frequency, sine, cosine, float(u_frequency), evidence)
 
     def surroundings(self, frequency: float) -> float:
-        """Power that stands around a frequency: the largest of what is to the left, to the right and next to it."""
+        """Power that stands around a frequency: the larger of what is to the left and to the right."""
         middle = round(frequency / self.ordinate)
         first, last = BESIDE
         left = self.power[max(middle - last + 1, 1) : max(middle - first + 1, 2)]
         right = self.power[middle + first : middle + last]
         # medians, as other lines may stand there; the power of noise is exponential, whose median is log 2
         sides = [float(np.median(side)) / np.log(2) for side in (left, right) if side.size]
-        offsets = self.ordinate * np.array([sign * place for place in NEXT for sign in (-1, 1)])
-        return max(*sides, float(np.mean(self.at(frequency + offsets))))
+        return float(max(sides))
 
     def steady(self, frequency: float) -> bool:
         """Whether amplitude and phase of a line are the same in all parts of the record."""

@@ -15,6 +15,7 @@ from aerobalance.dynamics import Dynamics
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Array, Channel, Recording
+from aerobalance.sensing import corrected, divided, high_pass
 
 FINE: Final = 8
 """Steps into which a sampling interval is divided where a known motion drives the balance between samples."""
@@ -102,6 +103,7 @@ class GroundMotion:
         gravity, gravity_uncertainty
             Local acceleration of gravity and its standard uncertainty [m/s^2].
         """
+        recording = corrected(recording)
         name = f"ground_acceleration{AXES.get(component, '')}"
         if name not in recording and "ground_acceleration" in recording:
             name = "ground_acceleration"
@@ -121,10 +123,13 @@ class GroundMotion:
                 noise *= share
                 rest = "only its tones are taken" if share else "the ground end is taken to be at rest"
                 assumptions.append(f"{name} shows {'little' if share else 'nothing'} beyond its noise; {rest}")
+            if coupling == "ac":
+                acceleration = divided(acceleration, high_pass(channel.corner), rate=recording.rate)
             one = np.ones(recording.samples)
             unknowns += [
                 Unknown("accelerometer gain", name, acceleration, relative),
                 Unknown("accelerometer zero", name, one, channel.zero_uncertainty),
+                *_across(recording, channel),
             ]
             if coupling == "ac":
                 warnings.warn(
@@ -221,6 +226,20 @@ def gravity_share(component: str, *, pitch: Array, roll: Array) -> Array:
     if component == "SF":
         return np.asarray(np.cos(pitch) * np.sin(roll))
     return np.asarray(-np.cos(pitch) * np.cos(roll))
+
+
+def _across(recording: Recording, channel: Channel) -> list[Unknown]:
+    """Cross-axis sensitivities of an accelerometer, whose values have been taken off."""
+    return [
+        Unknown(
+            f"cross-axis sensitivity to {part.channel}",
+            channel.name,
+            -np.nan_to_num(recording.channel(part.channel).values),
+            part.uncertainty,
+        )
+        for part in channel.cross_axis
+        if part.uncertainty > 0
+    ]
 
 
 def _bridged(recording: Recording, channel: Channel) -> Array:

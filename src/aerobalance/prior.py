@@ -108,7 +108,7 @@ class Reading:
         )
 
 
-def learn(reading: Reading, *, columns: Array) -> Learned:
+def learn(reading: Reading, *, columns: Array, before: Learned | None = None) -> Learned:
     """Find the spectrum of the force and the noise that make the readings most likely.
 
     Known shapes are taken out first by plain, then by generalised least squares; missing readings are bridged first by
@@ -120,8 +120,12 @@ def learn(reading: Reading, *, columns: Array) -> Learned:
         The record.
     columns
         Known shapes whose sizes are free, shape (n, p): the constant, and the response to every step found so far.
+    before
+        What was learned before with nearly the same shapes: they are then taken out with it to begin with.
     """
     present = reading.present
+    if before is not None:
+        return _learned_beside(reading, before, columns)
     sizes, *_ = np.linalg.lstsq(columns[present], reading.values[present], rcond=None)
     left = reading.values - columns @ sizes
     if not present.all():
@@ -130,6 +134,12 @@ def learn(reading: Reading, *, columns: Array) -> Learned:
     learned = _learn(reading, left)
     if present.all() and columns.shape[1] == 1:
         return learned
+    return _learned_beside(reading, learned, columns)
+
+
+def _learned_beside(reading: Reading, learned: Learned, columns: Array) -> Learned:
+    """What is learned when the known shapes are taken out under a prior, and gaps bridged by its smoother."""
+    present = reading.present
     filter_ = Filter.of(reading.system(learned), present)
     sizes, *_ = generalised_least_squares(filter_, reading.filled, columns)
     left = np.where(present, reading.values - columns @ sizes, 0.0)

@@ -10,6 +10,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.anti_alias import AntiAlias
 from aerobalance.components import COMPONENTS, is_gauge, si_unit
 from aerobalance.problems import DoubtWarning, FitError
 
@@ -31,6 +32,32 @@ QUANTITIES: Final[Mapping[str, str]] = {
 Beside the gauge outputs listed, ``r`` and any component as the balance names it is one (rN1, rAft_Pitch): in mV/V,
 or in V until `aerobalance.gauges.gauge_outputs` has divided it by the excitation.
 """
+
+
+@dataclass(frozen=True, slots=True)
+class CrossAxis:
+    """What an accelerometer reads of an acceleration across its axis.
+
+    Attributes
+    ----------
+    channel
+        Name of the channel of that acceleration.
+    sensitivity
+        Reading over that acceleration [1].
+    uncertainty
+        Its standard uncertainty [1].
+    """
+
+    channel: str
+    sensitivity: float
+    uncertainty: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not abs(self.sensitivity) < 1 or not 0 <= self.uncertainty < 1:
+            raise ValueError(
+                f"the sensitivity to {self.channel} must lie between -1 and 1 and its uncertainty between 0 and 1, "
+                f"not {self.sensitivity:g} and {self.uncertainty:g}"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +87,10 @@ class Channel:
         Unit in the channel's file, in which results are written again; an empty string where there is no file.
     zero_uncertainty
         Standard uncertainty of the channel's zero [unit].
+    filter
+        Analog low-pass before the sampling, still in the readings; None where there is none.
+    cross_axis
+        What an accelerometer reads of other accelerations, still in the readings.
     """
 
     name: str
@@ -72,6 +103,8 @@ class Channel:
     corner: float = 0.0
     file_unit: str = ""
     zero_uncertainty: float = 0.0
+    filter: AntiAlias | None = None
+    cross_axis: tuple[CrossAxis, ...] = ()
 
     def __post_init__(self) -> None:
         expected = ("mV/V", "V") if is_gauge(self.name) else (QUANTITIES.get(self.name, self.unit),)
@@ -103,6 +136,15 @@ class Channel:
         least twice. A single clipped peak cannot be told from a plateau and is not found.
         """
         return _clipped(self.values, 1.0) | _clipped(self.values, -1.0)
+
+    @property
+    def at_limit(self) -> NDArray[np.bool_]:
+        """True where the reading is at a limit that it rests on somewhere in the record, shape (n,).
+
+        Once a limit is known, a single reading there is as little worth as a run of them.
+        """
+        limits = np.unique(self.values[self.saturated])
+        return np.isin(self.values, limits) if limits.size else np.zeros(self.values.shape, dtype=bool)
 
 
 def _clipped(values: Array, sign: float) -> NDArray[np.bool_]:

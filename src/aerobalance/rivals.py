@@ -24,6 +24,7 @@ from aerobalance.motion import AXES, GroundMotion, gravity_share
 from aerobalance.problems import FitError
 from aerobalance.recording import Array, Recording
 from aerobalance.scores import Truth
+from aerobalance.sensing import corrected
 
 LOW_PASS_ORDER: Final = 4
 """Order of the Butterworth low-pass; forward and backward, so that its gain is squared and its phase zero."""
@@ -284,6 +285,7 @@ def estimates(
         What was applied; the second setting of a rival is the one with the least rms deviation from it.
     """
     settings = replace(settings or Settings(), tuning=None)
+    recording = corrected(recording)
     # what is compared are values: without a covariance no method is run again to learn its uncertainty
     dynamics = dynamics.with_parameters(dynamics.values)
     if settings.response is None:

@@ -270,7 +270,8 @@ def instant_columns(
     Returns
     -------
     columns, forms
-        Reading [1; N/s] and force, shape (n, 1 + 2 steps + 4 lines). A pure step's force has no slope with its instant.
+        Reading [1; N/s] and force, shape (n, 1 + 2 steps + 4 lines). The force of a pure step has no slope with its
+        instant.
     """
     count, small = reading.values.size, SHIFT * reading.interval
     steady = replace(reading, hum=())

@@ -49,6 +49,9 @@ MOST_STEPS: Final = 20
 HIGHEST: Final = 10.0
 """Height of a step, over the swing of the readings, above which it is one of a pair that cannot be told apart."""
 
+FAINT: Final = 0.05
+"""Rms in the reading, over its swing, of a force that may be what is left over of two steps read as a ramp."""
+
 MOST_INSTANTS: Final = 64
 """Instants that are tried at most where a step that was found before is placed again."""
 
@@ -113,7 +116,7 @@ def find_steps(reading: Reading) -> tuple[list[Step], Learned]:
     learned = confirmed(reading, learn(reading, columns=columns), columns=columns)
     while len(steps) < MOST_STEPS:
         found = _one_more(reading, learned, steps, prior=learned)
-        if found is None and steps and _faint(reading, learned):
+        if found is None and steps and _faint(reading, learned, beside=FAINT * reading.swing):
             found = _one_more(reading, learned, steps, prior=_silenced(learned))
         if found is None:
             break
@@ -136,14 +139,14 @@ def _silenced(learned: Learned) -> Learned:
     return replace(learned, spectrum=Spectrum(np.zeros(0), np.zeros(0)), shaping=ShapingFilter.silent())
 
 
-def _faint(reading: Reading, learned: Learned) -> bool:
-    """Whether a force was learned that makes less of the reading than the noise does.
+def _faint(reading: Reading, learned: Learned, *, beside: float = 0.0) -> bool:
+    """Whether a force was learned that makes less of the reading than the noise, or a size beside it [N], does.
 
     It may be what a step that was read wrongly has left over: a ramp for two steps, or a step for a ramp.
     """
     frequency = np.linspace(0, 0.5 / reading.interval, 4097)[1:]
     load = np.abs(reading.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
-    return bool(0 < float(np.mean(load)) < learned.noise**2 * reading.interval)
+    return bool(0 < float(np.mean(load)) < max(learned.noise, beside) ** 2 * reading.interval)
 
 
 def _evidence_needed(reading: Reading) -> float:
@@ -180,19 +183,21 @@ def _likelier(reading: Reading, priors: tuple[Learned, ...], *, columns: Array) 
 def _settle(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list[Step], Learned]:
     """Place a new step with the prior at hand, learn the prior again without it, and so on until neither moves."""
     for turn in range(5):
-        before = steps[-1]
+        last = steps[-1]
         others = columns_of(steps[:-1], reading)
         near, _ = _scan(reading, learned, others)
-        if abs(near.instant - before.instant) < 2 * reading.interval:
-            near = before
+        if abs(near.instant - last.instant) < 2 * reading.interval:
+            near = last
         # the first prior still holds the step's own trace and would read a ramp into it
         steps = [*steps[:-1], _refine(reading, learned, others, near, ramps=turn > 0)]
         if turn == 1:
             steps = _earlier_again(reading, learned, steps)
         if turn > 0:
             steps = _together(reading, learned, steps)
-        learned = learn(reading, columns=columns_of(steps, reading))
-        if turn > 0 and abs(steps[-1].instant - before.instant) < 0.01 * reading.interval:
+        # the first prior holds the step's own trace, and would leave some of it in the second
+        before = learned if turn > 0 else None
+        learned = learn(reading, columns=columns_of(steps, reading), before=before)
+        if turn > 0 and abs(steps[-1].instant - last.instant) < 0.01 * reading.interval:
             break
     return (steps, learned) if steps[-1].duration > 0 else _as_ramp(reading, learned, steps)
 
@@ -209,7 +214,7 @@ def _as_ramp(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[lis
     trial = [*steps[:-1], ramp]
     relearned = learn(reading, columns=columns_of(trial, reading))
     trial = _together(reading, relearned, trial)
-    relearned = learn(reading, columns=columns_of(trial, reading))
+    relearned = learn(reading, columns=columns_of(trial, reading), before=relearned)
     priors = (learned, relearned)
     sudden, _ = _likelier(reading, priors, columns=columns_of(steps, reading))
     slow, better = _likelier(reading, priors, columns=columns_of(trial, reading))

@@ -6,8 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from aerobalance.anti_alias import AntiAlias
+from aerobalance.commands.recordings import convert
 from aerobalance.io import load_channel_map, read, template, write_recording
 from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording import Channel, CrossAxis
 
 TREADMILL = Path(__file__).parents[3] / "shared" / "data" / "treadmill"
 
@@ -100,6 +103,67 @@ corner = 0.5
     assert recording.rate == pytest.approx(1000)
 
 
+ACCELEROMETERS = """
+[file]
+rate = 1000.0
+[channels.ground_acceleration]
+column = 1
+unit = "g"
+noise = 0.001
+delay = 1e-4
+relative_uncertainty = 0.02
+zero_uncertainty = 0.01
+filter = { kind = "butterworth", order = 8, corner = "0.2 kHz" }
+cross_axis = { ground_acceleration_z = 0.02, ground_acceleration_y = { value = 0, u = 0.03 } }
+[channels.ground_acceleration_z]
+column = 2
+unit = "m/s^2"
+filter = { kind = "bessel", order = 4, corner = 150 }
+[channels.ground_acceleration_y]
+column = 3
+unit = "m/s^2"
+coupling = "ac"
+corner = 0.5
+"""
+
+
+def settings(recording):
+    slots = [slot for slot in Channel.__slots__ if slot != "values"]
+    return {channel.name: {slot: getattr(channel, slot) for slot in slots} for channel in recording}
+
+
+def test_filter_and_cross_axis_reach_the_channel_and_survive_conversion(tmp_path):
+    rows = "\n".join(f"{np.sin(k)},{np.cos(k)},{k % 3}" for k in range(50))
+    recording = mapped(tmp_path, ACCELEROMETERS, f"x,z,y\n{rows}\n")
+    ground, up, right = recording
+    assert ground.filter == AntiAlias("butterworth", 8, 200.0)
+    assert ground.cross_axis == (
+        CrossAxis("ground_acceleration_z", 0.02),
+        CrossAxis("ground_acceleration_y", 0.0, 0.03),
+    )
+    assert ground.zero_uncertainty == pytest.approx(0.01 * 9.80665)
+    assert up.filter == AntiAlias("bessel", 4, 150.0)
+    assert (right.filter, right.cross_axis) == (None, ())
+    write_recording(tmp_path / "kept.h5", recording)
+    again = read(tmp_path / "kept.h5")
+    before, after = settings(recording), settings(again)
+    for name, given in before.items():
+        for slot, value in given.items():
+            expected = pytest.approx(value, rel=1e-14) if isinstance(value, float) else value
+            assert after[name][slot] == expected, (name, slot)
+        np.testing.assert_allclose(again.channel(name).values, recording.channel(name).values, rtol=1e-14, atol=1e-16)
+
+
+def test_conversion_to_text_says_what_it_loses(tmp_path):
+    (tmp_path / "map.toml").write_text(ACCELEROMETERS)
+    (tmp_path / "data.csv").write_text("x,z,y\n" + "\n".join(f"{np.sin(k)},{k % 5},{k % 3}" for k in range(50)) + "\n")
+    with pytest.warns(DoubtWarning, match=r"out\.csv has no place for how ground_acceleration, ground_acc.* \.h5"):
+        convert(tmp_path / "data.csv", tmp_path / "out.csv", channel_map=tmp_path / "map.toml")
+    convert(tmp_path / "data.csv", tmp_path / "out.h5", channel_map=tmp_path / "map.toml")
+    convert(tmp_path / "out.h5", tmp_path / "again.h5")
+    assert read(tmp_path / "again.h5").channel("ground_acceleration").filter is not None
+
+
 def test_a_file_without_header_separated_by_spaces(tmp_path):
     text = """
 [file]
@@ -136,6 +200,17 @@ CHANNEL = '[file]\nrate = 1.0\n[channels.AF]\ncolumn = 1\nunit = "N"\n'
         (CHANNEL + "derivative = 3\n", ["channels.AF.derivative", "0, 1 or 2"]),
         (CHANNEL + "derivative = 1\n", ["channels.AF", "derivative are for accelerations"]),
         (CHANNEL + "corner = 1.0\n", ["channels.AF.corner", 'coupling = "ac"']),
+        (
+            CHANNEL + 'filter = { kind = "elliptic", order = 8, corner = 500 }\n',
+            ["channels.AF.filter.kind", "'bessel'"],
+        ),
+        (CHANNEL + 'filter = { kind = "bessel", order = 99, corner = 5 }\n', ["channels.AF.filter.order", "24"]),
+        (CHANNEL + 'filter = { kind = "bessel", order = 4, corner = "5 N" }\n', ["AF.filter.corner", '"500 Hz"']),
+        (CHANNEL + 'filter = { kind = "bessel", order = 4, corner = 0 }\n', ["AF.filter.corner", "greater than 0"]),
+        (
+            CHANNEL + "cross_axis = { pitch = 0.1 }\n",
+            ["channels.AF.cross_axis.pitch", "cross_axis is for accelerations"],
+        ),
         (CHANNEL.replace('"N"', '"kg"'), ["channels.AF.unit", "a force is expected", "lbf"]),
         (CHANNEL.replace("column = 1", "column = 0"), ["channels.AF.column", "0"]),
         (CHANNEL.replace("rate = 1.0", "rate = 1.0\ntime = 1"), ["file", "either time", "rate"]),

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import warnings
+import zlib
 
 import h5py
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 from aerobalance.commands import recordings
 from aerobalance.io import column_names, load_channel_map, read, template, write_recording
 from aerobalance.io.hdf5_file import contents, headings, read_blocks
-from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel, text_bytes
+from aerobalance.io.hdf5_layout import CHANNEL_1, BlockWriter, Provenance, StoredChannel, text_bytes
 from aerobalance.problems import DoubtWarning, ReadError
 
 CHANNELS = (
@@ -37,6 +38,32 @@ def make(path, spans, *, rows=64, rate=1000.0, channels=CHANNELS, finish=True):
     if finish:
         writer.finish("done")
     return writer
+
+
+def test_the_first_layout_is_still_read(tmp_path) -> None:
+    make(tmp_path / "a.h5", [(0, 100)])
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        table = file["channels"][...]
+        first = np.zeros(table.shape, CHANNEL_1)
+        for name in CHANNEL_1.names:
+            first[name] = table[name]
+        del file["channels"]
+        file.create_dataset("channels", data=first)
+        file.attrs["schema_version"] = 1
+        file.attrs["channels_crc32"] = zlib.crc32(first.tobytes())
+    assert read(tmp_path / "a.h5").channel("AF").noise == pytest.approx(10.0)
+    assert contents(tmp_path / "a.h5").channels == CHANNELS
+
+
+def test_an_impossible_filter_is_a_damaged_file(tmp_path) -> None:
+    make(tmp_path / "a.h5", [(0, 100)])
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        table = file["channels"][...]
+        table["filter"] = b"elliptic"
+        file["channels"][...] = table
+        file.attrs["channels_crc32"] = zlib.crc32(table.tobytes())
+    with pytest.raises(ReadError, match="impossible settings"):
+        read(tmp_path / "a.h5")
 
 
 def quietly(path):

@@ -19,7 +19,8 @@ from aerobalance.commands.uncertainty import (
 )
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.dynamics import Dynamics
-from aerobalance.force import ForceEstimate, Method, reconstruct, with_balance
+from aerobalance.force import ForceEstimate, Method, reconstruct, with_balance, without_hum
+from aerobalance.hum import Hum
 from aerobalance.io import (
     check_output,
     write_force,
@@ -47,6 +48,7 @@ def force(
     bandwidth: float | None = None,
     gravity: float = STANDARD_GRAVITY,
     gravity_uncertainty: float = 0.0,
+    hum: Hum = "mains",
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
     check: Check | None = None,
@@ -77,6 +79,7 @@ def force(
                 bandwidth=bandwidth,
                 gravity=gravity,
                 gravity_uncertainty=gravity_uncertainty,
+                hum=hum,
             )
             for name in names
         }
@@ -85,7 +88,8 @@ def force(
             static = static_uncertainty(reduction.felt, reduction.matrix, forces=forces)
             estimates = {name: with_balance(estimate, static[name]) for name, estimate in estimates.items()}
         for name, estimate in estimates.items():
-            misfit = misfit_of(recording, known[name], noise=estimate.noise, steps=estimate.steps)
+            quiet = without_hum(recording, estimate)
+            misfit = misfit_of(quiet, known[name], noise=estimate.noise, steps=estimate.steps)
             for text in misfit.sentences(known[name]):
                 warnings.warn(f"{recording.name}: {text}", DoubtWarning, stacklevel=2)
         checked = {}
@@ -124,6 +128,16 @@ def force(
         write_force_report(report, account, estimates, recording=recording, inputs=inputs)
         account["report"] = report.name
     return {**account, "summary": uncertainty_text(components)}
+
+
+def hum_of(text: str) -> Hum:
+    """What is to be taken for hum, from the words of the command line."""
+    if text in ("mains", "keep"):
+        return "mains" if text == "mains" else "keep"
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"--hum must be mains, keep or frequencies in Hz such as 50,100, not {text}") from None
 
 
 class Settings(NamedTuple):
@@ -204,6 +218,10 @@ def force_account(estimate: ForceEstimate, origins: Origins) -> Account:
                 "u_height": step.height_uncertainty,
             }
             for step in estimate.steps
+        ],
+        "hum": [
+            {"frequency": line.frequency, "u_frequency": line.u_frequency, "amplitude_in_reading": line.amplitude}
+            for line in estimate.hum
         ],
         "assumptions": list(estimate.assumptions),
         **budget_account(estimate, origins),

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 
 from aerobalance.commands.loads import convert_matrix, is_matrix
-from aerobalance.commands.shared import Account, check_out, doubts, recording_of
+from aerobalance.commands.shared import Account, check_out, doubts, raw_recording
 from aerobalance.io import (
     check_output,
     column_names,
+    hdf5_file,
     template,
     write_recording,
 )
 from aerobalance.io.safe_write import replacing
 from aerobalance.noise import channel_noise
+from aerobalance.problems import DoubtWarning
+from aerobalance.recording import Channel
 
 
 def info(path: Path, *, channel_map: Path | None = None) -> Account:
     """Channels, units, rate, duration, gaps and saturation of a recording."""
     with doubts() as collected:
-        recording = recording_of(path, channel_map)
+        recording = raw_recording(path, channel_map)
     channels = {}
     for channel in recording:
         known = channel.values[~channel.missing]
@@ -55,7 +59,16 @@ def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Accoun
     check_output(out)
     check_out(out, path, channel_map)
     with doubts() as collected:
-        recording = recording_of(path, channel_map)
+        recording = raw_recording(path, channel_map)
+        kept = out.suffix.lower() in hdf5_file.SUFFIXES
+        told = [] if kept else [channel.name for channel in recording if _described(channel)]
+        if told:
+            warnings.warn(
+                f"{out.name} has no place for how {', '.join(told)} was measured (noise, uncertainties, delay, "
+                "coupling, filter, cross-axis sensitivity): write .h5 to keep it",
+                DoubtWarning,
+                stacklevel=2,
+            )
     write_recording(out, recording)
     return {
         "file": path.name,
@@ -64,6 +77,13 @@ def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Accoun
         "channels": list(recording.channels),
         "warnings": collected,
     }
+
+
+def _described(channel: Channel) -> bool:
+    """Whether more is known of a channel than its name, its unit and its readings."""
+    bare = Channel(channel.name, channel.values, channel.unit, file_unit=channel.file_unit)
+    slots = (slot for slot in Channel.__slots__ if slot != "values")
+    return any(getattr(channel, slot) != getattr(bare, slot) for slot in slots)
 
 
 def channel_map_for(path: Path, out: Path | None) -> Account:

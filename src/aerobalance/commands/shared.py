@@ -20,6 +20,7 @@ from aerobalance.io import (
 )
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
+from aerobalance.sensing import corrected
 
 Account = dict[str, Any]
 """A result as plain data."""
@@ -77,7 +78,12 @@ def check_out(out: Path | None, *inputs: Path | None) -> None:
 
 
 def recording_of(path: Path, channel_map: Path | None = None) -> Recording:
-    """Read a recording, through a channel map where one is given."""
+    """Read a recording, through a channel map where one is given; what its sensors do to the readings is undone."""
+    return corrected(raw_recording(path, channel_map))
+
+
+def raw_recording(path: Path, channel_map: Path | None = None) -> Recording:
+    """Read a recording with its readings as they were taken."""
     return read(path, channel_map=None if channel_map is None else load_channel_map(channel_map))
 
 

@@ -19,6 +19,7 @@ from aerobalance.io.channel_map import ChannelMap, load_channel_map, mapped_reco
 from aerobalance.io.clocks import of_one_length, on_one_clock
 from aerobalance.io.columns import Heading, RawColumns
 from aerobalance.io.csv_file import read_table
+from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.map_template import map_text
 from aerobalance.io.table import Column, Table, recording_from, table_from
 from aerobalance.io.text_table import Layout
@@ -70,8 +71,10 @@ class Format(Protocol):
     ) -> RawColumns:
         """Read the columns as they are."""
 
-    def write_columns(self, path: Path, columns: Mapping[str, Array]) -> None:
-        """Write columns under their headers."""
+    def write_columns(
+        self, path: Path, columns: Mapping[str, Array], described: Mapping[str, StoredChannel] | None = None
+    ) -> None:
+        """Write columns under their headers, with what is known of them where the format has a place for it."""
 
 
 FORMATS: Final[tuple[Format, ...]] = (tdms_file, hdf5_file, csv_file)
@@ -238,6 +241,8 @@ def _time_column(recording: Recording) -> dict[str, Array]:
 def write_recording(path: Path | str, recording: Recording) -> None:
     """Write the rows of a recording, each channel in the unit it had in its file (angles in deg where it had none).
 
+    HDF5 keeps how each channel was measured: noise, uncertainties, delay, coupling, filter, cross-axis sensitivity.
+
     Parameters
     ----------
     path
@@ -252,9 +257,30 @@ def write_recording(path: Path | str, recording: Recording) -> None:
     """
     file = check_output(path)
     columns = _time_column(recording)
+    described = {}
     for channel in recording:
-        columns.update(_column(channel, recording))
-    _writer(file).write_columns(file, columns)
+        column = _column(channel, recording)
+        columns.update(column)
+        described[next(iter(column))] = _described(channel)
+    _writer(file).write_columns(file, columns, described)
+
+
+def _described(channel: Channel) -> StoredChannel:
+    """What is known of a channel, in the unit it had in its file."""
+    unit = channel.file_unit or edge_unit(channel.name, channel.unit)
+    factor = conversion_for(channel.name, unit).factor if unit != channel.unit else 1.0
+    return StoredChannel(
+        name=channel.name,
+        unit=unit,
+        delay=channel.delay,
+        noise=None if channel.noise is None else channel.noise / factor,
+        relative_uncertainty=channel.relative_uncertainty,
+        coupling=channel.coupling,
+        corner=channel.corner,
+        zero_uncertainty=channel.zero_uncertainty / factor,
+        filter=channel.filter,
+        cross_axis=channel.cross_axis,
+    )
 
 
 def _column(channel: Channel, recording: Recording) -> dict[str, Array]:

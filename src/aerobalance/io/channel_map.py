@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from aerobalance.anti_alias import HIGHEST_ORDER, AntiAlias, Kind
 from aerobalance.components import is_gauge
 from aerobalance.io.clocks import of_one_length, on_one_clock
 from aerobalance.io.columns import RawColumn, RawColumns
@@ -19,7 +20,7 @@ from aerobalance.io.table import Column, check_time, on_clock
 from aerobalance.io.text_table import SEPARATORS, Layout
 from aerobalance.io.units import Conversion, conversion, conversion_for
 from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.recording import QUANTITIES, Array, Channel, Coupling, Recording
+from aerobalance.recording import QUANTITIES, Array, Channel, Coupling, CrossAxis, Recording
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Position = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
@@ -51,6 +52,32 @@ class FileLayout(_Strict):
     encoding: str | None = None
 
 
+class MappedFilter(_Strict):
+    """Entry ``filter``: the analog low-pass before the sampling; its corner in Hz, or text with a unit."""
+
+    kind: Kind
+    order: Annotated[int, Field(ge=1, le=HIGHEST_ORDER)]
+    corner: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+    @field_validator("corner", mode="before")
+    @classmethod
+    def _in_hertz(cls, given: object) -> object:
+        if not isinstance(given, str):
+            return given
+        number, _, unit = given.strip().partition(" ")
+        try:
+            return float(number.replace(",", ".")) * conversion(unit.strip(), expected="Hz").factor
+        except ValueError:
+            raise ValueError('must be a number of Hz, or text like "500 Hz" or "2 kHz"') from None
+
+
+class MappedSensitivity(_Strict):
+    """One of the entries of ``cross_axis``: sensitivity and its standard uncertainty [1]."""
+
+    value: Annotated[float, Field(gt=-1, lt=1)]
+    u: Annotated[float, Field(ge=0, lt=1)] = 0.0
+
+
 class MappedChannel(_Strict):
     """Table ``[channels.NAME]``: where a channel comes from and what it is.
 
@@ -70,10 +97,26 @@ class MappedChannel(_Strict):
     zero_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     coupling: Coupling = "kinematic"
     corner: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    filter: MappedFilter | None = None
+    cross_axis: dict[str, MappedSensitivity] = {}
     derivative: Literal[0, 1, 2] = 0
     excitation: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
     shunt_expected: Number | None = None
     shunt_measured: Number | None = None
+
+    @field_validator("cross_axis", mode="before")
+    @classmethod
+    def _bare_numbers(cls, given: object) -> object:
+        """Take a number for a sensitivity that is known exactly."""
+        if not isinstance(given, dict):
+            return given
+        return {name: part if isinstance(part, dict) else {"value": part} for name, part in given.items()}
+
+    @property
+    def anti_alias(self) -> AntiAlias | None:
+        """The filter, where there is one."""
+        given = self.filter
+        return None if given is None else AntiAlias(given.kind, given.order, given.corner)
 
     @property
     def shunt_ratio(self) -> float:
@@ -169,6 +212,13 @@ def _check(chosen: ChannelMap) -> None:
         if not accelerometer and (channel.coupling != "kinematic" or channel.derivative):
             raise ReadError(path, key, "coupling and derivative are for accelerations, such as ground_acceleration")
         _check_gauge(path, name, channel)
+        for other in channel.cross_axis:
+            if not accelerometer or other == name or QUANTITIES.get(other) != "m/s^2" or other not in chosen.channels:
+                raise ReadError(
+                    path,
+                    f"{key}.cross_axis.{other}",
+                    "cross_axis is for accelerations, and names another acceleration that has a table in this map",
+                )
         if channel.unit is not None:
             try:
                 _conversion(name, channel, channel.unit)
@@ -310,6 +360,8 @@ def _channel(raw: RawColumns, chosen: ChannelMap, name: str) -> Channel:
         delay=given.delay + (column.delay if raw.rate is not None else 0.0),
         coupling=given.coupling,
         corner=given.corner,
+        filter=given.anti_alias,
+        cross_axis=tuple(CrossAxis(other, part.value, part.u) for other, part in given.cross_axis.items()),
         file_unit="" if given.derivative else inside if given.excitation is not None else unit,
     )
 

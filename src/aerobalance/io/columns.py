@@ -11,9 +11,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.anti_alias import AntiAlias
 from aerobalance.io.units import readable
 from aerobalance.problems import ReadError
-from aerobalance.recording import Array, Coupling
+from aerobalance.recording import Array, Coupling, CrossAxis
 
 _SQUARE: Final = re.compile(r"(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 _ROUND: Final = re.compile(r"(?P<name>.*?)\s*\((?P<unit>.*)\)\s*")
@@ -78,12 +79,19 @@ class Sensing:
         Standard uncertainty of the gain, relative [1].
     coupling, corner
         What an accelerometer reads.
+    zero_uncertainty
+        Standard uncertainty of the zero [unit of the column].
+    filter, cross_axis
+        What is still in the readings.
     """
 
     noise: float | None = None
     relative_uncertainty: float = 0.0
     coupling: Coupling = "kinematic"
     corner: float = 0.0
+    zero_uncertainty: float = 0.0
+    filter: AntiAlias | None = None
+    cross_axis: tuple[CrossAxis, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -69,7 +69,7 @@ def read_table(path: Path | str, *, required: Sequence[str] = (), missing_allowe
     return table_from(raw, required=required, missing_allowed=missing_allowed)
 
 
-def write_columns(path: Path, columns: Mapping[str, Array]) -> None:
+def write_columns(path: Path, columns: Mapping[str, Array], described: object = None) -> None:
     """Write columns under their headers; missing samples become empty cells, numbers read back exactly.
 
     Parameters
@@ -78,7 +78,10 @@ def write_columns(path: Path, columns: Mapping[str, Array]) -> None:
         The file; its ending chooses the separator.
     columns
         Values, shape (n,) each, by header.
+    described
+        What is known of the columns, for which a text file has no place.
     """
+    del described
     import pandas as pd  # noqa: PLC0415 - half a second, and only files need it
 
     finite = {name: np.where(np.isfinite(values), values, np.nan) for name, values in columns.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import warnings
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,13 +14,14 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.anti_alias import AntiAlias, Kind
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, Sensing, split_label
 from aerobalance.io.hdf5_layout import (
     BLOCK,
     CHANNEL,
+    CHANNELS,
     FORMAT,
     GAP,
-    SCHEMA,
     STATUS,
     BlockWriter,
     DiskFullError,
@@ -30,7 +32,7 @@ from aerobalance.io.hdf5_layout import (
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_table import LARGEST, Layout
 from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.recording import Array, Coupling
+from aerobalance.recording import Array, Coupling, CrossAxis
 
 if TYPE_CHECKING:
     import h5py
@@ -212,7 +214,9 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
     return RawColumns(path, tuple(columns), lines, rate=found.rate, start=start, ticks=ticks_missing)
 
 
-def write_columns(path: Path, columns: Mapping[str, Array]) -> None:
+def write_columns(
+    path: Path, columns: Mapping[str, Array], described: Mapping[str, StoredChannel] | None = None
+) -> None:
     """Write columns under their headers, with their time column; missing samples are NaN, numbers read back exactly.
 
     Parameters
@@ -221,6 +225,8 @@ def write_columns(path: Path, columns: Mapping[str, Array]) -> None:
         The file.
     columns
         Values, shape (n,) each, by header ``name [unit]``; one of them is ``time [s]`` or in another unit of time.
+    described
+        What is known of the columns, by header.
 
     Raises
     ------
@@ -237,7 +243,8 @@ def write_columns(path: Path, columns: Mapping[str, Array]) -> None:
         name, unit = split[label]
         if len(name.encode()) > CHANNEL["name"].itemsize or len(unit.encode()) > CHANNEL["unit"].itemsize:
             raise ValueError(f"cannot write {path}: the column {label!r} has too long a name for HDF5 (60 letters)")
-        channels.append(StoredChannel(name=name, unit=unit, input=label))
+        known = (described or {}).get(label, StoredChannel(name=name, unit=unit))
+        channels.append(replace(known, name=name, unit=unit, input=label))
     n = columns[time].size
     values = np.column_stack([columns[label] for label in others]) if others else np.empty((n, 0))
     values = np.where(np.isfinite(values), values, np.nan)
@@ -294,9 +301,9 @@ def _contents(path: Path, file: h5py.File) -> Contents:
     if given != FORMAT:
         raise ReadError(path, "", f"is an HDF5 file, but no recording: its attribute format must be {FORMAT!r}")
     schema = int(file.attrs["schema_version"])
-    if schema != SCHEMA:
-        raise ReadError(path, "schema_version", f"is {schema}; this program reads {SCHEMA}")
-    table = _table(path, file, "channels", CHANNEL)
+    if schema not in CHANNELS:
+        raise ReadError(path, "schema_version", f"is {schema}; this program reads {' and '.join(map(str, CHANNELS))}")
+    table = _table(path, file, "channels", CHANNELS[schema])
     if zlib.crc32(table.tobytes()) != int(file.attrs["channels_crc32"]):
         raise ReadError(path, "channels", "does not agree with its checksum: units and signs cannot be trusted")
     channels = tuple(_channel(path, row) for row in table)
@@ -358,6 +365,14 @@ def _channel(path: Path, row: np.void) -> StoredChannel:
     name, coupling = _text(row["name"]), _text(row["coupling"])
     numbers = {key: float(row[key]) for key in ("sign", "scale", "offset", "delay", "relative_uncertainty", "corner")}
     noise = float(row["noise"])
+    low_pass: AntiAlias | None = None
+    cross_axis: tuple[CrossAxis, ...] = ()
+    try:
+        if "filter" in (row.dtype.names or ()):
+            numbers["zero_uncertainty"] = float(row["zero_uncertainty"])
+            low_pass, cross_axis = _low_pass(row), _cross_axis(row)
+    except (ValueError, TypeError, AttributeError):
+        raise ReadError(path, f"channels, {name!r}", "has impossible settings: the file is damaged") from None
     if coupling not in _COUPLINGS or not all(np.isfinite(value) for value in numbers.values()) or noise < 0:
         raise ReadError(path, f"channels, {name!r}", "has impossible settings: the file is damaged")
     return StoredChannel(
@@ -366,8 +381,20 @@ def _channel(path: Path, row: np.void) -> StoredChannel:
         input=_text(row["input"]),
         noise=None if np.isnan(noise) else noise,
         coupling=cast("Coupling", coupling),
+        filter=low_pass,
+        cross_axis=cross_axis,
         **numbers,
     )
+
+
+def _low_pass(row: np.void) -> AntiAlias | None:
+    kind = _text(row["filter"])
+    return AntiAlias(cast("Kind", kind), int(row["filter_order"]), float(row["filter_corner"])) if kind else None
+
+
+def _cross_axis(row: np.void) -> tuple[CrossAxis, ...]:
+    parts = json.loads(_text(row["cross_axis"]) or "{}")
+    return tuple(CrossAxis(name, float(value), float(u)) for name, (value, u) in parts.items())
 
 
 def _text(cell: Any) -> str:
@@ -446,7 +473,15 @@ def _column(channel: StoredChannel, readings: Array, number: int) -> RawColumn:
         number + 1,
         alias=channel.input,
         delay=channel.delay,
-        sensing=Sensing(channel.noise, channel.relative_uncertainty, channel.coupling, channel.corner),
+        sensing=Sensing(
+            channel.noise,
+            channel.relative_uncertainty,
+            channel.coupling,
+            channel.corner,
+            channel.zero_uncertainty,
+            channel.filter,
+            channel.cross_axis,
+        ),
     )
 
 

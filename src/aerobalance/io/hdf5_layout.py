@@ -21,11 +21,12 @@ integers, followed by the samples row by row; the attribute channels_crc32 is th
 from __future__ import annotations
 
 import errno
+import json
 import os
 import struct
 import time
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -33,18 +34,20 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from aerobalance import __version__
-from aerobalance.recording import Array, Coupling
+from aerobalance.anti_alias import AntiAlias
+from aerobalance.recording import Array, Coupling, CrossAxis
 
 if TYPE_CHECKING:
     import h5py
 
 FORMAT: Final = "aerobalance recording"
-SCHEMA: Final = 1
+SCHEMA: Final = 2
+"""Version of the layout that is written; version 1 has the shorter table of channels."""
 
 BLOCK: Final = np.dtype([("tick", "<i8"), ("rows", "<i8"), ("crc32", "<u4"), ("written", "<f8")])
 GAP: Final = np.dtype([("tick", "<i8"), ("samples", "<i8"), ("kind", "S16"), ("text", "S256")])
 EVENT: Final = np.dtype([("tick", "<i8"), ("time", "<f8"), ("kind", "S16"), ("text", "S512")])
-CHANNEL: Final = np.dtype(
+CHANNEL_1: Final = np.dtype(
     [
         ("name", "S64"),
         ("unit", "S32"),
@@ -59,6 +62,19 @@ CHANNEL: Final = np.dtype(
         ("corner", "<f8"),
     ]
 )
+CHANNEL: Final = np.dtype(
+    [
+        *((name, CHANNEL_1[name]) for name in CHANNEL_1.names or ()),
+        ("zero_uncertainty", "<f8"),
+        ("filter", "S16"),
+        ("filter_order", "<i8"),
+        ("filter_corner", "<f8"),
+        ("cross_axis", "S512"),
+    ]
+)
+CHANNELS: Final[Mapping[int, np.dtype[np.void]]] = {1: CHANNEL_1, SCHEMA: CHANNEL}
+"""Table of channels by version of the layout."""
+
 STATUS: Final = np.dtype([("state", "S16"), ("reason", "S512"), ("origin", "<i8"), ("ended", "<f8")])
 
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -91,6 +107,10 @@ class StoredChannel:
         Standard uncertainty of the gain, relative [1].
     coupling, corner
         What an accelerometer reads, as in `aerobalance.recording.Channel`.
+    zero_uncertainty
+        Standard uncertainty of the zero [unit].
+    filter, cross_axis
+        What is still in the readings, as in `aerobalance.recording.Channel`.
     """
 
     name: str
@@ -104,6 +124,9 @@ class StoredChannel:
     relative_uncertainty: float = 0.0
     coupling: Coupling = "kinematic"
     corner: float = 0.0
+    zero_uncertainty: float = 0.0
+    filter: AntiAlias | None = None
+    cross_axis: tuple[CrossAxis, ...] = ()
 
     def values(self, readings: Array) -> Array:
         """Turn readings into values in `unit`; readings that need no change come back as they are."""
@@ -324,6 +347,15 @@ def _full(error: Exception) -> Exception:
     return DiskFullError(f"the file can no longer be written: {' '.join(str(error).split())[:200]}")
 
 
+def _cross_axis_text(channel: StoredChannel) -> bytes:
+    """Sensitivity and standard uncertainty by channel, as JSON; an empty string where there are none."""
+    parts = {part.channel: [part.sensitivity, part.uncertainty] for part in channel.cross_axis}
+    text = json.dumps(parts).encode() if parts else b""
+    if len(text) > CHANNEL["cross_axis"].itemsize:
+        raise ValueError(f"channel {channel.name}: {len(parts)} cross-axis sensitivities are more than HDF5 can hold")
+    return text
+
+
 def _channel_table(channels: Sequence[StoredChannel]) -> Any:
     rows = [
         (
@@ -338,6 +370,11 @@ def _channel_table(channels: Sequence[StoredChannel]) -> Any:
             channel.relative_uncertainty,
             channel.coupling.encode(),
             channel.corner,
+            channel.zero_uncertainty,
+            b"" if channel.filter is None else channel.filter.kind.encode(),
+            0 if channel.filter is None else channel.filter.order,
+            0.0 if channel.filter is None else channel.filter.corner,
+            _cross_axis_text(channel),
         )
         for channel in channels
     ]

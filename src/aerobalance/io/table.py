@@ -36,7 +36,7 @@ class Column:
     delay
         Time by which the cells lag the rows they stand in [s].
     sensing
-        How the column was measured, where the file says it; `noise` in `unit`.
+        How the column was measured, where the file says it; `noise` and `zero_uncertainty` in `unit`.
     """
 
     name: str
@@ -123,8 +123,11 @@ def table_from(raw: RawColumns, *, required: Sequence[str] = (), missing_allowed
         except ValueError as error:
             raise ReadError(raw.path, f"header, {column.place}", str(error)) from None
         sensing = column.sensing
-        if sensing.noise is not None:
-            sensing = replace(sensing, noise=sensing.noise * change.factor)
+        sensing = replace(
+            sensing,
+            noise=None if sensing.noise is None else sensing.noise * change.factor,
+            zero_uncertainty=sensing.zero_uncertainty * change.factor,
+        )
         columns[name] = Column(
             name, change.inside(column.values), change.unit, column.unit, column.place, column.delay, sensing
         )
@@ -186,6 +189,9 @@ def recording_from(table: Table, *, rate: float | None = None, ticks: NDArray[np
             delay=column.delay,
             coupling=column.sensing.coupling,
             corner=column.sensing.corner,
+            zero_uncertainty=column.sensing.zero_uncertainty,
+            filter=column.sensing.filter,
+            cross_axis=column.sensing.cross_axis,
             file_unit=column.file_unit,
         )
         for name, column in table.columns.items()
@@ -278,7 +284,8 @@ def on_clock(
         if count:
             warnings.warn(
                 f"{path.name}: {channel.name} rests on its limit in {count} samples (saturated); the signal went "
-                "further than was recorded, so results from these samples are too small",
+                "further than was recorded: force takes these samples for missing, every other result from them is "
+                "too small",
                 DoubtWarning,
                 stacklevel=3,
             )

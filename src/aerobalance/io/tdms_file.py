@@ -44,7 +44,7 @@ def can_read(head: bytes, path: Path) -> bool:
     return head.startswith(b"TDSm")
 
 
-def write_columns(path: Path, columns: Mapping[str, Array]) -> None:
+def write_columns(path: Path, columns: Mapping[str, Array], described: object = None) -> None:
     """Refuse to write: TDMS is read only.
 
     Raises
@@ -52,6 +52,7 @@ def write_columns(path: Path, columns: Mapping[str, Array]) -> None:
     ValueError
         Always.
     """
+    del described
     raise ValueError(f"cannot write {path} ({len(columns)} columns): TDMS is read only; write .csv")
 
 
