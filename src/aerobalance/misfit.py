@@ -34,6 +34,12 @@ SAME_MODE: Final = 0.02
 LONGEST: Final = 1 << 17
 """Samples from the start that are looked at: more tell nothing new."""
 
+EXPLAINED: Final = 1.2
+"""Residuals of a release over the noise of the readings up to which it is explained."""
+
+NEAR: Final = 40.0
+"""Periods either side of a release over which it is looked whether it is one."""
+
 RELEASED: Final = 0.1
 """Share of a record's variance that a release of one mode leaves over at most."""
 
@@ -138,14 +144,13 @@ def _release(recording: Recording, dynamics: Dynamics, values: Array, *, noise: 
             if look.shape != "release":
                 return None
             time = np.arange(values.size) / recording.rate
-            ring = fit_ring(time, values, look)
-            if ring.variance > RELEASED * float(np.var(values)):
+            near = np.abs(time - look.start) < NEAR / look.frequency
+            if fit_ring(time[near], values[near], look).variance > RELEASED * float(np.var(values[near])):
                 return None
             fit = identify_decay(alone, component=name, mass=dynamics.mass, modes="auto")
         except FitError:
             return None
-    whole = fit.residual_time.size > 0.9 * values.size
-    return fit if fit.release is not None and whole and fit.residual_deviation < 1.2 * noise else None
+    return fit if fit.release is not None and fit.residual_deviation < EXPLAINED * noise else None
 
 
 def _after_release(fit: DecayFit, dynamics: Dynamics) -> Misfit:

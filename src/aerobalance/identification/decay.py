@@ -137,7 +137,8 @@ def identify_decay(
     time = np.arange(recording.samples) / recording.rate
     look = first_look(channel.values, rate=recording.rate, name=f"{recording.name}, {component}")
     ring = fit_ring(time[present], channel.values[present], look)
-    ring = freed(_shortened(_complete(_shortened(bent_where_plain(ring)))))
+    ring = bent_where_plain(ring)
+    ring = freed(_widened(_shortened(_complete(_shortened(ring))), ring))
     dependence, ring = amplitude_dependence(ring)
     _check(ring, recording.name, component)
     kept = _kept_modes(ring, modes, f"{recording.name}, {component}")
@@ -205,6 +206,14 @@ def _shortened(ring: Ring) -> Ring:
     part = slice(int(first), int(last))
     # lines found with the cut parts may be theirs: look for lines afresh
     return _complete(fit_ring(ring.time[part], ring.values[part], ring))
+
+
+def _widened(ring: Ring, whole: Ring) -> Ring:
+    """The fit over more of the record, where the lines found since explain what had been cut off."""
+    if ring.time.size == whole.time.size or not ring.lines:
+        return ring
+    wider = _shortened(fit_ring(whole.time, whole.values, ring, lines=ring.lines))
+    return wider if wider.time.size > ring.time.size and len(wider.lines) == len(ring.lines) else ring
 
 
 def _first_event(strange: NDArray[np.bool_]) -> int:
