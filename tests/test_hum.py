@@ -1,0 +1,160 @@
+"""Mains hum: found where it is, nothing taken where it is not, and out of the force."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from aerobalance.dynamics import Dynamics
+from aerobalance.force import reconstruct, without_hum
+from aerobalance.hum import columns_of_lines, hum_lines, reading_of_lines
+from aerobalance.problems import DoubtWarning
+from aerobalance.recording import Channel, Recording
+
+T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
+RATE = 1600.0
+NOISE = 2.0
+
+
+def fresh() -> tuple[np.random.Generator, int]:
+    seed = np.random.SeedSequence().entropy
+    return np.random.default_rng(seed), seed
+
+
+def clock(seconds: float) -> np.ndarray:
+    return np.arange(round(seconds * RATE)) / RATE
+
+
+def hum(
+    generator: np.random.Generator, time: np.ndarray, frequency: float, amplitudes: dict[int, float]
+) -> np.ndarray:
+    """Harmonics of a frequency with random phases."""
+    phases = generator.uniform(0, 2 * np.pi, len(amplitudes))
+    return sum(
+        size * np.sin(2 * np.pi * frequency * number * time + phase)
+        for (number, size), phase in zip(amplitudes.items(), phases, strict=True)
+    )
+
+
+def record_of(load: np.ndarray) -> Recording:
+    return Recording.from_columns(clock(load.size / RATE), {"AF": Channel("AF", load, "N")}, name="run")
+
+
+@pytest.mark.parametrize("mains", [49.97, 50.02, 60.03])
+def test_frequency_and_size_of_hum(mains):
+    generator, seed = fresh()
+    time = clock(6)
+    values = hum(generator, time, mains, {1: 12.0, 3: 6.0}) + generator.normal(0, NOISE, time.size)
+    lines = hum_lines(values, 1 / RATE)
+    assert len(lines) == 2, (lines, seed)
+    for line, (number, size) in zip(lines, ((1, 12.0), (3, 6.0)), strict=True):
+        # Cramer-Rao: sqrt(6 / n) noise / (pi amplitude T) for the frequency, noise sqrt(2 / n) for the amplitude;
+        # the Hann window sees half as much again and more of the frequency's: 10 of these
+        bound = np.sqrt(6 / time.size) * NOISE / (np.pi * size * 6)
+        assert abs(line.frequency - number * mains) < 10 * bound, (line, seed)
+        assert abs(line.amplitude - size) < 6 * NOISE * np.sqrt(2 / time.size), (line, seed)
+
+
+def test_nothing_is_taken_from_noise():
+    # twice the log-likelihood of one ordinate is chi-square with two degrees of freedom: 40 is exp(-20)
+    generator, seed = fresh()
+    for seconds in (1.0, 2.5, 7.0):
+        assert hum_lines(generator.normal(0, NOISE, clock(seconds).size), 1 / RATE) == (), seed
+
+
+@pytest.mark.parametrize("frequency", [48.0, 50.5, 66.4, 100.0])
+def test_a_tone_elsewhere_is_not_hum(frequency):
+    # a harmonic alone is no hum either
+    generator, seed = fresh()
+    time = clock(6)
+    values = hum(generator, time, frequency, {1: 30.0}) + generator.normal(0, NOISE, time.size)
+    assert hum_lines(values, 1 / RATE) == (), seed
+
+
+def test_a_line_that_comes_or_fades_is_not_hum():
+    generator, seed = fresh()
+    time = clock(6)
+    noise, line = generator.normal(0, NOISE, time.size), hum(generator, time, 50.0, {1: 30.0})
+    assert hum_lines(line * (time > 3) + noise, 1 / RATE) == (), seed
+    assert hum_lines(line * np.exp(-time) + noise, 1 / RATE) == (), seed
+
+
+def test_a_load_that_is_stronger_is_not_hum():
+    generator, seed = fresh()
+    time = clock(6)
+    spectrum = np.where(np.fft.rfftfreq(2 * time.size, 1 / RATE) < 120, 1.0, 0.0)
+    phasors = generator.normal(size=(2, spectrum.size)) * spectrum
+    load = np.fft.irfft(phasors[0] + 1j * phasors[1], 2 * time.size)[: time.size]
+    load *= 500 / load.std()  # 2100 N^2/Hz of 6 s: a line of 12 N is a twelfth of one ordinate's 37 N, squared
+    values = load + hum(generator, time, 50.0, {1: 12.0}) + generator.normal(0, NOISE, time.size)
+    assert hum_lines(values, 1 / RATE) == (), seed
+
+
+def test_given_lines_are_taken_and_none_when_all_are_kept():
+    generator, seed = fresh()
+    time = clock(4)
+    values = hum(generator, time, 83.3, {1: 20.0}) + hum(generator, time, 50.0, {1: 5.0})
+    values += generator.normal(0, NOISE, time.size)
+    (line,) = hum_lines(values, 1 / RATE, hum=(83.3,))
+    assert line.frequency == pytest.approx(83.3, abs=0.01), seed
+    assert hum_lines(values, 1 / RATE, hum="keep") == ()
+
+
+def test_lines_that_cannot_be_told_apart_are_refused():
+    values = np.random.default_rng(0).normal(size=3200)
+    with pytest.raises(ValueError, match="closer"):
+        hum_lines(values, 1 / RATE, hum=(50.0, 50.5))
+    with pytest.raises(ValueError, match="inside 0 to 800"):
+        hum_lines(values, 1 / RATE, hum=(900.0,))
+    with pytest.raises(ValueError, match="mains, keep or frequencies"):
+        hum_lines(values, 1 / RATE, hum="50")  # type: ignore[arg-type]
+
+
+def test_lines_and_their_columns_agree():
+    time = clock(2)
+    values = 3 * np.sin(2 * np.pi * 50 * (time - time.mean())) + 4 * np.cos(2 * np.pi * 50 * (time - time.mean()))
+    lines = hum_lines(values + 1e-9 * np.random.default_rng(0).normal(size=time.size), 1 / RATE)
+    assert (lines[0].sine, lines[0].cosine, lines[0].amplitude) == pytest.approx((3, 4, 5), abs=1e-4)
+    columns = columns_of_lines([50.0], count=time.size, interval=1 / RATE)
+    assert columns @ [3, 4] == pytest.approx(values, abs=1e-9)
+    assert reading_of_lines(lines, count=time.size, interval=1 / RATE) == pytest.approx(values, abs=1e-3)
+
+
+@pytest.mark.parametrize("stepped", [False, pytest.param(True, marks=pytest.mark.long)])
+def test_force_is_what_it_is_without_hum(stepped):
+    generator, seed = fresh()
+    time = clock(3)
+    force = 300 * (time > 1.2003) if stepped else 200 * np.sin(2 * np.pi * 7.3 * time)
+    load = 300 * T128.step_response(time - 1.2003) if stepped else T128.load_felt(force, interval=1 / RATE)
+    load = load + generator.normal(0, NOISE, time.size)
+    lines = hum(generator, time, 50.02, {1: 12.0, 3: 6.0, 5: 3.0})
+    clean = reconstruct(record_of(load), T128)
+    with pytest.warns(DoubtWarning, match=r"50\.0.* Hz .* taken for mains hum and not for force"):
+        found = reconstruct(record_of(load + lines), T128)
+    assert clean.hum == (), seed
+    assert len(found.hum) == 3, (found.hum, seed)
+    assert len(found.steps) == len(clean.steps), seed
+    inner = slice(time.size // 20, -time.size // 20)
+    difference = np.abs(found.values - clean.values)[inner]
+    # two parts of three lines are worked out from what the noise leaves: the difference is a part of the uncertainty
+    # of either, in which the constant, two edges of a spectrum and the lines have a few of 4800 samples each
+    assert np.sqrt(np.mean(difference**2)) < np.sqrt(np.mean(found.uncertainty[inner] ** 2)), seed
+    quiet = without_hum(record_of(load + lines), found).channel("AF").values
+    assert np.std(quiet - load) < 6 * NOISE * np.sqrt(9 / time.size), seed
+
+
+def test_keeping_hum_leaves_it_in_the_force():
+    generator, seed = fresh()
+    time = clock(3)
+    values = hum(generator, time, 50.0, {1: 20.0}) + generator.normal(0, NOISE, time.size)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DoubtWarning)
+        kept = reconstruct(record_of(values), T128, hum="keep").values
+        taken = reconstruct(record_of(values), T128, hum=(50.0,)).values
+    # the balance enlarges 50 Hz by 1 / (1 - (50 / 66.4)^2) = 2.3
+    gain = float(np.abs(T128.response(np.array([50.0])))[0])
+    inner = slice(480, -480)
+    assert np.std(kept[inner]) == pytest.approx(20 / gain / np.sqrt(2), rel=0.1), seed
+    assert np.std(taken[inner]) < 0.5, seed
+    with pytest.raises(ValueError, match="only the smoother"):
+        reconstruct(record_of(values), T128, hum=(50.0,), bandwidth=100.0)
