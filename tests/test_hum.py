@@ -158,3 +158,16 @@ def test_keeping_hum_leaves_it_in_the_force():
     assert np.std(taken[inner]) < 0.5, seed
     with pytest.raises(ValueError, match="only the smoother"):
         reconstruct(record_of(values), T128, hum=(50.0,), bandwidth=100.0)
+
+
+def test_a_drive_at_a_frequency_of_the_mains_stays_a_force():
+    generator, seed = fresh()
+    time = clock(4)
+    wave = 300 * np.exp(2j * np.pi * 60.0 * time + 1j * generator.uniform(0, 2 * np.pi))
+    load = (wave * T128.response(60.0)).real + generator.normal(0, NOISE, time.size)
+    with pytest.warns(DoubtWarning, match=r"Hz .* lie where the mains do, .* taken for force"):
+        found = reconstruct(record_of(load), T128)
+    assert found.hum == (), seed
+    inner = slice(640, -640)
+    amplitude = 2 * np.mean(found.values[inner] * np.exp(-2j * np.pi * 60.0 * time[inner]))
+    assert abs(abs(amplitude) - 300) < 2.0, seed  # 0.1 % of half range, as for any other tone

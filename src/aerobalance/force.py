@@ -296,11 +296,13 @@ class _Job:
 def _optimal(job: _Job, hum: Hum) -> ForceEstimate:
     """The smoother of `aerobalance.smoother` with its prior learned and its steps found."""
     d = job.dynamics
-    reading, steps, learned, lines = taken_apart(reading_of(job.recording, d, job.motion), hum=hum)
+    apart = taken_apart(reading_of(job.recording, d, job.motion), hum=hum)
+    reading, steps, learned = apart.reading, apart.steps, apart.learned
     fit = Smoothed.of(reading, learned=learned, steps=steps)
     level = _unexplained(job, fit.innovations)
-    lines = fit.sized(lines)
-    _tell_of_hum(job, lines, given=hum != "mains")
+    lines = fit.sized(apart.hum)
+    if hum == "mains":
+        _tell_of_hum(job, lines, large=apart.large)
 
     def run(other: _Job) -> Array:
         changed = reading_of(other.recording, other.dynamics, other.motion, hum=reading.hum)
@@ -330,19 +332,33 @@ def _optimal(job: _Job, hum: Hum) -> ForceEstimate:
     )
 
 
-def _tell_of_hum(job: _Job, lines: tuple[Line, ...], *, given: bool) -> None:
-    """Say which lines are not in the force, where the user has not named them."""
-    if not lines or given:
-        return
-    unit = si_unit(job.dynamics.component)
-    named = [f"{line.frequency:.7g} Hz ({line.amplitude:.3g} {unit} in the reading)" for line in lines]
-    warnings.warn(
-        f"{job.recording.name}: steady lines of {job.dynamics.component} at {', '.join(named)} are taken for mains "
-        "hum and not for force; if a force was applied at such a frequency it is missing from the result: keep it "
-        'with --hum keep (hum="keep")',
-        DoubtWarning,
-        stacklevel=5,
+def _tell_of_hum(job: _Job, lines: tuple[Line, ...], *, large: tuple[Line, ...]) -> None:
+    """Say which lines at frequencies of the mains are not in the force, and which are because they are large."""
+    told = (
+        (
+            lines,
+            (
+                "are taken for mains hum and not for force; if a force was applied at such a frequency it is missing "
+                'from the result: keep it with --hum keep (hum="keep")'
+            ),
+        ),
+        (
+            large,
+            (
+                "lie where the mains do, but are so large a part of the record that they are taken for force; if they "
+                "are hum, the force is wrong by them: name their frequencies with --hum"
+            ),
+        ),
     )
+    unit = si_unit(job.dynamics.component)
+    for some, what in told:
+        named = [f"{line.frequency:.7g} Hz ({line.amplitude:.3g} {unit} in the reading)" for line in some]
+        if named:
+            warnings.warn(
+                f"{job.recording.name}: steady lines of {job.dynamics.component} at {', '.join(named)} {what}",
+                DoubtWarning,
+                stacklevel=5,
+            )
 
 
 def without_hum(recording: Recording, estimate: ForceEstimate) -> Recording:

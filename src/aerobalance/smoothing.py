@@ -23,6 +23,9 @@ FREQUENCIES: Final = 1 << 14
 NEVER: Final = 1e-12
 """Probability that is taken for none."""
 
+LARGEST_HUM: Final = 0.1
+"""Amplitude of a line over half the span of the readings above which it is no hum but what was recorded."""
+
 SAME_LINE: Final = 0.02
 """Change of a line's frequency in ordinates for which the steps are not looked for again."""
 
@@ -30,25 +33,59 @@ SHIFT: Final = 0.05
 """Change of a step's instant over which its slopes are taken, in sampling intervals."""
 
 
-def taken_apart(reading: Reading, *, hum: Hum) -> tuple[Reading, list[Step], Learned, tuple[Line, ...]]:
-    """Find hum, steps and prior of a record: the reading with its hum named, the steps, the prior, and the hum.
+@dataclass(frozen=True, slots=True, eq=False)
+class Apart:
+    """What a record is made of.
+
+    Attributes
+    ----------
+    reading
+        The record, its hum named.
+    steps
+        The steps of the force.
+    learned
+        The prior of what else the force does, and the noise.
+    hum
+        Lines that are taken for hum.
+    large
+        Lines at frequencies of the mains that are too large a part of the record to be taken for hum.
+    """
+
+    reading: Reading
+    steps: list[Step]
+    learned: Learned
+    hum: tuple[Line, ...]
+    large: tuple[Line, ...]
+
+
+def taken_apart(reading: Reading, *, hum: Hum) -> Apart:
+    """Find hum, steps and prior of a record.
 
     Steps ring over a wide band and hide weak lines, so the lines are looked for again when the steps are known.
     """
-    lines = hum_lines(reading.values, reading.interval, hum=hum)
+    lines, large = _hum_of(reading, reading.values, hum)
     named = replace(reading, hum=tuple(line.frequency for line in lines))
     steps, learned = find_steps(named)
     if steps and hum != "keep":
         heights = np.array([0.0, *(step.height for step in steps)])
         left = reading.values - columns_of(steps, reading) @ heights
-        lines = hum_lines(left, reading.interval, hum=hum)
+        lines, large = _hum_of(reading, left, hum)
         again = tuple(line.frequency for line in lines)
         resolved = 1 / (reading.values.size * reading.interval)
         same = len(again) == len(named.hum) and np.allclose(again, named.hum, rtol=0, atol=SAME_LINE * resolved)
         named = replace(reading, hum=again)
         if not same:
             steps, learned = find_steps(named)
-    return named, steps, learned, lines
+    return Apart(named, steps, learned, lines, large)
+
+
+def _hum_of(reading: Reading, values: Array, hum: Hum) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
+    """Lines of hum, and lines of the mains that are too large for it: a drive at 50 or 60 Hz is what is recorded."""
+    lines = hum_lines(values, reading.interval, hum=hum)
+    largest = LARGEST_HUM * float(np.nanmax(reading.values) - np.nanmin(reading.values)) / 2
+    if hum == "mains" and any(line.amplitude > largest for line in lines):
+        return (), lines
+    return lines, ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
