@@ -30,13 +30,16 @@ def sine(frequency: float, amplitude: float) -> Load:
 HOME = {
     "low-pass": (band(4.0), 10.0, 5.0),
     "notch and low-pass": (band(15.0), 10.0, 5.0),
-    "correction factor": (sine(60.0, 100.0), 10.0, 5.0),
+    "correction factor": (sine(57.0, 100.0), 10.0, 5.0),
     "correction factor and phase": (sine(T128.natural_frequency, 10.0), 10.0, 5.0),
     "FIR deconvolution": (band(100.0), 2.0, 5.0),
     "band-limited inverse": (band(130.0), 2.0, 5.0),
     "central differences": (band(200.0), 0.02, 5.0),
     "accelerometer correction": (band(600.0), 2.0, 0.01),
 }
+
+
+RECORDS = 4
 
 
 def scores(home: str) -> dict[str, float]:
@@ -63,9 +66,11 @@ def test_every_rival_that_can_be_tuned_has_a_home_ground() -> None:
 
 @pytest.mark.parametrize("home", [name for name in HOME if name != "accelerometer correction"])
 def test_first_or_tied_on_the_home_ground_of(home: str, record) -> None:
-    found = scores(home)
+    runs = [scores(home) for _ in range(RECORDS)]
+    found = {name: float(np.sqrt(np.mean([run[name] ** 2 for run in runs]))) for name in runs[0]}
     best = min(value for name, value in found.items() if name != THIS)
-    # tied is within 5 %: the scatter of an error of one record with some 100 independent values
+    # tied is within 5 %: the scatter of an error with some 100 independent values. A tone has two a record, hence more
+    # records than one
     record(
         f"best rival, tuned on the truth, over this estimator: home of {home}",
         best / found[THIS],
