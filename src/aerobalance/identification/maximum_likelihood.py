@@ -233,6 +233,7 @@ def _moved(parameters: Parameters, free: NDArray[np.intp], step: Array, *, highe
     """Move by a step, short enough and within the bounds."""
     values = parameters.values.copy()
     values[free] += step
+    values[0] = np.clip(values[0], parameters.values[0] - 3.0, parameters.values[0] + 3.0)  # a mass 20 times as large
     for place in parameters.frequencies:
         old = parameters.values[place]
         values[place] = min(np.clip(values[place], old - 0.5, old + 0.5), highest)
