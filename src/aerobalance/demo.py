@@ -15,6 +15,7 @@ import numpy as np
 
 from aerobalance import __version__
 from aerobalance.commands import force, identify, weighing
+from aerobalance.commands.shared import seed_for
 from aerobalance.comparison import (
     COVERAGE,
     agreements_of,
@@ -106,12 +107,7 @@ def run_demo(out: Path, *, seed: int | None = None) -> Account:
     ValueError
         The folder cannot be made or written to.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"cannot make the folder {out}: {error.strerror or error}") from None
-    if seed is None:  # a fresh one that is short enough to be typed in again
-        seed = int(np.random.SeedSequence().generate_state(1)[0])
+    seed = seed_for(out, seed)
     root = np.random.SeedSequence(seed)
     weighing, shaking, wandering, *cutting = (np.random.default_rng(part) for part in root.spawn(5))
     run = _Run(out, [], [])

@@ -15,7 +15,7 @@ import numpy as np
 
 from aerobalance import __version__
 from aerobalance.commands.compare import verdict
-from aerobalance.commands.shared import doubts
+from aerobalance.commands.shared import doubts, seed_for
 from aerobalance.dynamics import Dynamics
 from aerobalance.fir_inverse import MeasuredResponse, response_of_record
 from aerobalance.identification.decay import identify_decay
@@ -104,12 +104,7 @@ def run_tables(out: Path, *, seed: int | None = None) -> Account:
     ValueError
         The folder cannot be made or written to.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"cannot make the folder {out}: {error.strerror or error}") from None
-    if seed is None:  # a fresh one that is short enough to be typed in again
-        seed = int(np.random.SeedSequence().generate_state(1)[0])
+    seed = seed_for(out, seed)
     tunnel, rig = (np.random.default_rng(part) for part in np.random.SeedSequence(seed).spawn(2))
     experiments = []
     with doubts() as collected:

@@ -103,3 +103,20 @@ def table_text(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]
     console = Console(width=120, record=True, file=io.StringIO())
     console.print(table)
     return "\n".join([title, *(line.rstrip() for line in console.export_text().rstrip().split("\n"))])
+
+
+def seed_for(out: Path, seed: int | None) -> int:
+    """Make the folder of a simulation's results, and give its seed: a fresh one where none is given.
+
+    Raises
+    ------
+    ValueError
+        The folder cannot be made.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"cannot make the folder {out}: {error.strerror or error}") from None
+    if seed is None:  # short enough to be typed in again
+        return int(np.random.SeedSequence().generate_state(1)[0])
+    return seed
