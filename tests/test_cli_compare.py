@@ -12,7 +12,7 @@ from aerobalance.cli import main
 from aerobalance.commands.compare import compare
 from aerobalance.dynamics import Mode
 from aerobalance.io import write_recording
-from aerobalance.io.artefacts import write_dynamics
+from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.published import CABLE_CUT, TABLE_1, TABLE_2
 from aerobalance.recording import Channel, Recording
 from aerobalance.rigs import CableCut, Sensor, band_noise

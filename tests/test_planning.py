@@ -12,7 +12,7 @@ from scipy.integrate import quad
 
 from aerobalance.cli import main
 from aerobalance.dynamics import Dynamics, Mode
-from aerobalance.io.artefacts import write_dynamics
+from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.planning import attainable, live_lag, usual_bandwidths
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

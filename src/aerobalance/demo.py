@@ -31,7 +31,8 @@ from aerobalance.force import Method
 from aerobalance.identification.dwells import find_dwells
 from aerobalance.identification.reference import reference_fit
 from aerobalance.io import read, read_table, write_recording
-from aerobalance.io.artefacts import provenance, read_dynamics
+from aerobalance.io.artefacts import provenance
+from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.io.safe_write import replacing
 from aerobalance.published import CABLE_CUT, SECOND_FREQUENCY, VIBRATION_RIG, PublishedBalance
 from aerobalance.recording import Array, Channel, Recording

@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aerobalance.dynamics import PARAMETERS, Dynamics, Mode
-from aerobalance.io.artefacts import read_dynamics, read_mass, write_dynamics, write_json, write_mass
+from aerobalance.io.artefacts import write_json
+from aerobalance.io.dynamics_file import read_dynamics, write_dynamics
+from aerobalance.io.mass_file import read_mass, write_mass
 from aerobalance.problems import ReadError
 from aerobalance.weighing import weigh
 

@@ -14,7 +14,7 @@ from aerobalance.components import STANDARD_GRAVITY, si_unit
 from aerobalance.dynamics import Dynamics
 from aerobalance.fir_inverse import MeasuredResponse, response_of_record
 from aerobalance.io import read
-from aerobalance.io.artefacts import read_dynamics
+from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.problems import FitError
 from aerobalance.recording import Recording
 from aerobalance.rivals import THIS, RivalEstimate, Settings, estimates

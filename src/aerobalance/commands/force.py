@@ -25,9 +25,7 @@ from aerobalance.io import (
     check_output,
     write_force,
 )
-from aerobalance.io.artefacts import (
-    read_dynamics,
-)
+from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.loads import static_uncertainty
 from aerobalance.misfit import misfit_of
 from aerobalance.monte_carlo import MonteCarlo, monte_carlo

@@ -21,10 +21,7 @@ from aerobalance.identification.rig import identify_rig as fit_rig
 from aerobalance.io import (
     read_table,
 )
-from aerobalance.io.artefacts import (
-    dynamics_payload,
-    write_dynamics,
-)
+from aerobalance.io.dynamics_file import dynamics_payload, write_dynamics
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from aerobalance.commands.shared import Account, doubts, table_text
 from aerobalance.components import si_unit
 from aerobalance.dynamics import Dynamics
-from aerobalance.io.artefacts import read_dynamics
+from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.planning import Attainable, attainable, live_lag, usual_bandwidths
 
 

@@ -13,11 +13,7 @@ from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.io import (
     load_channel_map,
 )
-from aerobalance.io.artefacts import (
-    mass_payload,
-    read_mass,
-    write_mass,
-)
+from aerobalance.io.mass_file import mass_payload, read_mass, write_mass
 from aerobalance.io.points import read_points
 from aerobalance.io.weighing_file import weighing_payload, write_weighing
 from aerobalance.weighing import weigh as fit_mass

@@ -269,15 +269,8 @@ def write_balance(
     ValueError
         The file cannot be written.
     """
-    payload = {
-        "kind": "balance",
-        "schema": artefacts.SCHEMA,
-        **found,
-        "matrix": matrix_payload(matrix),
-        "warnings": list(warnings),
-        "provenance": artefacts.provenance(inputs, settings=settings),
-    }
-    artefacts.write_json(path, payload)
+    contents = {**found, "matrix": matrix_payload(matrix)}
+    artefacts.write_artefact(path, "balance", contents, inputs=inputs, settings=settings, warnings=warnings)
 
 
 def read_balance(path: Path | str) -> BalanceMatrix:

@@ -12,6 +12,7 @@ from pydantic import Field
 from aerobalance.components import si_unit
 from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative
+from aerobalance.io.mass_file import MassFile, mass_payload, read_mass
 from aerobalance.problems import ReadError
 from aerobalance.recording import Array
 from aerobalance.weighing import Agreement, Weighing, WeightModel
@@ -44,7 +45,7 @@ class _Model(artefacts.Loose):
     residuals: list[list[Finite]] = Field(default_factory=list)
 
 
-class _WeighingFile(artefacts.MassFile):
+class _WeighingFile(MassFile):
     common_mass: artefacts.PositiveValue | None = None
     centre_of_gravity: dict[str, artefacts.Value] = Field(default_factory=dict)
     offsets: dict[str, artefacts.Value] = Field(default_factory=dict)
@@ -69,7 +70,7 @@ def weighing_payload(weighing: Weighing) -> dict[str, object]:
 
     deviations = {name: {"value": value, "unit": si_unit(name)} for name, value in weighing.deviations.items()}
     return {
-        "components": {name: artefacts.mass_payload(mass) for name, mass in weighing.masses.items()},
+        "components": {name: mass_payload(mass) for name, mass in weighing.masses.items()},
         "common_mass": {"value": weighing.mass, "u": weighing.u_mass, "unit": "kg"},
         "centre_of_gravity": quantities(weighing.centre_of_gravity, weighing.u_centre_of_gravity, "m"),
         "offsets": quantities(weighing.offsets, weighing.u_offsets, None),
@@ -130,14 +131,8 @@ def write_weighing(
     ValueError
         The file cannot be written.
     """
-    payload = {
-        "kind": "mass",
-        "schema": artefacts.SCHEMA,
-        **weighing_payload(weighing),
-        "warnings": list(warnings),
-        "provenance": artefacts.provenance(inputs, settings=settings),
-    }
-    artefacts.write_json(path, payload)
+    contents = weighing_payload(weighing)
+    artefacts.write_artefact(path, "mass", contents, inputs=inputs, settings=settings, warnings=warnings)
 
 
 def read_weighing(path: Path | str) -> Weighing:
@@ -167,7 +162,7 @@ def read_weighing(path: Path | str) -> Weighing:
             model=WeightModel(
                 tuple(model.components), model.own_masses, model.own_centres, gravity=model.gravity.value
             ),
-            masses=artefacts.read_mass(file),
+            masses=read_mass(file),
             mass=mass.value,
             u_mass=mass.u,
             centre_of_gravity=_values(contents.centre_of_gravity),

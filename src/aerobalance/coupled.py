@@ -1,0 +1,197 @@
+r"""Several components that ring together: F = X + D X' + A X'' with matrices for D and A.
+
+X are the loads felt and F the loads applied, both in the order of the components. A = M K^-1 and D = C K^-1 carry the
+mass, damping and stiffness matrices of Eq. (8) of [Gorbushin2020]_ written for several components, so that F is
+Eq. (17) with matrices in place of M/k and b/k. A diagonal A and D is the paper's way, each component for itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.signal import lfilter
+
+from aerobalance.components import COMPONENTS
+from aerobalance.dynamics import Dynamics, Mode
+from aerobalance.recording import Array
+
+VECTORS: Final = {
+    "NF": (0, 0, 1),
+    "SF": (0, 1, 0),
+    "AF": (1, 0, 0),
+    "PM": (0, 1, 0),
+    "YM": (0, 0, -1),
+    "RM": (-1, 0, 0),
+}
+"""Direction of every component along aft, right, up: of the force, or of the right-handed turn of the moment."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigidMass:
+    """A rigid moving mass about the balance's centre.
+
+    Attributes
+    ----------
+    mass
+        Mass [kg].
+    centre
+        Centre of gravity along aft, right and up, shape (3,) [m].
+    inertia
+        Moments of inertia about the centre of gravity, shape (3, 3), symmetric [kg*m^2].
+    covariance
+        Covariance of mass, centre and the inertia's aa, rr, uu, ar, au, ru, shape (10, 10); all zero where not given.
+    """
+
+    mass: float
+    centre: Array
+    inertia: Array
+    covariance: Array = field(default_factory=lambda: np.zeros((10, 10)))
+
+    def __post_init__(self) -> None:
+        if not 0 < self.mass < np.inf:
+            raise ValueError(f"mass must be positive and finite, not {self.mass}")
+        for name, shape in (("centre", (3,)), ("inertia", (3, 3)), ("covariance", (10, 10))):
+            value = getattr(self, name)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise ValueError(f"{name} must have shape {shape} and be finite")
+        if not np.allclose(self.inertia, self.inertia.T, rtol=1e-9, atol=0):
+            raise ValueError("inertia must be symmetric")
+
+    @property
+    def matrix(self) -> Array:
+        """Mass matrix in the order and signs of `COMPONENTS`, shape (6, 6) [kg, kg*m, kg*m^2].
+
+        Times the acceleration of the balance's centre, its moments turns, it is the load that the acceleration takes.
+        """
+        across = np.cross(np.eye(3), self.centre)  # rows e x r, so that across.T @ turn = turn x r
+        whole = np.zeros((6, 6))
+        whole[:3, :3] = self.mass * np.eye(3)
+        whole[:3, 3:] = self.mass * across.T
+        whole[3:, :3] = self.mass * across
+        whole[3:, 3:] = self.inertia + self.mass * across @ across.T
+        turn = np.zeros((6, 6))
+        for row, name in enumerate(COMPONENTS):
+            place = slice(3, 6) if name in ("PM", "YM", "RM") else slice(0, 3)
+            turn[row, place] = VECTORS[name]
+        return turn @ whole @ turn.T
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoupledDynamics:
+    """Dynamics of several components at once.
+
+    Attributes
+    ----------
+    components
+        Which components, n of them, in the order of `COMPONENTS`.
+    inertia
+        A = M K^-1, shape (n, n); the unit of row i over that of column j [s^2].
+    damping
+        D = C K^-1, shape (n, n); the unit of row i over that of column j [s].
+    covariance
+        Covariance of `parameters`, shape (2 n^2, 2 n^2); all zero where not given.
+    mass
+        What the ground's motion and gravity act on; None where it is not known.
+    """
+
+    components: tuple[str, ...]
+    inertia: Array
+    damping: Array
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    mass: RigidMass | None = None
+
+    def __post_init__(self) -> None:
+        if not self.components or tuple(c for c in COMPONENTS if c in self.components) != tuple(self.components):
+            raise ValueError(f"components must be some of {', '.join(COMPONENTS)}, in this order and each once")
+        n = len(self.components)
+        for name in ("inertia", "damping"):
+            value = getattr(self, name)
+            if value.shape != (n, n) or not np.isfinite(value).all():
+                raise ValueError(f"{name} must have shape ({n}, {n}) and be finite")
+        if self.covariance.size == 0:
+            object.__setattr__(self, "covariance", np.zeros((2 * n * n, 2 * n * n)))
+        if self.covariance.shape != (2 * n * n, 2 * n * n):
+            raise ValueError(f"covariance must have shape ({2 * n * n}, {2 * n * n}), not {self.covariance.shape}")
+        if not np.isfinite(self.covariance).all() or (np.diag(self.covariance) < 0).any():
+            raise ValueError("covariance must be finite, with variances of zero or more")
+        if not (np.linalg.eigvals(self._generator).real < 0).all():
+            raise ValueError("inertia and damping make a free oscillation that grows or never ends")
+
+    @classmethod
+    def of_components(cls, parts: Sequence[Dynamics]) -> CoupledDynamics:
+        """Components that do not ring together, one mode each: the paper's way, with diagonal matrices."""
+        if any(part.further_modes for part in parts):
+            raise ValueError("components with further modes do not fit into matrices of their own size")
+        parts = sorted(parts, key=lambda part: COMPONENTS.index(part.component))
+        n = len(parts)
+        covariance = np.zeros((2 * n * n, 2 * n * n))
+        for place, part in enumerate(parts):
+            stiffness, size = part.stiffness, 4
+            slopes = np.zeros((2, size))
+            slopes[0, :2] = 1 / stiffness, -part.mass / stiffness**2
+            slopes[1, 1:3] = -part.damping / stiffness**2, 1 / stiffness
+            where = [place * n + place, n * n + place * n + place]
+            covariance[np.ix_(where, where)] = slopes @ part.covariance[:4, :4] @ slopes.T
+        return cls(
+            tuple(part.component for part in parts),
+            np.diag([part.mass / part.stiffness for part in parts]),
+            np.diag([part.damping / part.stiffness for part in parts]),
+            covariance,
+        )
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the rows of `covariance`: the inertia row by row, then the damping."""
+        names = self.components
+        return tuple(f"{kind} {row}/{column}" for kind in ("inertia", "damping") for row in names for column in names)
+
+    @property
+    def _generator(self) -> Array:
+        """Matrix of the free motion of X and X', shape (2 n, 2 n)."""
+        n = len(self.components)
+        whole = np.zeros((2 * n, 2 * n))
+        whole[:n, n:] = np.eye(n)
+        whole[n:, :n] = -np.linalg.inv(self.inertia)
+        whole[n:, n:] = -np.linalg.solve(self.inertia, self.damping)
+        return whole
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Poles of the free motion, shape (2 n,), by size [rad/s]."""
+        poles = np.linalg.eigvals(self._generator).astype(np.complex128)
+        return np.asarray(poles[np.lexsort((poles.imag, np.round(np.abs(poles), 9)))])
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """Frequency and damping ratio of every oscillation, the slowest first; the shares are left at 1."""
+        up = [pole for pole in self.poles if pole.imag > 0]
+        return tuple(Mode(float(np.abs(pole)) / (2 * np.pi), float(-pole.real / np.abs(pole))) for pole in up)
+
+    def inverse_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """F over X at frequencies of shape (m,) [Hz]: 1 + D s + A s^2, shape (m, n, n)."""
+        s = 2j * np.pi * np.asarray(frequency, dtype=np.float64)[:, None, None]
+        return np.asarray(np.eye(len(self.components)) + s * self.damping + s**2 * self.inertia)
+
+    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Loads felt over loads applied at frequencies of shape (m,) [Hz], shape (m, n, n)."""
+        return np.asarray(np.linalg.inv(self.inverse_response(frequency)))
+
+    def load_felt(self, net: Array, *, interval: float) -> Array:
+        """Loads felt under loads that are linear between samples and were held before the first; both (samples, n)."""
+        n = len(self.components)
+        poles, shapes = np.linalg.eig(self._generator)
+        drive = np.vstack([np.zeros((n, n)), np.linalg.inv(self.inertia)])
+        change = net - net[0]
+        before = np.vstack([np.zeros((1, n)), change[:-1]])
+        weights = np.linalg.solve(shapes, drive.astype(np.complex128))
+        felt = np.zeros(net.shape, dtype=np.complex128)
+        for pole, shape, weight in zip(poles, shapes[:n].T, weights, strict=True):
+            growth = np.exp(pole * interval)
+            late = (np.expm1(pole * interval) - pole * interval) / (pole**2 * interval)
+            early = np.expm1(pole * interval) / pole - late
+            felt += lfilter([1.0], [1.0, -growth], (early * before + late * change) @ weight)[:, None] * shape
+        return np.asarray(net[0] + np.real(felt))

@@ -1,0 +1,115 @@
+"""mass.json of a weighing by one force component."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from aerobalance.components import STANDARD_GRAVITY, mass_unit, si_unit
+from aerobalance.io.artefacts import (
+    Covariance,
+    Finite,
+    Loose,
+    PositiveValue,
+    Value,
+    check_unit,
+    checked_covariance,
+    load,
+    write_artefact,
+)
+from aerobalance.problems import ReadError
+from aerobalance.weighing import AXES, MovingMass
+
+
+class _ComponentMass(Loose):
+    mass: PositiveValue
+    offset: Value = Value(value=0.0)
+    misalignment: dict[str, Value] = Field(default_factory=dict)
+    covariance: Covariance | None = None
+    residuals: list[Finite] = Field(default_factory=list)
+    degrees_of_freedom: Annotated[int, Field(ge=0)] = 0
+    gravity: PositiveValue = PositiveValue(value=STANDARD_GRAVITY)
+
+
+class MassFile(Loose):
+    """What every mass.json holds."""
+
+    kind: Literal["mass"] = "mass"
+    schema_: Annotated[Literal[1], Field(alias="schema")] = 1
+    components: Annotated[dict[str, _ComponentMass], Field(min_length=1)]
+
+
+def mass_payload(mass: MovingMass) -> dict[str, object]:
+    """Give the entry of one component in mass.json, as plain data."""
+    unit = si_unit(mass.component)
+    return {
+        "mass": {"value": mass.mass, "u": mass.u, "unit": mass_unit(mass.component)},
+        "offset": {"value": mass.offset, "u": mass.u_offset, "unit": unit},
+        "misalignment": {
+            axis: {"value": angle, "u": mass.u_misalignment[axis], "unit": "rad"}
+            for axis, angle in mass.misalignment.items()
+        },
+        "covariance": {"parameters": list(mass.parameters), "matrix": mass.covariance.tolist()},
+        "residuals": mass.residuals.tolist(),
+        "degrees_of_freedom": mass.degrees_of_freedom,
+        "gravity": {"value": mass.gravity, "u": 0.0, "unit": "m/s^2"},
+    }
+
+
+def write_mass(
+    path: Path | str,
+    masses: Mapping[str, MovingMass],
+    *,
+    inputs: Sequence[Path] = (),
+    settings: Mapping[str, object] | None = None,
+    warnings: Sequence[str] = (),
+) -> None:
+    """Write mass.json; the arguments are those of `write_dynamics`.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be written.
+    """
+    components = {name: mass_payload(item) for name, item in masses.items()}
+    write_artefact(path, "mass", {"components": components}, inputs=inputs, settings=settings, warnings=warnings)
+
+
+def read_mass(path: Path | str) -> dict[str, MovingMass]:
+    """Read mass.json, as written by `write_mass` or by hand (``components.AF.mass.value`` is enough).
+
+    Raises
+    ------
+    ReadError
+        The file is no such JSON, or its numbers are not physical; the message names the key and what is allowed.
+    """
+    file = Path(path)
+    contents = load(file, "mass", MassFile)
+    result = {}
+    for name, entry in contents.components.items():
+        key = f"components.{name}"
+        if name not in AXES:
+            raise ReadError(file, key, f"is no component that can be weighed; allowed: {', '.join(AXES)}")
+        check_unit(file, f"{key}.mass.unit", entry.mass, mass_unit(name))
+        check_unit(file, f"{key}.offset.unit", entry.offset, si_unit(name))
+        others = dict(entry.misalignment)
+        deviations = {"mass": entry.mass.u, "offset": entry.offset.u, **{axis: v.u for axis, v in others.items()}}
+        result[name] = MovingMass(
+            component=name,
+            mass=entry.mass.value,
+            u=entry.mass.u,
+            offset=entry.offset.value,
+            u_offset=entry.offset.u,
+            misalignment={axis: value.value for axis, value in others.items()},
+            u_misalignment={axis: value.u for axis, value in others.items()},
+            parameters=tuple(deviations),
+            covariance=checked_covariance(file, f"{key}.covariance", entry.covariance, deviations),
+            residuals=np.array(entry.residuals, dtype=np.float64),
+            degrees_of_freedom=entry.degrees_of_freedom,
+            gravity=entry.gravity.value,
+        )
+    return result
