@@ -5,7 +5,9 @@ import pytest
 
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
-from aerobalance.force import BAND_ORDER, ForceEstimate, reconstruct
+from aerobalance.estimate import ForceEstimate
+from aerobalance.force import reconstruct
+from aerobalance.inverses import BAND_ORDER
 from aerobalance.motion import GroundMotion
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import QUANTITIES, Channel, Recording

@@ -9,7 +9,8 @@ import pytest
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.contributions import Noise, Systematic
 from aerobalance.dynamics import Dynamics
-from aerobalance.force import ForceEstimate, reading_of, reconstruct, with_balance
+from aerobalance.estimate import ForceEstimate, with_balance
+from aerobalance.force import reading_of, reconstruct
 from aerobalance.monte_carlo import drawn_dynamics, drawn_numbers, monte_carlo
 from aerobalance.motion import GroundMotion
 from aerobalance.prior import Learned

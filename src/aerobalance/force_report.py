@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import welch
 
 from aerobalance.components import si_unit
-from aerobalance.force import ForceEstimate
+from aerobalance.estimate import ForceEstimate
 from aerobalance.io.artefacts import provenance
 from aerobalance.page import PLACE_HOLDERS, empty_figure, inline, legend, write_page
 from aerobalance.recording import Array, Recording

@@ -24,7 +24,8 @@ import numpy as np
 
 from aerobalance.contributions import Noise, Systematic
 from aerobalance.dynamics import Dynamics
-from aerobalance.force import PARAMETERS_NAME, ForceEstimate, Method, reading_of, with_motion
+from aerobalance.estimate import PARAMETERS_NAME, ForceEstimate
+from aerobalance.force import Method, reading_of, with_motion
 from aerobalance.motion import GroundMotion
 from aerobalance.prior import Learned, Reading
 from aerobalance.problems import DoubtWarning, FitError

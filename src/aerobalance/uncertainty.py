@@ -21,7 +21,7 @@ import numpy as np
 from scipy.signal import csd, welch
 
 from aerobalance.contributions import Noise, Systematic
-from aerobalance.force import ForceEstimate
+from aerobalance.estimate import ForceEstimate
 from aerobalance.recording import Array
 
 SEGMENTS: Final = 8

@@ -11,7 +11,8 @@ from scipy.linalg import solve_toeplitz
 from scipy.signal import czt, fftconvolve
 
 from aerobalance.dynamics import Dynamics
-from aerobalance.force import ForceEstimate, reconstruct
+from aerobalance.estimate import ForceEstimate
+from aerobalance.force import reconstruct
 from aerobalance.identification.decay import identify_decay
 from aerobalance.identification.extrema import extrema_fit
 from aerobalance.recording import Array, Channel, Recording

@@ -19,7 +19,8 @@ from aerobalance.commands.uncertainty import (
 )
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.dynamics import Dynamics
-from aerobalance.force import ForceEstimate, Method, reconstruct, with_balance, without_hum
+from aerobalance.estimate import ForceEstimate, with_balance
+from aerobalance.force import Method, reconstruct, without_hum
 from aerobalance.hum import Hum
 from aerobalance.io import (
     check_output,

@@ -10,7 +10,7 @@ import numpy as np
 
 from aerobalance.commands.shared import Account, table_text
 from aerobalance.components import si_unit
-from aerobalance.force import ForceEstimate
+from aerobalance.estimate import ForceEstimate
 from aerobalance.monte_carlo import Compared, MonteCarlo
 from aerobalance.recording import Recording
 from aerobalance.uncertainty import advice, budget, scalars, spectrum

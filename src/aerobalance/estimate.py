@@ -1,0 +1,197 @@
+"""What a force is worked out from, and what comes out: every sample with its uncertainty and where that is from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from aerobalance.contributions import Contribution, Systematic, total_deviation
+from aerobalance.dynamics import Dynamics
+from aerobalance.hum import Line
+from aerobalance.motion import AXES, GroundMotion, Unknown
+from aerobalance.prior import Learned
+from aerobalance.recording import Array, Recording
+from aerobalance.steps import Step
+
+PARAMETERS_NAME: Final = "mass, stiffness, damping, delay"
+"""Name of what the dynamics contribute to the uncertainty."""
+
+PROBE: Final = 0.1
+"""Change of a parameter, in standard uncertainties, over which the estimator's slope is taken."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceEstimate:
+    """The force applied along one component, and how it was found.
+
+    Attributes
+    ----------
+    component
+        Which component.
+    values
+        Applied force, shape (n,) [N].
+    uncertainty
+        Standard uncertainty of every sample, shape (n,) [N].
+    method
+        Words for the method and its settings.
+    noise
+        Standard uncertainty of a reading of the load [N].
+    bandwidth
+        Frequency up to which the force is resolved [Hz].
+    noise_gain
+        Noise of the force over noise of the reading [1].
+    steps
+        Sudden changes of the force that were found.
+    hum
+        Steady lines of the reading that were taken for hum and not for force.
+    assumptions
+        What was taken as zero because the recording does not have it.
+    budget
+        Root mean square of each contribution to the uncertainty [N].
+    contributions
+        The contributions themselves.
+    learned
+        Prior of the force and noise that the smoother took; None for the other methods.
+    """
+
+    component: str
+    values: Array
+    uncertainty: Array
+    method: str
+    noise: float
+    bandwidth: float
+    noise_gain: float
+    steps: tuple[Step, ...] = ()
+    hum: tuple[Line, ...] = ()
+    assumptions: tuple[str, ...] = ()
+    budget: dict[str, float] = field(default_factory=dict)
+    contributions: tuple[Contribution, ...] = ()
+    learned: Learned | None = None
+
+
+def with_balance(estimate: ForceEstimate, static: Array) -> ForceEstimate:
+    """Add the uncertainty of the balance matrix, its zeros and tares to an estimate.
+
+    The error of a matrix is a function of the load: to first order a gain and an offset. Both go through Eq. (17) of
+    [Gorbushin2020]_ unchanged, as it is linear, so the error of the force is that of a static load of its size.
+
+    Parameters
+    ----------
+    estimate
+        The force from loads that were taken as exact but for their noise.
+    static
+        Standard uncertainty of a static load of the force's size, shape (n,) [N]; NaN counts as the largest.
+    """
+    known = np.isfinite(static)
+    filled = np.where(known, static, np.max(static[known], initial=0.0))
+    matrix = _gain_and_offset(estimate.values, filled)
+    return replace(
+        estimate,
+        uncertainty=np.hypot(estimate.uncertainty, filled),
+        budget={**estimate.budget, matrix.name: float(np.sqrt(np.mean(filled**2)))},
+        contributions=(*estimate.contributions, matrix),
+    )
+
+
+def _gain_and_offset(values: Array, static: Array) -> Systematic:
+    """The error of a matrix as a gain and an offset: its variance is then a parabola over the force."""
+    size = float(np.max(np.abs(values), initial=0.0)) or 1.0
+    share = values / size
+    terms = np.column_stack([np.ones(share.size), 2 * share, share**2])
+    offset, both, gain = np.linalg.lstsq(terms, static**2, rcond=1e-9)[0]
+    level, vectors = np.linalg.eigh([[offset, both], [both, gain]])
+    covariance = (vectors * np.maximum(level, 0.0)) @ vectors.T
+    slopes = np.column_stack([np.ones(share.size), share])
+    found = float(np.mean(np.sum((slopes @ covariance) * slopes, axis=1)))
+    covariance *= float(np.mean(static**2)) / found if found > 0 else 0.0
+    names = ("offset", f"gain, at {size:.4g}")
+    return Systematic("balance matrix, zeros and tares", "balance", names, slopes, covariance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """A recording with the balance and the ground's motion that go with it."""
+
+    recording: Recording
+    dynamics: Dynamics
+    motion: GroundMotion
+
+    @property
+    def load(self) -> Array:
+        """Readings of the load, shape (n,) [N]."""
+        return self.recording.channel(self.dynamics.component).values
+
+    @property
+    def interval(self) -> float:
+        """Time between samples [s]."""
+        return 1 / self.recording.rate
+
+    @property
+    def input_noise(self) -> float:
+        """White noise of the ground's motion as a force per sample [N]."""
+        return self.dynamics.mass * self.motion.noise
+
+    @property
+    def motion_source(self) -> str:
+        """Channels that the noise of the ground's motion comes from."""
+        axis = AXES.get(self.dynamics.component, "")
+        names = [name for name in (f"ground_acceleration{axis}", "pitch") if name in self.recording]
+        return " and ".join(names) or "ground_acceleration"
+
+    def parameter_errors(self, values: Array, again: Callable[[Job], Array]) -> Systematic:
+        """What the parameters of the dynamics do to the force: the method is run again with each of them changed.
+
+        The slopes of Eq. (17) of [Gorbushin2020]_ would say too much where the smoother's prior has no force at a
+        frequency, and too little where a wrong frequency makes a wrong step.
+        """
+        d = self.dynamics
+        slopes = np.zeros((values.size, len(d.parameters)))
+        for place, deviation in enumerate(np.sqrt(np.diag(d.covariance))):
+            if deviation > 0:
+                changed = d.values
+                changed[place] += PROBE * deviation
+                moved = again(replace(self, dynamics=d.with_parameters(changed)))
+                slopes[:, place] = (moved - values) / (PROBE * deviation)
+        return Systematic(PARAMETERS_NAME, "dynamics", d.parameters, slopes, d.covariance)
+
+    def motion_errors(self, through: Callable[[Unknown], Array]) -> list[Contribution]:
+        """What holds along the ground's motion and is not known, by what a unit of it does to the force, (n,)."""
+        return [
+            Systematic(item.name, item.source, (item.name,), through(item)[:, None], np.array([[item.uncertainty**2]]))
+            for item in self.motion.unknowns
+        ]
+
+    def as_force(self, item: Unknown) -> Array:
+        """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, shape (n,)."""
+        return self.dynamics.mass * item.slope
+
+    def reading_errors(self, values: Array) -> list[Contribution]:
+        """Gain and zero of the load's channel: a gain acts on all that the readings say of the net force."""
+        channel = self.recording.channel(self.dynamics.component)
+        net = values + self.motion.force(self.dynamics.mass)
+        unknown = (
+            ("gain of the readings", net, channel.relative_uncertainty),
+            ("zero of the readings", np.ones(values.size), channel.zero_uncertainty),
+        )
+        return [
+            Systematic(name, channel.name, (name,), slope[:, None], np.array([[u**2]]))
+            for name, slope, u in unknown
+            if u > 0
+        ]
+
+    def finish(self, values: Array, contributions: list[Contribution], **facts: object) -> ForceEstimate:
+        """Put the answer together; a contribution that is nothing is left out, but for those that are always there."""
+        contributions = [*contributions, *self.reading_errors(values)]
+        parts = tuple(part for part in contributions if part.deviation.any() or part.source == "dynamics")
+        return ForceEstimate(
+            component=self.dynamics.component,
+            values=values,
+            uncertainty=total_deviation(parts),
+            assumptions=self.motion.assumptions,
+            budget={part.name: float(np.sqrt(np.mean(part.deviation**2))) for part in parts},
+            contributions=parts,
+            **facts,  # type: ignore[arg-type]
+        )
