@@ -135,11 +135,12 @@ def _filtered(values: Array, interval: float, transfer: Callable[[Array], NDArra
     is the uncertainty of the ends.
     """
     reach = min(values.size - 1, max(256, values.size // 4))
-    answers: list[Array] = []
+    answers = []
     for mode, options in (("reflect", {"reflect_type": "odd"}), ("edge", {})):
         padded = np.pad(values, reach, mode=mode, **options)  # type: ignore[call-overload]
         size = padded.size
-        frequency = np.fft.rfftfreq(size, interval)
+        frequency = np.asarray(np.fft.rfftfreq(size, interval), dtype=np.float64)
         spectrum = np.fft.rfft(padded) * transfer(frequency)
-        answers.append(np.asarray(np.fft.irfft(spectrum, size)[reach : reach + values.size], dtype=np.float64))
-    return answers[0], np.abs(answers[0] - answers[1])
+        answers.append(np.fft.irfft(spectrum, size)[reach : reach + values.size])
+    first, second = answers
+    return first, np.abs(first - second)
