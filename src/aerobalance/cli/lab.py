@@ -1,0 +1,189 @@
+"""Commands of the lab: calibrate, weigh, identify."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from aerobalance.cli.account import show
+from aerobalance.cli.options import (
+    PROGRAM,
+    Component,
+    Gravity,
+    Json,
+    Map,
+    Mass,
+    MaybeBalance,
+    Model,
+    Modes,
+    Out,
+    Rec,
+    Way,
+    Zero,
+    example,
+)
+from aerobalance.components import STANDARD_GRAVITY
+
+app = typer.Typer()
+identify = typer.Typer(
+    help="Stiffness and damping of a balance, from a release, a shaken rig or a published table.",
+    epilog=f"Example: {PROGRAM} identify decay cut.csv --component AF --mass 177.87 -o dynamics.json",
+    no_args_is_help=True,
+)
+app.add_typer(identify, name="identify")
+
+
+@app.command(epilog=example("calibrate schedule.csv --model auto -o balance.json --report calibration.html"))
+def calibrate(
+    schedule: Annotated[
+        Path, typer.Argument(metavar="SCHEDULE", help="Loads and gauge outputs: BALFIT csv, .vol or plain csv.")
+    ],
+    out: Out = None,
+    model: Annotated[
+        Model, typer.Option("--model", help="Terms offered: 96 of AIAA R-091, or fewer; auto chooses among them.")
+    ] = Model.AUTO,
+    way: Annotated[
+        Way, typer.Option("--way", help="Fit outputs on loads (iterative) or loads on outputs (non-iterative).")
+    ] = Way.ITERATIVE,
+    keep_aside: Annotated[
+        float, typer.Option("--keep-aside", help="Share of the points kept out of the fit to confirm it.")
+    ] = 0.0,
+    capacity: Annotated[
+        list[str] | None,
+        typer.Option("--capacity", help="Capacity of a load, 'N1=2500 lbf', where the file lacks it (repeatable)."),
+    ] = None,
+    distances: Annotated[
+        str | None,
+        typer.Option("--distances", help="Gauges from the centre, '1.5 1.5 1.25 1.25 in': N1 N2 S1 S2 (or PM, YM)."),
+    ] = None,
+    report: Annotated[Path | None, typer.Option("--report", help="Write a page with figures and tables.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Make a balance matrix from a load schedule, with its statistics."""
+    from aerobalance.commands import calibration
+
+    show(
+        lambda: calibration.calibrate(
+            schedule,
+            out,
+            model=model.value,
+            way=way.value,
+            keep_aside=keep_aside,
+            capacities=capacity or (),
+            distances=distances,
+            report=report,
+        ),
+        as_json,
+        doing="fitting the matrix",
+        plain="summary",
+    )
+
+
+@app.command("compare-calibrations", epilog=example("compare-calibrations 2022.json 2025.json"))
+def compare_calibrations(
+    before: Annotated[Path, typer.Argument(metavar="BEFORE", help="balance.json, or a load schedule.")],
+    after: Annotated[Path, typer.Argument(metavar="AFTER", help="The later one of the same balance.")],
+    out: Out = None,
+    model: Annotated[Model, typer.Option("--model", help="Terms offered where a schedule is given.")] = Model.AUTO,
+    as_json: Json = False,
+) -> None:
+    """Show what has changed between two calibrations of one balance, and whether it is more than chance."""
+    from aerobalance.commands import calibration
+
+    show(lambda: calibration.compare(before, after, out, model=model.value), as_json, doing="comparing")
+
+
+@app.command(epilog=example("weigh points.csv -o mass.json"))
+def weigh(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Static points, or recordings.")],
+    out: Out = None,
+    component: Annotated[
+        str | None,
+        typer.Option("--component", help="Weigh with this force alone: AF, SF or NF; all loads if left out."),
+    ] = None,
+    gravity: Gravity = STANDARD_GRAVITY,
+    balance: MaybeBalance = None,
+    zero: Zero = None,
+    channel_map: Map = None,
+    as_json: Json = False,
+) -> None:
+    """Find mass and centre of gravity from readings at several pitch (and roll) angles."""
+    from aerobalance.commands import weighing
+    from aerobalance.commands.loads import BalanceFiles
+
+    if balance is None and zero:
+        raise ValueError("--zero goes with --balance: it is a zero of gauge outputs")
+
+    show(
+        lambda: weighing.weigh(
+            files,
+            out,
+            component=component,
+            gravity=gravity,
+            files=None if balance is None else BalanceFiles.of(balance, zero=zero),
+            channel_map=channel_map,
+        ),
+        as_json,
+        doing="weighing",
+    )
+
+
+@identify.command("decay", epilog=example("identify decay cut.csv --component AF --mass 177.87 -o dynamics.json"))
+def identify_decay(
+    rec: Rec,
+    mass: Mass,
+    out: Out = None,
+    component: Component = "AF",
+    modes: Modes = "1",
+    channel_map: Map = None,
+    as_json: Json = False,
+) -> None:
+    """Identify from a free decay: a load that is held and released."""
+    from aerobalance.commands import identify
+
+    show(
+        lambda: identify.identify_decay(
+            rec, out, component=component, mass=mass, modes=modes, channel_map=channel_map
+        ),
+        as_json,
+        doing="fitting the decay",
+    )
+
+
+@identify.command("rig", epilog=example("identify rig sweep.csv --component AF --mass 0.68 -o dynamics.json"))
+def identify_rig(
+    rec: Rec,
+    mass: Annotated[
+        str | None,
+        typer.Option("--mass", help="Moving mass in kg: a number, or a mass.json; identified when not given."),
+    ] = None,
+    out: Out = None,
+    component: Component = "AF",
+    modes: Modes = "1",
+    channel_map: Map = None,
+    as_json: Json = False,
+) -> None:
+    """Identify from a shaken ground end: stepped sine, sweep or random."""
+    from aerobalance.commands import identify
+
+    show(
+        lambda: identify.identify_rig(rec, out, component=component, mass=mass, modes=modes, channel_map=channel_map),
+        as_json,
+        doing="fitting the response",
+    )
+
+
+@identify.command("frf", epilog=example("identify frf table.csv --component AF --mass 0.68 -o dynamics.json"))
+def identify_frf(
+    table: Annotated[Path, typer.Argument(metavar="TABLE", help="Frequency, amplitude and phase with uncertainties.")],
+    mass: Mass,
+    out: Out = None,
+    component: Component = "AF",
+    as_json: Json = False,
+) -> None:
+    """Identify from a published sine calibration: the response AF/F at some frequencies."""
+    from aerobalance.commands import identify
+
+    show(lambda: identify.identify_frf(table, out, component=component, mass=mass), as_json, doing="fitting the table")

@@ -1,0 +1,84 @@
+"""Commands on recordings: look, convert, map, record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from aerobalance.cli.account import show
+from aerobalance.cli.options import (
+    Json,
+    Map,
+    NeededOut,
+    Out,
+    example,
+)
+
+app = typer.Typer()
+
+
+@app.command(epilog=example("info run.csv"))
+def info(
+    file: Annotated[Path, typer.Argument(metavar="FILE")], channel_map: Map = None, as_json: Json = False
+) -> None:
+    """Show channels, units, rate, duration, gaps and saturation of a recording."""
+    from aerobalance.commands import recordings
+
+    show(lambda: recordings.info(file, channel_map=channel_map), as_json, doing="reading")
+
+
+@app.command(epilog=example("convert run.txt --map map.toml -o run.csv"))
+def convert(
+    file: Annotated[Path, typer.Argument(metavar="IN")], out: NeededOut, channel_map: Map = None, as_json: Json = False
+) -> None:
+    """Convert a recording to the format of the output's ending."""
+    from aerobalance.commands import recordings
+
+    show(lambda: recordings.convert(file, out, channel_map=channel_map), as_json, doing="converting")
+
+
+@app.command("map", epilog=example("map run.txt -o map.toml"))
+def channel_map(
+    file: Annotated[Path, typer.Argument(metavar="FILE")],
+    out: Out = None,
+    as_json: Json = False,
+) -> None:
+    """Make a channel map, to be filled in, for a foreign file."""
+    from aerobalance.commands import recordings
+
+    show(lambda: recordings.channel_map_for(file, out), as_json, doing="reading", plain="map")
+
+
+@app.command(epilog=example("record --source simulated --seconds 10 -o run.h5"))
+def record(
+    out: NeededOut,
+    source: Annotated[
+        str | None, typer.Option("--source", help="What gives the samples: simulated (the default) or replay.")
+    ] = None,
+    setup: Annotated[
+        Path | None, typer.Option("--setup", help="Test set-up (TOML): channels, trigger, limits, source.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", help="Length of the record in s; else until Ctrl-C.")
+    ] = None,
+    file: Annotated[Path | None, typer.Option("--file", help="The recording that is replayed.")] = None,
+    rig: Annotated[
+        str | None, typer.Option("--rig", help="The simulated rig: vibration, cable_cut or six (components).")
+    ] = None,
+    speed: Annotated[
+        float | None, typer.Option("--speed", help="Times real time; inf for as fast as possible.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="Seed of the simulated noise.")] = None,
+    replace: Annotated[bool, typer.Option("--replace", help="Delete an old recording of the same name.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Record a source to an HDF5 file, each block safe on the disk before the next; Ctrl-C ends it cleanly."""
+    from aerobalance.commands import record as command
+
+    wishes = command.Wishes(source=source, file=file, rig=rig, seconds=seconds, speed=speed, seed=seed)
+    with Console(stderr=True).status("starting ...") as status:
+        account = command.record(out, setup=setup, wishes=wishes, replace=replace, show=status.update)
+    show(lambda: account, as_json, doing="recording")

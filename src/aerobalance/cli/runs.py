@@ -1,0 +1,210 @@
+"""Commands of every run: loads, force, compare, and plan before it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from aerobalance.cli.account import show
+from aerobalance.cli.options import (
+    Balance,
+    Component,
+    Gravity,
+    Json,
+    LoadForm,
+    Map,
+    MaybeBalance,
+    Method,
+    NeededOut,
+    Out,
+    Rec,
+    Tare,
+    Zero,
+    ZeroAfter,
+    example,
+)
+from aerobalance.components import STANDARD_GRAVITY
+
+app = typer.Typer()
+
+
+@app.command(epilog=example("loads run.csv --balance balance.json --zero windoff.csv -o loads.csv"))
+def loads(
+    rec: Rec,
+    balance: Balance,
+    out: NeededOut,
+    zero: Zero = None,
+    zero_after: ZeroAfter = None,
+    tare: Tare = None,
+    mass: Annotated[
+        Path | None, typer.Option("--mass", help="mass.json of a weighing, whose weight is taken off.")
+    ] = None,
+    form: Annotated[
+        LoadForm | None,
+        typer.Option("--form", help="direct: NF PM SF YM RM AF; force: N1 N2 ...; moment: PM1 PM2 ..."),
+    ] = None,
+    channel_map: Map = None,
+    as_json: Json = False,
+) -> None:
+    """Turn gauge outputs into the loads that the balance feels, with their uncertainty."""
+    from aerobalance.commands import loads as command
+
+    files = command.BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare, mass=mass)
+    show(
+        lambda: command.loads(
+            rec, out, files=files, form=None if form is None else form.value, channel_map=channel_map
+        ),
+        as_json,
+        doing="solving for the loads",
+    )
+
+
+@app.command(epilog=example("force run.csv --dynamics dynamics.json -o force.csv"))
+def force(
+    rec: Rec,
+    dynamics: Annotated[Path, typer.Option("--dynamics", help="The dynamics.json that identify wrote.")],
+    out: NeededOut,
+    method: Annotated[
+        Method, typer.Option("--method", help="smoother: optimal estimator; paper: Eq. (17) by central differences.")
+    ] = Method.SMOOTHER,
+    bandwidth: Annotated[
+        float | None, typer.Option("--bandwidth", help="Give the inverse limited to this band in Hz instead.")
+    ] = None,
+    gravity: Gravity = STANDARD_GRAVITY,
+    u_gravity: Annotated[float, typer.Option("--u-gravity", help="Its standard uncertainty.", min=0)] = 0.0,
+    hum: Annotated[
+        str,
+        typer.Option(
+            "--hum", metavar="mains|keep|HZ,HZ", help="Lines that are no force: mains hum if found, none, or near HZ."
+        ),
+    ] = "mains",
+    balance: MaybeBalance = None,
+    zero: Zero = None,
+    zero_after: ZeroAfter = None,
+    tare: Tare = None,
+    channel_map: Map = None,
+    monte_carlo: Annotated[
+        int | None, typer.Option("--monte-carlo", help="Check the uncertainty by so many draws (JCGM 101).", min=10)
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of these draws.", min=0)] = 1,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Page (HTML) with load, force, spectrum and budget.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Work out the force that was applied, with the standard uncertainty of every sample, its budget and a check."""
+    from aerobalance.commands import force as command
+    from aerobalance.commands.loads import BalanceFiles
+
+    if balance is None and (zero or zero_after or tare):
+        raise ValueError("--zero, --zero-after and --tare go with --balance: they are of gauge outputs")
+
+    show(
+        lambda: command.force(
+            rec,
+            out,
+            dynamics=dynamics,
+            method=method.value,
+            bandwidth=bandwidth,
+            gravity=gravity,
+            gravity_uncertainty=u_gravity,
+            hum=command.hum_of(hum),
+            files=None if balance is None else BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare),
+            channel_map=channel_map,
+            check=None if monte_carlo is None else command.Check(monte_carlo, seed),
+            report=report,
+        ),
+        as_json,
+        doing="estimating the force",
+    )
+
+
+@app.command(epilog=example("plan --dynamics dynamics.json --noise 2 --rate 1600 --force 200"))
+def plan(
+    dynamics: Annotated[Path, typer.Option("--dynamics", help="The dynamics.json that identify wrote.")],
+    noise: Annotated[float, typer.Option("--noise", help="Standard uncertainty of one reading of the load, in N.")],
+    rate: Annotated[float, typer.Option("--rate", help="Sampling rate in Hz.")],
+    component: Annotated[
+        str | None, typer.Option("--component", help="Which component, where there are more.")
+    ] = None,
+    acceleration_noise: Annotated[
+        float, typer.Option("--acceleration-noise", help="The same of the ground accelerometer, in m/s^2.")
+    ] = 0.0,
+    force: Annotated[
+        float | None, typer.Option("--force", help="Root mean square of the force expected, in N.")
+    ] = None,
+    bandwidth: Annotated[
+        list[float] | None, typer.Option("--bandwidth", help="Highest frequency of the force in Hz (repeatable).")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Before the test: attainable uncertainty against bandwidth, and which sensor limits it."""
+    from aerobalance.commands import plan as command
+
+    show(
+        lambda: command.plan(
+            dynamics,
+            noise=noise,
+            rate=rate,
+            component=component,
+            acceleration_noise=acceleration_noise,
+            force=force,
+            bandwidths=bandwidth or (),
+        ),
+        as_json,
+        doing="planning",
+        plain="summary",
+    )
+
+
+@app.command(epilog=example("compare run.csv --dynamics dynamics.json --truth truth.csv -o compare.html"))
+def compare(
+    rec: Rec,
+    dynamics: Annotated[Path, typer.Option("--dynamics", help="The dynamics.json that identify wrote.")],
+    truth: Annotated[
+        Path | None, typer.Option("--truth", help="Force really applied, on the record's clock: time [s],AF [N].")
+    ] = None,
+    component: Component = "AF",
+    step: Annotated[
+        Path | None,
+        typer.Option("--step", help="Record of one step or impulse, for the black-box inverse; else the model's own."),
+    ] = None,
+    half_range: Annotated[
+        float | None,
+        typer.Option("--half-range", help="What percentages refer to; half of the truth's span if left out."),
+    ] = None,
+    out: Out = None,
+    gravity: Gravity = STANDARD_GRAVITY,
+    balance: MaybeBalance = None,
+    zero: Zero = None,
+    zero_after: ZeroAfter = None,
+    tare: Tare = None,
+    channel_map: Map = None,
+    as_json: Json = False,
+) -> None:
+    """Show this estimator and its rivals side by side on one record, with their errors where the truth is given."""
+    from aerobalance.commands import compare as command
+    from aerobalance.commands.loads import BalanceFiles
+
+    if balance is None and (zero or zero_after or tare):
+        raise ValueError("--zero, --zero-after and --tare go with --balance: they are of gauge outputs")
+
+    show(
+        lambda: command.compare(
+            rec,
+            dynamics=dynamics,
+            truth=truth,
+            component=component,
+            step=step,
+            half_range=half_range,
+            gravity=gravity,
+            files=None if balance is None else BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare),
+            channel_map=channel_map,
+            out=out,
+        ),
+        as_json,
+        doing="running the rivals",
+        plain="summary",
+    )
