@@ -9,8 +9,8 @@ import pytest
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.contributions import Noise, Systematic
 from aerobalance.dynamics import Dynamics
-from aerobalance.estimate import ForceEstimate, with_balance
-from aerobalance.force import reading_of, reconstruct
+from aerobalance.estimate import ForceEstimate, Job, with_balance
+from aerobalance.force import reconstruct
 from aerobalance.monte_carlo import drawn_dynamics, drawn_numbers, monte_carlo
 from aerobalance.motion import GroundMotion
 from aerobalance.prior import Learned
@@ -276,7 +276,7 @@ def test_the_fast_estimator_is_the_obvious_one():
     values = given.channel("AF").values - 800 * T128.step_response(given.time - 0.40012)
     values[900:920] = np.nan
     given = record(AF=values)
-    reading = reading_of(given, T128, GroundMotion.of(given, "AF"))
+    reading = Job.of(given, T128, GroundMotion.of(given, "AF")).reading()
     estimate = reconstruct(given, T128)
     assert len(estimate.steps) == 1, seed
     obvious = Smoothed.of(reading, learned=estimate.learned, steps=estimate.steps)
@@ -293,7 +293,7 @@ def test_simulated_readings_are_those_of_the_model():
     generator, seed = fresh()
     given = run(generator, count=4000)
     estimate = reconstruct(given, T128)
-    reading = reading_of(given, T128, GroundMotion.of(given, "AF"))
+    reading = Job.of(given, T128, GroundMotion.of(given, "AF")).reading()
     estimator = Estimator.of(reading, learned=estimate.learned, steps=())
     _, simulated = estimator.simulate(generator)
     white = estimator.filter.whiten(simulated[:, None])[:, 0]

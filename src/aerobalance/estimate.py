@@ -11,9 +11,10 @@ import numpy as np
 from aerobalance.contributions import Contribution, Systematic, total_deviation
 from aerobalance.dynamics import Dynamics
 from aerobalance.hum import Line
-from aerobalance.motion import AXES, GroundMotion, Unknown
-from aerobalance.prior import Learned
+from aerobalance.motion import AXES, GroundMotion, Unknown, load_from_ground
+from aerobalance.prior import Learned, Reading
 from aerobalance.recording import Array, Recording
+from aerobalance.sensing import corrected
 from aerobalance.steps import Step
 
 PARAMETERS_NAME: Final = "mass, stiffness, damping, delay"
@@ -111,13 +112,22 @@ def _gain_and_offset(values: Array, static: Array) -> Systematic:
     return Systematic("balance matrix, zeros and tares", "balance", names, slopes, covariance)
 
 
+Through = Callable[[Array], Array]
+"""What a method makes of readings, shape (n, c), when it takes them as it took the record's: forces, (n, c)."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Job:
-    """A recording with the balance and the ground's motion that go with it."""
+    """One component of a recording with the balance and the ground's motion that go with it."""
 
     recording: Recording
     dynamics: Dynamics
     motion: GroundMotion
+
+    @classmethod
+    def of(cls, recording: Recording, dynamics: Dynamics, motion: GroundMotion) -> Job:
+        """Take a recording as it was written: what its channels' filters have done is undone first."""
+        return cls(corrected(recording), dynamics, motion)
 
     @property
     def load(self) -> Array:
@@ -141,7 +151,23 @@ class Job:
         names = [name for name in (f"ground_acceleration{axis}", "pitch") if name in self.recording]
         return " and ".join(names) or "ground_acceleration"
 
-    def parameter_errors(self, values: Array, again: Callable[[Job], Array]) -> Systematic:
+    def reading(self, *, hum: tuple[float, ...] = ()) -> Reading:
+        """The record as the estimator takes it: the load that the ground's motion has put on it is taken off.
+
+        Hum is named by its frequencies [Hz] and left in; readings that rest on a limit count as missing.
+        """
+        channel, d = self.recording.channel(self.dynamics.component), self.dynamics
+        from_ground = load_from_ground(self.motion, d, rate=self.recording.rate, load_delay=channel.delay)
+        return Reading(
+            values=np.where(channel.at_limit, np.nan, channel.values - from_ground),
+            interval=self.interval,
+            dynamics=d,
+            input_density=self.input_noise**2 * self.interval,
+            noise=channel.noise,
+            hum=hum,
+        )
+
+    def parameter_errors(self, values: Array, again: Callable[[Job], Array], _: Through) -> Systematic:
         """What the parameters of the dynamics do to the force: the method is run again with each of them changed.
 
         The slopes of Eq. (17) of [Gorbushin2020]_ would say too much where the smoother's prior has no force at a
@@ -157,18 +183,23 @@ class Job:
                 slopes[:, place] = (moved - values) / (PROBE * deviation)
         return Systematic(PARAMETERS_NAME, "dynamics", d.parameters, slopes, d.covariance)
 
-    def motion_errors(self, through: Callable[[Unknown], Array]) -> list[Contribution]:
-        """What holds along the ground's motion and is not known, by what a unit of it does to the force, (n,)."""
-        return [
-            Systematic(item.name, item.source, (item.name,), through(item)[:, None], np.array([[item.uncertainty**2]]))
-            for item in self.motion.unknowns
-        ]
+    def felt_under(self, item: Unknown) -> Array:
+        """Load felt under a unit of an unknown of the ground's motion, shape (n,)."""
+        unit, delay = replace(self.motion, specific_force=item.slope), self.recording.channel(self.dynamics.component)
+        return load_from_ground(unit, self.dynamics, rate=self.recording.rate, load_delay=delay.delay)
 
     def as_force(self, item: Unknown) -> Array:
         """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, shape (n,)."""
         return self.dynamics.mass * item.slope
 
-    def reading_errors(self, values: Array) -> list[Contribution]:
+    def motion_errors(self, slope: Callable[[Unknown], Array]) -> list[Contribution]:
+        """What holds along the ground's motion and is not known, by what a unit of it does to the force, (n,)."""
+        return [
+            Systematic(item.name, item.source, (item.name,), slope(item)[:, None], np.array([[item.uncertainty**2]]))
+            for item in self.motion.unknowns
+        ]
+
+    def reading_errors(self, values: Array, _: Through) -> list[Contribution]:
         """Gain and zero of the load's channel: a gain acts on all that the readings say of the net force."""
         channel = self.recording.channel(self.dynamics.component)
         net = values + self.motion.force(self.dynamics.mass)
@@ -184,7 +215,6 @@ class Job:
 
     def finish(self, values: Array, contributions: list[Contribution], **facts: object) -> ForceEstimate:
         """Put the answer together; a contribution that is nothing is left out, but for those that are always there."""
-        contributions = [*contributions, *self.reading_errors(values)]
         parts = tuple(part for part in contributions if part.deviation.any() or part.source == "dynamics")
         return ForceEstimate(
             component=self.dynamics.component,

@@ -17,11 +17,10 @@ from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import ForceEstimate, Job
 from aerobalance.hum import Hum, Line, reading_of_lines
 from aerobalance.inverses import band_limited, central_differences
-from aerobalance.motion import GroundMotion, Unknown, load_from_ground
+from aerobalance.motion import GroundMotion, Unknown
 from aerobalance.prior import Learned, Reading
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Array, Recording
-from aerobalance.sensing import corrected
 from aerobalance.smoothing import Estimator, Smoothed, taken_apart
 
 Method = Literal["smoother", "paper"]
@@ -94,7 +93,7 @@ def with_motion(
         )
     if not isinstance(hum, str) and (bandwidth is not None or method != "smoother"):
         raise ValueError("only the smoother without a bandwidth can take lines for hum")
-    job = Job(corrected(recording), dynamics, motion)
+    job = Job.of(recording, dynamics, motion)
     if bandwidth is not None:
         return band_limited(job, bandwidth)
     if method == "paper":
@@ -106,8 +105,7 @@ def with_motion(
 
 def _optimal(job: Job, hum: Hum) -> ForceEstimate:
     """The smoother of `aerobalance.smoother` with its prior learned and its steps found."""
-    d = job.dynamics
-    apart = taken_apart(reading_of(job.recording, d, job.motion), hum=hum)
+    apart = taken_apart(job.reading(), hum=hum)
     reading, steps, learned = apart.reading, apart.steps, apart.learned
     fit = Smoothed.of(reading, learned=learned, steps=steps)
     level = _unexplained(job, fit.innovations)
@@ -115,23 +113,24 @@ def _optimal(job: Job, hum: Hum) -> ForceEstimate:
     if hum == "mains":
         _tell_of_hum(job, lines, large=apart.large)
 
-    def run(other: Job) -> Array:
-        changed = reading_of(other.recording, other.dynamics, other.motion, hum=reading.hum)
-        estimator = fit.estimator if other is job else Estimator.of(changed, learned=learned, steps=steps)
-        return estimator.run(changed.filled[:, None])[:, 0]
+    def through(series: Array) -> Array:
+        return fit.estimator.run(np.where(reading.present[:, None], series, 0.0))
+
+    def again(other: Job) -> Array:
+        changed = other.reading(hum=reading.hum)
+        return Estimator.of(changed, learned=learned, steps=steps).run(changed.filled[:, None])[:, 0]
 
     def moved(item: Unknown) -> Array:
-        unit, delay = replace(job.motion, specific_force=item.slope), job.recording.channel(d.component).delay
-        felt = load_from_ground(unit, d, rate=job.recording.rate, load_delay=delay)
-        return -fit.estimator.run(np.where(reading.present, felt, 0.0)[:, None])[:, 0]
+        return -through(job.felt_under(item)[:, None])[:, 0]
 
     return job.finish(
         fit.force,
         [
-            *fit.noise_errors(level, sources=(d.component, job.motion_source)),
+            *fit.noise_errors(level, sources=(job.dynamics.component, job.motion_source)),
             *fit.step_errors(),
-            job.parameter_errors(run(job), run),
+            job.parameter_errors(through(reading.filled[:, None])[:, 0], again, through),
             *job.motion_errors(moved),
+            *job.reading_errors(fit.force, through),
         ],
         method=f"smoother: {learned.spectrum}, by Whittle's likelihood",
         noise=learned.noise,
@@ -179,25 +178,6 @@ def without_hum(recording: Recording, estimate: ForceEstimate) -> Recording:
     load = recording.channel(estimate.component)
     hum = reading_of_lines(estimate.hum, count=load.values.size, interval=1 / recording.rate)
     return replace(recording, channels={**recording.channels, load.name: replace(load, values=load.values - hum)})
-
-
-def reading_of(
-    recording: Recording, dynamics: Dynamics, motion: GroundMotion, *, hum: tuple[float, ...] = ()
-) -> Reading:
-    """The record as the estimator takes it: the load that the ground's motion has put on it is taken off.
-
-    Hum is named by its frequencies [Hz] and left in; readings that rest on a limit count as missing.
-    """
-    channel = corrected(recording).channel(dynamics.component)
-    from_ground = load_from_ground(motion, dynamics, rate=recording.rate, load_delay=channel.delay)
-    return Reading(
-        values=np.where(recording.channel(dynamics.component).at_limit, np.nan, channel.values - from_ground),
-        interval=1 / recording.rate,
-        dynamics=dynamics,
-        input_density=(dynamics.mass * motion.noise) ** 2 / recording.rate,
-        noise=channel.noise,
-        hum=hum,
-    )
 
 
 def _unexplained(job: Job, white: Array) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.contributions import Noise
+from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import ForceEstimate, Job
 from aerobalance.noise import white_noise
 from aerobalance.problems import FitError
@@ -44,25 +45,27 @@ def central_differences(job: Job) -> ForceEstimate:
     """
     d, h = job.dynamics, job.interval
     load = _without_gaps(job, "central differences")
-    load_rate = np.gradient(load, h)
-    second = np.diff(load, 2) / h**2
-    load_acceleration = np.concatenate(([0.0], second, [0.0]))
-    ends = np.zeros(load.size)
-    ends[[0, -1]] = d.mass / d.stiffness * np.abs(second[[0, -1]])
     known = _delayed_force(job)
-    values = load + d.damping / d.stiffness * load_rate + d.mass / d.stiffness * load_acceleration - known
+    values = _differences(load, d, interval=h) - known
+    ends = np.zeros(load.size)
+    ends[[0, -1]] = d.mass / d.stiffness * np.abs(np.diff(load, 2)[[0, -1]]) / h**2
     noise = job.recording.channel(d.component).noise
     noise = white_noise(load) if noise is None else noise
     slope, curve = d.damping / d.stiffness / (2 * h), d.mass / d.stiffness / h**2
     gain = float(np.sqrt((1 - 2 * curve) ** 2 + (curve + slope) ** 2 + (curve - slope) ** 2))
     frequency = np.linspace(0, np.pi, DENSE)
     density = (1 - 2 * curve + 2 * curve * np.cos(frequency)) ** 2 + (2 * slope * np.sin(frequency)) ** 2
+
+    def through(series: Array) -> Array:
+        return np.column_stack([_differences(column, d, interval=h) for column in series.T])
+
     parts = [
         Noise("noise of the readings", d.component, np.full(load.size, gain * noise), density / gain**2),
         Noise("noise of the ground motion", job.motion_source, np.full(load.size, job.input_noise), np.ones(1)),
         Noise("ends of the record", d.component, ends, np.ones(1)),
-        job.parameter_errors(values, lambda other: central_differences(other).values),
+        job.parameter_errors(values, lambda other: central_differences(other).values, through),
         *job.motion_errors(job.as_force),
+        *job.reading_errors(values, through),
     ]
     bandwidth = DIFFERENCE_BANDWIDTH / h
     further = ", ".join(f"{mode.natural_frequency:.4g}" for mode in d.further_modes)
@@ -75,6 +78,14 @@ def central_differences(job: Job) -> ForceEstimate:
         bandwidth=bandwidth,
         noise_gain=gain,
     )
+
+
+def _differences(load: Array, dynamics: Dynamics, *, interval: float) -> Array:
+    """Eq. (17) of [Gorbushin2020]_ on a ground end at rest, with AF'' taken as zero at both ends, shape (n,)."""
+    load_rate = np.gradient(load, interval)
+    load_acceleration = np.concatenate(([0.0], np.diff(load, 2) / interval**2, [0.0]))
+    b, M, k = dynamics.damping, dynamics.mass, dynamics.stiffness
+    return np.asarray(load + b / k * load_rate + M / k * load_acceleration)
 
 
 def _delayed_force(job: Job) -> Array:
@@ -110,13 +121,18 @@ def band_limited(job: Job, bandwidth: float) -> ForceEstimate:
     frequency = np.linspace(0, 0.5 / h, DENSE)
     gain = float(np.sqrt(np.mean(np.abs(inverse(frequency)) ** 2)))
     density, passed = np.abs(inverse(frequency)) ** 2, band(frequency) ** 2
+
+    def through(series: Array) -> Array:
+        return np.column_stack([_filtered(column, h, inverse)[0] for column in series.T])
+
     of_ground = np.full(load.size, job.input_noise * np.sqrt(np.mean(passed)))
     parts = [
         Noise("noise of the readings", d.component, np.full(load.size, gain * noise), density / gain**2),
         Noise("noise of the ground motion", job.motion_source, of_ground, passed / np.mean(passed)),
         Noise("ends of the record", d.component, np.hypot(ends, ground_ends), np.ones(1)),
-        job.parameter_errors(values, lambda other: band_limited(other, bandwidth).values),
+        job.parameter_errors(values, lambda other: band_limited(other, bandwidth).values, through),
         *job.motion_errors(job.as_force),
+        *job.reading_errors(values, through),
     ]
     return job.finish(
         values,

@@ -15,7 +15,7 @@ import numpy as np
 
 from aerobalance.components import si_unit
 from aerobalance.dynamics import Dynamics, Mode
-from aerobalance.force import reading_of
+from aerobalance.estimate import Job
 from aerobalance.identification.decay import DecayFit, identify_decay
 from aerobalance.identification.onset import first_look
 from aerobalance.identification.ring import fit_ring
@@ -119,7 +119,7 @@ def misfit_of(recording: Recording, dynamics: Dynamics, *, noise: float, steps: 
         Sudden changes of the force that were found in the record.
     """
     nothing = Misfit(dynamics.component)
-    reading = reading_of(recording, dynamics, GroundMotion.of(recording, dynamics.component))
+    reading = Job.of(recording, dynamics, GroundMotion.of(recording, dynamics.component)).reading()
     reading = replace(reading, values=reading.values[:LONGEST])
     if not reading.present.all() or float(np.ptp(reading.values)) == 0:
         return nothing

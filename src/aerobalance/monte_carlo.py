@@ -24,8 +24,8 @@ import numpy as np
 
 from aerobalance.contributions import Noise, Systematic
 from aerobalance.dynamics import Dynamics
-from aerobalance.estimate import PARAMETERS_NAME, ForceEstimate
-from aerobalance.force import Method, reading_of, with_motion
+from aerobalance.estimate import PARAMETERS_NAME, ForceEstimate, Job
+from aerobalance.force import Method, with_motion
 from aerobalance.motion import GroundMotion
 from aerobalance.prior import Learned, Reading
 from aerobalance.problems import DoubtWarning, FitError
@@ -208,7 +208,7 @@ class _Job:
     def by_smoother(self, learned: Learned) -> Iterator[Mapping[str, Array]]:
         """Errors of the smoother's force by contribution, one draw after the other."""
         hum = tuple(line.frequency for line in self.estimate.hum)
-        reading = reading_of(self.recording, self.dynamics, self.motion, hum=hum)
+        reading = Job.of(self.recording, self.dynamics, self.motion).reading(hum=hum)
         steps = self.estimate.steps
         nominal = Estimator.of(reading, learned=learned, steps=steps)
         found = nominal.run(reading.filled[:, None])[:, 0]
@@ -217,7 +217,7 @@ class _Job:
         for balance, others in zip(changed, self.others(), strict=True):
             estimator, drawn = nominal, reading
             if not exact:
-                drawn = reading_of(self.recording, balance, self.motion, hum=hum)
+                drawn = Job.of(self.recording, balance, self.motion).reading(hum=hum)
                 estimator = Estimator.of(drawn, learned=learned, steps=steps)
             truth, simulated = estimator.simulate(self.generator)
             series = np.column_stack([drawn.filled, simulated, simulated])

@@ -1,0 +1,141 @@
+r"""Coupled components taken apart: six readings of which each is that of a balance with one component.
+
+Row i of F = X + D X' + A X'' gives F_i with noise of the spectrum N_i = sum_j R_j |delta_ij + D_ij s + A_ij s^2|^2,
+R_j the noise of channel j. That is a polynomial of second degree in the square of the frequency, so it has a factor
+N_i = R_i |1 + d s + a s^2|^2 which is stable: N_i is the noise with which a balance of one component, of mass over
+stiffness a and damping over stiffness d, would give F_i. What that balance would read,
+
+    z_i = (X_i + sum_j (D_ij s + A_ij s^2) X_j) / (1 + d s + a s^2) = G_i F_i + white noise of variance R_i,
+
+is found from the readings without any derivative of them, and contains nothing of the other components' forces. All
+that is done with one component is done with z_i; where row i of D and A has no other components, z_i is X_i.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.signal import resample_poly
+
+from aerobalance.coupled import CoupledDynamics
+from aerobalance.dynamics import Dynamics, Mode
+from aerobalance.recording import Array
+
+FINE: Final = 4
+"""Steps into which a sampling interval is divided where readings drive a balance between samples."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoneComponent:
+    """The balance of one component that gives its force with the same noise as the coupled one.
+
+    Attributes
+    ----------
+    place
+        Row of the component.
+    component
+        Its name.
+    damping, inertia
+        Row of D [s] and of A [s^2], in units of the component over those of the columns, shape (n,).
+    own_damping, own_inertia
+        d [s] and a [s^2].
+    """
+
+    place: int
+    component: str
+    damping: Array
+    inertia: Array
+    own_damping: float
+    own_inertia: float
+
+    @classmethod
+    def of(cls, dynamics: CoupledDynamics, component: str, *, noise: Array) -> LoneComponent:
+        """Find it for a component.
+
+        Parameters
+        ----------
+        dynamics
+            The coupled components.
+        component
+            Which of them.
+        noise
+            Standard deviation of a reading of every component, shape (n,) [N, N*m]; the ratios are what matters.
+        """
+        place = dynamics.components.index(component)
+        D, A = dynamics.damping[place], dynamics.inertia[place]
+        others = np.arange(D.size) != place
+        if not D[others].any() and not A[others].any():
+            return cls(place, component, D, A, float(D[place]), float(A[place]))
+        weight = (noise / noise[place]) ** 2
+        a = float(np.sqrt(weight @ A**2))
+        d = float(np.sqrt(2 * (a - A[place]) + weight @ D**2))
+        return cls(place, component, D, A, d, a)
+
+    @property
+    def alone(self) -> bool:
+        """True where the other components have no part in it."""
+        others = np.arange(self.damping.size) != self.place
+        return not (self.damping[others].any() or self.inertia[others].any())
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """The balance of one component, its stiffness taken as 1."""
+        return Dynamics(self.component, mass=self.own_inertia, stiffness=1.0, damping=self.own_damping)
+
+    @property
+    def _mode(self) -> Mode:
+        return self.dynamics.modes[0]
+
+    def reading(self, loads: Array, *, interval: float) -> Array:
+        """What that balance reads when the coupled one reads these loads, shape (samples,).
+
+        Before its first sample every load is taken as held; another past of it is a free oscillation of z.
+
+        Parameters
+        ----------
+        loads
+            Shape (samples, n), without gaps.
+        interval
+            Time between samples [s].
+        """
+        if self.alone:
+            return loads[:, self.place].copy()
+        own = np.zeros(self.damping.size)
+        own[self.place] = 1.0
+        direct = self.inertia / self.own_inertia
+        by_rate = self.damping - direct * self.own_damping
+        return self._driven(loads, direct=direct, by_rate=by_rate, by_value=own - direct, interval=interval)
+
+    def parameter_slopes(self, loads: Array, *, interval: float) -> Array:
+        """Change of `reading` with each element of the row of A, then of D, shape (samples, 2 n)."""
+        n = self.damping.size
+        zero, one = np.zeros(n), np.eye(n)
+        columns = []
+        for j in range(n):
+            direct = one[j] / self.own_inertia
+            by_rate = -direct * self.own_damping
+            columns.append(self._driven(loads, direct=direct, by_rate=by_rate, by_value=-direct, interval=interval))
+        for j in range(n):
+            columns.append(self._driven(loads, direct=zero, by_rate=one[j], by_value=zero, interval=interval))
+        return np.column_stack(columns)
+
+    def _driven(self, loads: Array, *, direct: Array, by_rate: Array, by_value: Array, interval: float) -> Array:
+        """Weighted sum of loads and of what they are behind 1 / (1 + d s + a s^2), value and rate."""
+        fine, step = _finer(loads @ np.column_stack([by_value, by_rate])), interval / FINE
+        value = self._mode.driven(fine[:, 0], interval=step)[0] if by_value.any() else np.zeros(fine.shape[0])
+        rate = self._mode.driven(fine[:, 1], interval=step)[1] if by_rate.any() else np.zeros(fine.shape[0])
+        return np.asarray(loads @ direct + (value + rate)[::FINE])
+
+
+def _finer(series: Array) -> Array:
+    """Series (samples, c) on a clock `FINE` times as fast, band-limited, such that straight lines do it no harm.
+
+    Straight lines between samples lose (w h)^2 / 12 of a sine of angular frequency w; a twelfth of the second
+    difference, taken off beforehand, gives it back, and what is lost is (w h)^4 / 240.
+    """
+    first = series[:1]
+    fine = first + resample_poly(series - first, FINE, 1, axis=0, window=("kaiser", 8.0), padtype="line")
+    fine[1:-1] -= np.diff(fine, 2, axis=0) / 12
+    return np.asarray(fine)
