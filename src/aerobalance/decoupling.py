@@ -13,10 +13,11 @@ that is done with one component is done with z_i; where row i of D and A has no 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import resample_poly
 
 from aerobalance.coupled import CoupledDynamics
@@ -65,19 +66,24 @@ class LoneComponent:
         """
         place = dynamics.components.index(component)
         D, A = dynamics.damping[place], dynamics.inertia[place]
-        others = np.arange(D.size) != place
-        if not D[others].any() and not A[others].any():
-            return cls(place, component, D, A, float(D[place]), float(A[place]))
+        lone = cls(place, component, D, A, float(D[place]), float(A[place]))
+        if lone.alone:
+            return lone
         weight = (noise / noise[place]) ** 2
         a = float(np.sqrt(weight @ A**2))
         d = float(np.sqrt(2 * (a - A[place]) + weight @ D**2))
-        return cls(place, component, D, A, d, a)
+        return replace(lone, own_damping=d, own_inertia=a)
+
+    @property
+    def partners(self) -> NDArray[np.bool_]:
+        """True for the component itself and for those that have a part in its reading, shape (n,)."""
+        own = np.arange(self.damping.size) == self.place
+        return np.asarray(own | (self.damping != 0) | (self.inertia != 0))
 
     @property
     def alone(self) -> bool:
-        """True where the other components have no part in it."""
-        others = np.arange(self.damping.size) != self.place
-        return not (self.damping[others].any() or self.inertia[others].any())
+        """True where no other component has a part in its reading."""
+        return int(np.count_nonzero(self.partners)) == 1
 
     @property
     def dynamics(self) -> Dynamics:
@@ -112,24 +118,26 @@ class LoneComponent:
         """Change of `reading` with each element of the row of A, then of D, shape (samples, 2 n)."""
         n = self.damping.size
         zero, one = np.zeros(n), np.eye(n)
-        columns = []
-        for j in range(n):
-            direct = one[j] / self.own_inertia
-            by_rate = -direct * self.own_damping
-            columns.append(self._driven(loads, direct=direct, by_rate=by_rate, by_value=-direct, interval=interval))
-        for j in range(n):
-            columns.append(self._driven(loads, direct=zero, by_rate=one[j], by_value=zero, interval=interval))
+        slopes = []
+        for load in one:
+            direct = load / self.own_inertia
+            slopes.append((direct, -direct * self.own_damping, -direct))
+        slopes += [(zero, load, zero) for load in one]
+        columns = [
+            self._driven(loads, direct=direct, by_rate=by_rate, by_value=by_value, interval=interval)
+            for direct, by_rate, by_value in slopes
+        ]
         return np.column_stack(columns)
 
     def _driven(self, loads: Array, *, direct: Array, by_rate: Array, by_value: Array, interval: float) -> Array:
         """Weighted sum of loads and of what they are behind 1 / (1 + d s + a s^2), value and rate."""
-        fine, step = _finer(loads @ np.column_stack([by_value, by_rate])), interval / FINE
+        fine, step = finer(loads @ np.column_stack([by_value, by_rate])), interval / FINE
         value = self._mode.driven(fine[:, 0], interval=step)[0] if by_value.any() else np.zeros(fine.shape[0])
         rate = self._mode.driven(fine[:, 1], interval=step)[1] if by_rate.any() else np.zeros(fine.shape[0])
         return np.asarray(loads @ direct + (value + rate)[::FINE])
 
 
-def _finer(series: Array) -> Array:
+def finer(series: Array) -> Array:
     """Series (samples, c) on a clock `FINE` times as fast, band-limited, such that straight lines do it no harm.
 
     Straight lines between samples lose (w h)^2 / 12 of a sine of angular frequency w; a twelfth of the second
