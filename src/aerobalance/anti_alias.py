@@ -7,7 +7,6 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import bessel, butter
 
 Kind = Literal["butterworth", "bessel"]
 
@@ -43,6 +42,8 @@ class AntiAlias:
 
     def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
         """Reading over signal at frequencies [Hz]; its phase is negative, the reading is late."""
+        from scipy.signal import bessel, butter  # noqa: PLC0415 - takes a second, and few recordings state a filter
+
         # poles over the corner: of an order of 24 their product in rad/s would leave the range of numbers
         if self.kind == "butterworth":
             _, poles, gain = butter(self.order, 1.0, analog=True, output="zpk")

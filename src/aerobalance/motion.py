@@ -41,7 +41,7 @@ class Unknown:
     source
         Channel, or setting, that it comes from.
     slope
-        Change of the specific force with it, shape (n,) [m/s^2 per its unit].
+        Change of the specific force with it, of its shape [m/s^2 per its unit; rad/s^2 in turns].
     uncertainty
         Its standard uncertainty.
     """
@@ -114,12 +114,12 @@ class GroundMotion:
         unknowns: list[Unknown] = []
         if name in recording:
             channel = recording.channel(name)
-            acceleration = _bridged(recording, channel)
+            acceleration = bridged(recording, channel)
             noise, relative, delay = channel_noise(channel), channel.relative_uncertainty, channel.delay
             coupling = channel.coupling
             if coupling == "kinematic" and float(np.var(acceleration)) < AT_REST * noise**2:
                 # adding a sensor's noise to the force would only spoil it; tones that stand out of it are motion
-                acceleration, share = _tones(acceleration)
+                acceleration, share = tones(acceleration)
                 noise *= share
                 rest = "only its tones are taken" if share else "the ground end is taken to be at rest"
                 assumptions.append(f"{name} shows {'little' if share else 'nothing'} beyond its noise; {rest}")
@@ -165,8 +165,14 @@ class GroundMotion:
         return np.asarray(-mass * self.specific_force)
 
 
-def _tones(acceleration: Array) -> tuple[Array, float]:
-    """Tones that stand out of the white noise of a record, and the share of the noise's rms that comes with them."""
+def tones(acceleration: Array) -> tuple[Array, float]:
+    """Tones that stand out of the white noise of a record, and the share of the noise's rms that comes with them.
+
+    Parameters
+    ----------
+    acceleration
+        Readings without gaps, shape (n,).
+    """
     spectrum = np.fft.rfft(acceleration - acceleration.mean())
     power = np.abs(spectrum) ** 2
     # ordinates of white noise are exponentially distributed: this one is passed by the largest of n with p = CHANCE
@@ -184,9 +190,9 @@ def _gravity(recording: Recording, component: str, gravity: float, assumptions: 
         assumptions.append("pitch is not recorded and taken as zero")
         return np.zeros(recording.samples), 0.0
     channel = recording.channel("pitch")
-    pitch = _bridged(recording, channel)
+    pitch = bridged(recording, channel)
     noise = gravity * channel_noise(channel)
-    roll = _bridged(recording, recording.channel("roll")) if "roll" in recording else np.zeros(recording.samples)
+    roll = bridged(recording, recording.channel("roll")) if "roll" in recording else np.zeros(recording.samples)
     pull = gravity * gravity_share(component, pitch=pitch, roll=roll)
     if component not in AXES:
         return pull, noise * float(np.mean(np.abs(np.cos(pitch))))
@@ -242,8 +248,8 @@ def _across(recording: Recording, channel: Channel) -> list[Unknown]:
     ]
 
 
-def _bridged(recording: Recording, channel: Channel) -> Array:
-    """The channel with missing samples filled linearly, and said so."""
+def bridged(recording: Recording, channel: Channel) -> Array:
+    """Values of a channel with missing samples filled by straight lines, shape (n,), and said so."""
     missing = channel.missing
     if not missing.any():
         return channel.values

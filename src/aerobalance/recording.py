@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.anti_alias import AntiAlias
-from aerobalance.components import COMPONENTS, is_gauge, si_unit
+from aerobalance.components import COMPONENTS, MOMENTS, is_gauge, si_unit
 from aerobalance.problems import DoubtWarning, FitError
 
 Array = NDArray[np.float64]
@@ -22,6 +23,8 @@ QUANTITIES: Final[Mapping[str, str]] = {
     **{name: si_unit(name) for name in COMPONENTS},
     **{f"r{name}": "mV/V" for name in COMPONENTS},
     **{f"{end}_acceleration{axis}": "m/s^2" for end in ("ground", "live") for axis in ("", "_y", "_z")},
+    **{f"ground_turn_{name}": "rad/s^2" for name in MOMENTS},
+    **{f"ground_turn_rate_{name}": "rad/s" for name in MOMENTS},
     "pitch": "rad",
     "roll": "rad",
     "excitation": "V",
@@ -30,8 +33,37 @@ QUANTITIES: Final[Mapping[str, str]] = {
 """The channel names that the program understands, and the unit that each has inside.
 
 Beside the gauge outputs listed, ``r`` and any component as the balance names it is one (rN1, rAft_Pitch): in mV/V,
-or in V until `aerobalance.gauges.gauge_outputs` has divided it by the excitation.
+or in V until `aerobalance.gauges.gauge_outputs` has divided it by the excitation. ``ground_turn_PM`` and its like are
+angular accelerations of the ground end, positive as the moment of that name turns: nose up, nose right, right side
+down; ``ground_turn_rate_PM`` and its like are their integrals. ``ground_acceleration_`` with any other ending is an
+accelerometer on the ground end whose channel says where it sits and which way it looks.
 """
+
+DIRECTIONS: Final[Mapping[str, tuple[float, float, float]]] = {
+    "aft": (1.0, 0.0, 0.0),
+    "right": (0.0, 1.0, 0.0),
+    "up": (0.0, 0.0, 1.0),
+}
+"""Unit vectors of the balance's axes, in their own coordinates."""
+
+AXES_BY_NAME: Final[Mapping[str, tuple[float, float, float]]] = {
+    "ground_acceleration": DIRECTIONS["aft"],
+    "ground_acceleration_y": DIRECTIONS["right"],
+    "ground_acceleration_z": DIRECTIONS["up"],
+}
+"""Axes of the accelerometers whose names tell them."""
+
+_GROUND_ACCELERATION: Final = re.compile(r"ground_acceleration(_\w+)?")
+
+
+def is_ground_acceleration(name: str) -> bool:
+    """Say whether a channel name is that of an accelerometer on the ground end."""
+    return _GROUND_ACCELERATION.fullmatch(name) is not None
+
+
+def unit_inside(name: str) -> str | None:
+    """Unit that a channel of this name has inside; None where any will do (see `is_gauge` for gauges)."""
+    return "m/s^2" if is_ground_acceleration(name) else QUANTITIES.get(name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +123,13 @@ class Channel:
         Analog low-pass before the sampling, still in the readings; None where there is none.
     cross_axis
         What an accelerometer reads of other accelerations, still in the readings.
+    place
+        Where an accelerometer on the ground end sits, from the balance's centre aft, right and up [m]; None where it
+        is not given.
+    axis
+        Unit vector along which it reads positive: its shares aft, right and up; None where its name tells it.
+    place_uncertainty
+        Standard uncertainty of every coordinate of `place` [m].
     """
 
     name: str
@@ -105,9 +144,12 @@ class Channel:
     zero_uncertainty: float = 0.0
     filter: AntiAlias | None = None
     cross_axis: tuple[CrossAxis, ...] = ()
+    place: tuple[float, float, float] | None = None
+    axis: tuple[float, float, float] | None = None
+    place_uncertainty: float = 0.0
 
     def __post_init__(self) -> None:
-        expected = ("mV/V", "V") if is_gauge(self.name) else (QUANTITIES.get(self.name, self.unit),)
+        expected = ("mV/V", "V") if is_gauge(self.name) else (unit_inside(self.name) or self.unit,)
         if self.unit not in expected:
             raise ValueError(f"channel {self.name} must be in {' or '.join(expected)} inside, not {self.unit}")
         if self.values.ndim != 1:
@@ -118,9 +160,25 @@ class Channel:
             raise ValueError(
                 f"channel {self.name}: zero_uncertainty must be zero or more, not {self.zero_uncertainty}"
             )
+        self._check_mounting()
         fixed = self.values.view()
         fixed.setflags(write=False)  # on a view, so that the caller's own array stays as it was
         object.__setattr__(self, "values", fixed)
+
+    def _check_mounting(self) -> None:
+        """Refuse a place or an axis that no accelerometer on the ground end can have."""
+        if (self.place, self.axis, self.place_uncertainty) == (None, None, 0.0):
+            return
+        if not is_ground_acceleration(self.name):
+            raise ValueError(f"channel {self.name}: place and axis are for ground_acceleration and its like")
+        if self.place is not None and (len(self.place) != 3 or not np.isfinite(self.place).all()):
+            raise ValueError(f"channel {self.name}: place must be three numbers [m], aft, right, up, not {self.place}")
+        if not 0 <= self.place_uncertainty < np.inf:
+            raise ValueError(
+                f"channel {self.name}: place_uncertainty must be zero or more, not {self.place_uncertainty}"
+            )
+        if self.axis is not None and (len(self.axis) != 3 or not abs(np.linalg.norm(self.axis) - 1) < 1e-3):
+            raise ValueError(f"channel {self.name}: axis must be a vector aft, right, up of length 1, not {self.axis}")
 
     @property
     def missing(self) -> NDArray[np.bool_]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.problems import FitError
-from aerobalance.recording import QUANTITIES, Array, Channel, Recording
+from aerobalance.recording import Array, Channel, Recording, unit_inside
 
 LEAST_GAIN: Final = 0.5
 """Gain down to which a motion's magnitude is undone in full; from its square on it is left as it is."""
@@ -60,7 +60,7 @@ def _unfiltered(channel: Channel, rate: float) -> Channel:
         raise FitError(f"channel {channel.name} has no reading, so its filter cannot be undone")
     index = np.arange(known.size)
     filled = np.interp(index, index[known], channel.values[known])
-    motion = QUANTITIES.get(channel.name) in ("m/s^2", "rad")
+    motion = unit_inside(channel.name) in ("m/s^2", "rad/s^2", "rad/s", "rad")
     least = LEAST_GAIN if motion else LEAST_LOAD_GAIN
     values = divided(filled, channel.filter.response, rate=rate, least=least)
     # within a period of the corner the filter's memory has faded to a few percent
@@ -113,6 +113,36 @@ def divided(values: Array, transfer: Transfer, *, rate: float, least: float = LE
     least
         Gain down to which the magnitude is undone.
     """
+
+    def undone(spectrum: NDArray[np.complex128], frequency: Array) -> NDArray[np.complex128]:
+        response = transfer(frequency)
+        size = np.abs(response)
+        turn = np.divide(np.conj(response), size, out=np.ones_like(response), where=size > 0)
+        raised = np.maximum(np.minimum(1 / np.maximum(size, least), size / least**2), 1.0)
+        return np.asarray(spectrum * turn * raised)
+
+    return _changed(values, undone, rate)
+
+
+def filtered(values: Array, gain: Transfer, *, rate: float) -> Array:
+    """Multiply the spectrum of a record by a gain, the record continued at its ends as in `divided`.
+
+    Parameters
+    ----------
+    values
+        Readings without gaps, shape (n,).
+    gain
+        Factor at frequencies [Hz], real at zero.
+    rate
+        Sampling rate [Hz].
+    """
+    return _changed(values, lambda spectrum, frequency: np.asarray(spectrum * gain(frequency)), rate)
+
+
+def _changed(
+    values: Array, change: Callable[[NDArray[np.complex128], Array], NDArray[np.complex128]], rate: float
+) -> Array:
+    """Change the spectrum of a record that is continued at its ends."""
     reach = min(values.size - 1, max(256, values.size // 4))
     padded = np.pad(values, reach, mode="reflect", reflect_type="odd")
     # a jump from the end round to the start would ring along the whole record, as the phase is cut at half the rate
@@ -122,11 +152,8 @@ def divided(values: Array, transfer: Transfer, *, rate: float, least: float = LE
     fade[-outer:] = fade[:outer][::-1]
     middle = (values[0] + values[-1]) / 2
     padded = middle + fade * (padded - middle)
-    response = transfer(np.asarray(np.fft.rfftfreq(padded.size, 1 / rate), dtype=np.float64))
-    size = np.abs(response)
-    turn = np.divide(np.conj(response), size, out=np.ones_like(response), where=size > 0)
-    raised = np.maximum(np.minimum(1 / np.maximum(size, least), size / least**2), 1.0)
-    spectrum = np.fft.rfft(padded) * turn * raised
+    frequency = np.asarray(np.fft.rfftfreq(padded.size, 1 / rate), dtype=np.float64)
+    spectrum = change(np.fft.rfft(padded), frequency)
     return np.asarray(np.fft.irfft(spectrum, padded.size)[reach : reach + values.size])
 
 

@@ -280,6 +280,9 @@ def _described(channel: Channel) -> StoredChannel:
         zero_uncertainty=channel.zero_uncertainty / factor,
         filter=channel.filter,
         cross_axis=channel.cross_axis,
+        place=channel.place,
+        axis=channel.axis,
+        place_uncertainty=channel.place_uncertainty,
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
 from aerobalance.anti_alias import HIGHEST_ORDER, AntiAlias, Kind
 from aerobalance.components import is_gauge
@@ -20,7 +20,17 @@ from aerobalance.io.table import Column, check_time, on_clock
 from aerobalance.io.text_table import SEPARATORS, Layout
 from aerobalance.io.units import Conversion, conversion, conversion_for
 from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.recording import QUANTITIES, Array, Channel, Coupling, CrossAxis, Recording
+from aerobalance.recording import (
+    AXES_BY_NAME,
+    DIRECTIONS,
+    Array,
+    Channel,
+    Coupling,
+    CrossAxis,
+    Recording,
+    is_ground_acceleration,
+    unit_inside,
+)
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Position = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
@@ -37,6 +47,10 @@ _EITHER: Final = "either time (the time column) or rate (samples per second, eve
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+def _is_number(given: object) -> bool:
+    return isinstance(given, int | float) and not isinstance(given, bool)
 
 
 class FileLayout(_Strict):
@@ -99,6 +113,9 @@ class MappedChannel(_Strict):
     corner: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     filter: MappedFilter | None = None
     cross_axis: dict[str, MappedSensitivity] = {}
+    place: tuple[Number, Number, Number] | None = None
+    place_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    axis: tuple[Number, Number, Number] | None = None
     derivative: Literal[0, 1, 2] = 0
     excitation: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
     shunt_expected: Number | None = None
@@ -111,6 +128,22 @@ class MappedChannel(_Strict):
         if not isinstance(given, dict):
             return given
         return {name: part if isinstance(part, dict) else {"value": part} for name, part in given.items()}
+
+    @field_validator("place", "axis", mode="before")
+    @classmethod
+    def _three_numbers(cls, given: object, info: ValidationInfo) -> object:
+        """Take a list for three numbers, and the name of a direction for an axis."""
+        if info.field_name == "axis" and isinstance(given, str):
+            if given not in DIRECTIONS:
+                raise ValueError(f"must be one of {', '.join(DIRECTIONS)}, or [aft, right, up] of length 1")
+            return DIRECTIONS[given]
+        if not isinstance(given, list) or len(given) != 3 or not all(_is_number(part) for part in given):
+            raise ValueError(
+                "must be three numbers [aft, right, up]" + (" in m" if info.field_name == "place" else "")
+            )
+        if info.field_name == "axis" and abs(float(np.linalg.norm(given)) - 1) > 1e-3:
+            raise ValueError("must be of length 1, the shares of the direction aft, right and up")
+        return tuple(float(part) for part in given)
 
     @property
     def anti_alias(self) -> AntiAlias | None:
@@ -208,12 +241,13 @@ def _check(chosen: ChannelMap) -> None:
             raise ReadError(path, key, "the time column belongs under [file]: time = ...")
         if (channel.corner > 0) != (channel.coupling == "ac"):
             raise ReadError(path, f"{key}.corner", 'goes with coupling = "ac" (then above 0 Hz) and with no other')
-        accelerometer = QUANTITIES.get(name) == "m/s^2"
+        accelerometer = unit_inside(name) == "m/s^2"
         if not accelerometer and (channel.coupling != "kinematic" or channel.derivative):
             raise ReadError(path, key, "coupling and derivative are for accelerations, such as ground_acceleration")
         _check_gauge(path, name, channel)
+        _check_mounting(path, name, channel)
         for other in channel.cross_axis:
-            if not accelerometer or other == name or QUANTITIES.get(other) != "m/s^2" or other not in chosen.channels:
+            if not accelerometer or other == name or unit_inside(other) != "m/s^2" or other not in chosen.channels:
                 raise ReadError(
                     path,
                     f"{key}.cross_axis.{other}",
@@ -224,6 +258,21 @@ def _check(chosen: ChannelMap) -> None:
                 _conversion(name, channel, channel.unit)
             except ValueError as error:
                 raise ReadError(path, f"{key}.unit", str(error)) from None
+
+
+def _check_mounting(path: Path, name: str, channel: MappedChannel) -> None:
+    """Refuse places and axes of other channels, and an accelerometer on the ground end without an axis."""
+    key = f"channels.{name}"
+    if not is_ground_acceleration(name):
+        if (channel.place, channel.axis, channel.place_uncertainty) != (None, None, 0.0):
+            raise ReadError(path, key, "place and axis are for accelerometers on the ground end, ground_acceleration*")
+        return
+    if channel.axis is None and name not in AXES_BY_NAME:
+        raise ReadError(
+            path, f"{key}.axis", f"is needed: the name says no direction; {', '.join(DIRECTIONS)} or [aft, right, up]"
+        )
+    if channel.place is None and channel.place_uncertainty:
+        raise ReadError(path, f"{key}.place_uncertainty", "goes with a place")
 
 
 def _check_gauge(path: Path, name: str, channel: MappedChannel) -> None:
@@ -362,6 +411,9 @@ def _channel(raw: RawColumns, chosen: ChannelMap, name: str) -> Channel:
         corner=given.corner,
         filter=given.anti_alias,
         cross_axis=tuple(CrossAxis(other, part.value, part.u) for other, part in given.cross_axis.items()),
+        place=given.place,
+        axis=given.axis,
+        place_uncertainty=given.place_uncertainty,
         file_unit="" if given.derivative else inside if given.excitation is not None else unit,
     )
 

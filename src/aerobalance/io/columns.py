@@ -83,6 +83,8 @@ class Sensing:
         Standard uncertainty of the zero [unit of the column].
     filter, cross_axis
         What is still in the readings.
+    place, axis, place_uncertainty
+        Where an accelerometer sits and which way it reads.
     """
 
     noise: float | None = None
@@ -92,6 +94,9 @@ class Sensing:
     zero_uncertainty: float = 0.0
     filter: AntiAlias | None = None
     cross_axis: tuple[CrossAxis, ...] = ()
+    place: tuple[float, float, float] | None = None
+    axis: tuple[float, float, float] | None = None
+    place_uncertainty: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,7 +32,7 @@ from aerobalance.io.hdf5_layout import (
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_table import LARGEST, Layout
 from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.recording import Array, Coupling, CrossAxis
+from aerobalance.recording import Array, Channel, Coupling, CrossAxis, unit_inside
 
 if TYPE_CHECKING:
     import h5py
@@ -363,14 +363,19 @@ def _blocks(path: Path, table: NDArray[np.void], slot: int, columns: int) -> NDA
 
 def _channel(path: Path, row: np.void) -> StoredChannel:
     name, coupling = _text(row["name"]), _text(row["coupling"])
-    numbers = {key: float(row[key]) for key in ("sign", "scale", "offset", "delay", "relative_uncertainty", "corner")}
+    numbers: dict[str, Any] = {
+        key: float(row[key]) for key in ("sign", "scale", "offset", "delay", "relative_uncertainty", "corner")
+    }
     noise = float(row["noise"])
     low_pass: AntiAlias | None = None
     cross_axis: tuple[CrossAxis, ...] = ()
+    mounting: dict[str, Any] = {}
     try:
         if "filter" in (row.dtype.names or ()):
             numbers["zero_uncertainty"] = float(row["zero_uncertainty"])
             low_pass, cross_axis = _low_pass(row), _cross_axis(row)
+        if "mounting" in (row.dtype.names or ()):
+            mounting = _mounting(name, row)
     except (ValueError, TypeError, AttributeError):
         raise ReadError(path, f"channels, {name!r}", "has impossible settings: the file is damaged") from None
     if coupling not in _COUPLINGS or not all(np.isfinite(value) for value in numbers.values()) or noise < 0:
@@ -383,6 +388,7 @@ def _channel(path: Path, row: np.void) -> StoredChannel:
         coupling=cast("Coupling", coupling),
         filter=low_pass,
         cross_axis=cross_axis,
+        **mounting,
         **numbers,
     )
 
@@ -395,6 +401,16 @@ def _low_pass(row: np.void) -> AntiAlias | None:
 def _cross_axis(row: np.void) -> tuple[CrossAxis, ...]:
     parts = json.loads(_text(row["cross_axis"]) or "{}")
     return tuple(CrossAxis(name, float(value), float(u)) for name, (value, u) in parts.items())
+
+
+def _mounting(name: str, row: np.void) -> dict[str, Any]:
+    """Place, axis and the place's uncertainty; a channel without readings refuses what is impossible."""
+    given = json.loads(_text(row["mounting"]) or "{}")
+    vectors = {key: tuple(float(part) for part in given[key]) for key in ("place", "axis") if key in given}
+    found: dict[str, Any] = {**vectors, "place_uncertainty": float(given.get("place_uncertainty", 0.0))}
+    if given:
+        Channel(name, np.empty(0), unit_inside(name) or _text(row["unit"]), **found)
+    return found
 
 
 def _text(cell: Any) -> str:
@@ -481,6 +497,9 @@ def _column(channel: StoredChannel, readings: Array, number: int) -> RawColumn:
             channel.zero_uncertainty,
             channel.filter,
             channel.cross_axis,
+            channel.place,
+            channel.axis,
+            channel.place_uncertainty,
         ),
     )
 

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     import h5py
 
 FORMAT: Final = "aerobalance recording"
-SCHEMA: Final = 2
-"""Version of the layout that is written; version 1 has the shorter table of channels."""
+SCHEMA: Final = 3
+"""Version of the layout that is written; versions 1 and 2 have shorter tables of channels."""
 
 BLOCK: Final = np.dtype([("tick", "<i8"), ("rows", "<i8"), ("crc32", "<u4"), ("written", "<f8")])
 GAP: Final = np.dtype([("tick", "<i8"), ("samples", "<i8"), ("kind", "S16"), ("text", "S256")])
@@ -62,7 +62,7 @@ CHANNEL_1: Final = np.dtype(
         ("corner", "<f8"),
     ]
 )
-CHANNEL: Final = np.dtype(
+CHANNEL_2: Final = np.dtype(
     [
         *((name, CHANNEL_1[name]) for name in CHANNEL_1.names or ()),
         ("zero_uncertainty", "<f8"),
@@ -72,7 +72,8 @@ CHANNEL: Final = np.dtype(
         ("cross_axis", "S512"),
     ]
 )
-CHANNELS: Final[Mapping[int, np.dtype[np.void]]] = {1: CHANNEL_1, SCHEMA: CHANNEL}
+CHANNEL: Final = np.dtype([*((name, CHANNEL_2[name]) for name in CHANNEL_2.names or ()), ("mounting", "S256")])
+CHANNELS: Final[Mapping[int, np.dtype[np.void]]] = {1: CHANNEL_1, 2: CHANNEL_2, SCHEMA: CHANNEL}
 """Table of channels by version of the layout."""
 
 STATUS: Final = np.dtype([("state", "S16"), ("reason", "S512"), ("origin", "<i8"), ("ended", "<f8")])
@@ -111,6 +112,8 @@ class StoredChannel:
         Standard uncertainty of the zero [unit].
     filter, cross_axis
         What is still in the readings, as in `aerobalance.recording.Channel`.
+    place, axis, place_uncertainty
+        Where an accelerometer sits and which way it reads, as there.
     """
 
     name: str
@@ -127,6 +130,9 @@ class StoredChannel:
     zero_uncertainty: float = 0.0
     filter: AntiAlias | None = None
     cross_axis: tuple[CrossAxis, ...] = ()
+    place: tuple[float, float, float] | None = None
+    axis: tuple[float, float, float] | None = None
+    place_uncertainty: float = 0.0
 
     def values(self, readings: Array) -> Array:
         """Turn readings into values in `unit`; readings that need no change come back as they are."""
@@ -356,6 +362,13 @@ def _cross_axis_text(channel: StoredChannel) -> bytes:
     return text
 
 
+def _mounting_text(channel: StoredChannel) -> bytes:
+    """Place, axis and the place's uncertainty, as JSON; an empty string where there are none."""
+    parts = {"place": channel.place, "axis": channel.axis, "place_uncertainty": channel.place_uncertainty}
+    given = {name: part for name, part in parts.items() if part}
+    return json.dumps(given).encode() if given else b""
+
+
 def _channel_table(channels: Sequence[StoredChannel]) -> Any:
     rows = [
         (
@@ -375,6 +388,7 @@ def _channel_table(channels: Sequence[StoredChannel]) -> Any:
             0 if channel.filter is None else channel.filter.order,
             0.0 if channel.filter is None else channel.filter.corner,
             _cross_axis_text(channel),
+            _mounting_text(channel),
         )
         for channel in channels
     ]

@@ -109,6 +109,8 @@ _CHANNEL_KEYS: Final = """\
 #   derivative = 0              1: a velocity, 2: a position, to be turned into an acceleration
 #   filter = { kind = "butterworth", order = 8, corner = "500 Hz" }   analog low-pass, or kind = "bessel"; is undone
 #   cross_axis = { ground_acceleration_z = 0.02 }   of an accelerometer, to another; or { value = 0, u = 0.02 }
+#   place = [0.5, 0.0, 0.1], axis = "up"   of ground_acceleration*: aft, right, up of the balance's centre [m], and
+#                               which way it reads positive: aft, right, up or [aft, right, up]; place_uncertainty [m]
 #   coupling = "kinematic"      or "dc" (reads gravity too) or "ac" (then corner = high-pass corner [Hz])
 # and a gauge output (rAF, rN1) moreover:
 #   excitation = 10.0           nominal [V], for outputs in V where the excitation was not recorded

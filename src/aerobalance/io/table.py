@@ -192,6 +192,9 @@ def recording_from(table: Table, *, rate: float | None = None, ticks: NDArray[np
             zero_uncertainty=column.sensing.zero_uncertainty,
             filter=column.sensing.filter,
             cross_axis=column.sensing.cross_axis,
+            place=column.sensing.place,
+            axis=column.sensing.axis,
+            place_uncertainty=column.sensing.place_uncertainty,
             file_unit=column.file_unit,
         )
         for name, column in table.columns.items()

@@ -1,8 +1,9 @@
 """Units at the edge: what a file says, turned into the SI units used inside.
 
-Inside, forces are in N, moments in N*m, accelerations in m/s^2, angles in rad, gauge outputs in mV/V, voltages in V,
-temperatures in degC, times in s, frequencies in Hz. `conversion` also tells units apart that have the same dimension
-but do not mean the same (an angle, a ratio and a gauge output), and reads ``g`` and ``lb`` by what is expected.
+Inside, forces are in N, moments in N*m, accelerations in m/s^2 and rad/s^2, angles in rad, gauge outputs in mV/V,
+voltages in V, temperatures in degC, times in s, frequencies in Hz. `conversion` also tells units apart that have the
+same dimension but do not mean the same (an angle, a ratio and a gauge output), and reads ``g`` and ``lb`` by what is
+expected.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aerobalance.components import is_gauge
-from aerobalance.recording import QUANTITIES, Array
+from aerobalance.recording import QUANTITIES, Array, unit_inside
 
 if TYPE_CHECKING:
     import pint
@@ -27,9 +28,11 @@ ALLOWED: Final = {
     "N": "N, kN, lbf, kgf",
     "N*m": "N*m, kN*m, in-lbf, ft-lbf, kgf*m",
     "m/s^2": "m/s^2, m/s2, g",
+    "rad/s^2": "rad/s^2, rad/s2, deg/s^2",
     "m/s": "m/s, mm/s, km/h, ft/s",
     "m": "m, mm, in, ft",
     "rad": "deg, rad, mrad",
+    "rad/s": "rad/s, deg/s",
     "mV/V": "mV/V, uV/V, V/V",
     "s": "s, ms, us, min",
     "Hz": "Hz, kHz",
@@ -43,9 +46,11 @@ _MEASURES: Final = {
     "N": "a force",
     "N*m": "a moment",
     "m/s^2": "an acceleration",
+    "rad/s^2": "an angular acceleration",
     "m/s": "a velocity",
     "m": "a length",
     "rad": "an angle",
+    "rad/s": "a rate of turn",
     "mV/V": "a gauge output",
     "s": "a time",
     "Hz": "a frequency",
@@ -165,7 +170,7 @@ def expected_unit(name: str) -> str | None:
     as long as it has not been divided by the excitation; see `conversion_for`.
     """
     bare = name.removeprefix("u_")
-    return "mV/V" if is_gauge(bare) else _EXPECTED.get(bare)
+    return "mV/V" if is_gauge(bare) else unit_inside(bare) or _EXPECTED.get(bare)
 
 
 def edge_unit(name: str, inside: str) -> str:
@@ -282,6 +287,8 @@ _ROOTS: Final = {
     "N": "kg*m/s**2",
     "N*m": "kg*m**2/s**2",
     "m/s^2": "m/s**2",
+    "rad/s^2": "rad/s**2",
+    "rad/s": "rad/s",
     "m/s": "m/s",
     "m": "m",
     "s": "s",
@@ -311,7 +318,7 @@ def _factor(unit: pint.Unit, kind: str) -> float:
     registry = _registry()
     if kind == "mV/V":
         return _root(unit) * 1e3
-    inside = registry.parse_units({"m/s^2": "m/s**2", "1": "dimensionless"}.get(kind, kind))
+    inside = registry.parse_units({"m/s^2": "m/s**2", "rad/s^2": "rad/s**2", "1": "dimensionless"}.get(kind, kind))
     factor = _root(unit) / _root(inside)
     short = float(f"{factor:.12g}")
     # A factor that is a rounding error from a short decimal (N*m by way of grams) is that decimal.

@@ -1,0 +1,511 @@
+"""The ground end's motion in six degrees of freedom, against bodies moved in an inertial frame."""
+
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+
+from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
+from aerobalance.coupled import VECTORS, RigidMass
+from aerobalance.ground_fit import GroundFit
+from aerobalance.ground_sensors import ground_sensors
+from aerobalance.motion import GroundMotion
+from aerobalance.platform_motion import PlatformMotion
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording import AXES_BY_NAME, Channel, Recording
+
+RATE = 1000.0
+STEP = 1e-3
+SECOND = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180
+FIRST = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60
+GRAVITY = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+
+
+@pytest.fixture
+def seed():
+    drawn = np.random.SeedSequence().entropy
+    print("seed", drawn)  # noqa: T201 - shown where a test fails
+    return drawn
+
+
+def turned(axis, angle):
+    """Rotations about an axis of the inertial frame, shape (n, 3, 3)."""
+    cross = np.cross(np.eye(3), axis)
+    return np.eye(3) + np.sin(angle)[:, None, None] * -cross + (1 - np.cos(angle))[:, None, None] * (cross @ cross)
+
+
+class Platform:
+    """A rigid platform that swings, its path known at any time; derivatives by seven-point differences.
+
+    Frequencies are 2 to 6 Hz in whole numbers: whole periods in a record of seconds.
+    """
+
+    def __init__(self, rng, *, samples=1000, swing=0.02, shift=2e-3, still=()):
+        self.clock = np.arange(samples) / RATE
+        beats = rng.integers(2, 7, (6, 2)).astype(float)
+        self.angular, self.phase = 2 * np.pi * beats, rng.uniform(0, 2 * np.pi, (6, 2))
+        self.size = rng.normal(size=(6, 2)) * np.array([[shift]] * 3 + [[swing]] * 3)
+        self.size[[["aft", "right", "up", "x", "y", "z"].index(name) for name in still]] = 0
+        self.mean = np.zeros(6)
+        self.mean[3:] = rng.normal(size=3) * 0.1 * (swing > 0)
+
+    def state(self, time):
+        """Place of the balance's centre and turn of the platform."""
+        angles = self.angular[:, :, None] * time + self.phase[:, :, None]
+        path = self.mean[:, None] + np.sum(self.size[:, :, None] * np.sin(angles), axis=1)
+        turn = turned((1, 0, 0), path[3]) @ turned((0, 1, 0), path[4]) @ turned((0, 0, 1), path[5])
+        return path[:3].T, turn
+
+    def acceleration(self, place):
+        """Acceleration of a point of the platform, in its own axes, shape (n, 3)."""
+        steps = []
+        for number in range(-3, 4):
+            centre, turn = self.state(self.clock + number * STEP)
+            steps.append(centre + turn @ np.asarray(place))
+        _, turn = self.state(self.clock)
+        return np.einsum("nji,nj->ni", turn, np.tensordot(SECOND, steps, axes=1) / STEP**2)
+
+    def pull(self):
+        """Gravity in the platform's axes, shape (n, 3)."""
+        return np.einsum("nji,j->ni", self.state(self.clock)[1], GRAVITY)
+
+    def rate(self, late=0.0):
+        """Rate of turn along aft, right, up, shape (n, 3)."""
+        steps = [self.state(self.clock + late + number * STEP)[1] for number in range(-3, 4)]
+        spin = np.einsum("nji,njk->nik", steps[3], np.tensordot(FIRST, steps, axes=1) / STEP)
+        return np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
+
+    def turn(self):
+        """Angular acceleration along aft, right, up, shape (n, 3)."""
+        return np.tensordot(FIRST, [self.rate(number * STEP) for number in range(-3, 4)], axes=1) / STEP
+
+    def motion(self):
+        """The six accelerations in the order of the components, shape (n, 6)."""
+        centre, turn = self.acceleration((0, 0, 0)), self.turn()
+        return np.stack([(turn if name in MOMENTS else centre) @ VECTORS[name] for name in COMPONENTS], axis=1)
+
+    def sensor(self, number, place, axis, **settings):
+        name = f"ground_acceleration_{number}"
+        axis = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+        felt = self.acceleration(place) - (self.pull() if settings.get("coupling") == "dc" else 0)
+        settings.setdefault("noise", 1e-6)
+        return Channel(name, felt @ axis, "m/s^2", place=tuple(place), axis=tuple(axis), **settings)
+
+    def angles(self):
+        share = self.pull() / STANDARD_GRAVITY
+        values = {"pitch": np.arcsin(share[:, 0]), "roll": np.arctan2(share[:, 1], -share[:, 2])}
+        return [Channel(name, value, "rad", noise=1e-9) for name, value in values.items()]
+
+    def recording(self, *channels):
+        return recording(*channels, samples=self.clock.size)
+
+
+def recording(*channels, samples=None, rate=RATE):
+    samples = samples or channels[0].values.size
+    stamps = np.arange(samples) / rate
+    return Recording("test", stamps, np.arange(samples), 0.0, rate, {channel.name: channel for channel in channels})
+
+
+def random_sensors(platform, rng, number, *, dc=0.5, **settings):
+    """Accelerometers at random places and axes, some of which read gravity."""
+    return [
+        platform.sensor(
+            index,
+            rng.uniform(-0.5, 0.5, 3),
+            rng.normal(size=3),
+            coupling="dc" if rng.random() < dc else "kinematic",
+            **settings,
+        )
+        for index in range(number)
+    ]
+
+
+def noisy(channel, rng, noise, **settings):
+    return dataclasses.replace(
+        channel, values=channel.values + noise * rng.normal(size=channel.values.size), noise=noise, **settings
+    )
+
+
+def rates_of(platform, noise, **settings):
+    spin = platform.rate()
+    return [
+        Channel(f"ground_turn_rate_{name}", spin @ VECTORS[name], "rad/s", noise=noise, **settings) for name in MOMENTS
+    ]
+
+
+def rms(values):
+    return np.sqrt(np.mean(np.square(values), axis=0))
+
+
+INNER = slice(50, -50)
+"""Without the ends, where a derivative has no neighbours on one side."""
+
+
+def test_accelerometers_anywhere_give_all_six_motions(seed):
+    rng = np.random.default_rng(seed)
+    platform = Platform(rng, samples=4000)
+    rec = platform.recording(*random_sensors(platform, rng, 10, noise=0.02), *platform.angles())
+    motion = PlatformMotion.of(rec)
+    # what is left comes from w x (w x r), whose w is integrated less a line: 10 % of it is stated as its uncertainty,
+    # and over eight periods and more the line is 1 % of w
+    (unknown,) = (item for item in motion.unknowns if item.name.startswith("w x"))
+    assert 0.1 <= unknown.uncertainty < 0.2
+    assert (rms(motion.acceleration - platform.motion()) < 0.1 * rms(unknown.slope).max()).all(), seed
+    assert any("is taken off" in text for text in motion.assumptions)
+    np.testing.assert_allclose(motion.acceleration - motion.specific_force, gravity_of(platform), atol=1e-9)
+
+
+def gravity_of(platform):
+    pull = platform.pull()
+    return np.stack([np.zeros(len(pull)) if name in MOMENTS else pull @ VECTORS[name] for name in COMPONENTS], axis=1)
+
+
+def test_rates_of_turn_make_it_exact(seed):
+    rng = np.random.default_rng(seed)
+    platform = Platform(rng)
+    rec = platform.recording(
+        *random_sensors(platform, rng, 10, noise=0.02), *platform.angles(), *rates_of(platform, 1e-9)
+    )
+    motion, truth = PlatformMotion.of(rec), platform.motion()
+    # derivatives of what is sampled 80 times a period, some 200 samples from the reflected ends in the middle half
+    middle = slice(250, 750)
+    assert (rms((motion.acceleration - truth)[middle]) < 1e-4 * np.max(rms(truth))).all(), (
+        seed,
+        rms((motion.acceleration - truth)[middle]),
+    )
+    np.testing.assert_allclose(
+        motion.turn_rate, platform.rate() @ np.array([VECTORS[n] for n in MOMENTS]).T, atol=1e-9
+    )
+
+
+def test_force_is_that_of_every_mass_point(seed):
+    rng = np.random.default_rng(seed)
+    platform = Platform(rng)
+    places, masses = rng.normal(size=(5, 3)) * 0.3 + [0.2, 0.0, 0.1], rng.uniform(1, 5, 5)
+    centre = masses @ places / masses.sum()
+    arms = places - centre
+    inertia = np.einsum("k,kij->ij", masses, [(r @ r) * np.eye(3) - np.outer(r, r) for r in arms])
+    body = RigidMass(float(masses.sum()), centre, inertia)
+    pulls = [m * (platform.pull() - platform.acceleration(r)) for m, r in zip(masses, places, strict=True)]
+    force = np.sum(pulls, axis=0)
+    moment = np.sum([np.cross(r, pull) for r, pull in zip(places, pulls, strict=True)], axis=0)
+    truth = np.stack([(moment if n in MOMENTS else force) @ VECTORS[n] for n in COMPONENTS], axis=1)
+    exact, pull = platform.motion(), gravity_of(platform)
+    spin = platform.rate() @ np.array([VECTORS[n] for n in MOMENTS]).T
+    motion = PlatformMotion(exact, np.eye(6), exact - pull, spin, 0.0, ())
+    # seven-point differences: (w h)^6 / 140 of it, under 1e-9, and rounding of 1e-16 / h^2 = 1e-10 m/s^2
+    np.testing.assert_allclose(motion.force(body), truth, rtol=0, atol=1e-6 * np.abs(truth).max())
+
+
+def test_noise_of_the_motion_is_that_of_many_records(seed):
+    rng = np.random.default_rng(seed)
+    platform = Platform(rng, samples=4000)
+    quiet = random_sensors(platform, rng, 8)
+    angles = [dataclasses.replace(channel, noise=1e-3) for channel in platform.angles()]
+    noises = rng.uniform(0.1, 0.4, 8)
+    clean = platform.recording(*(dataclasses.replace(c, noise=n) for c, n in zip(quiet, noises, strict=True)), *angles)
+    drawn = [noisy(c, rng, n) for c, n in zip(quiet, noises, strict=True)] + [noisy(c, rng, 1e-3) for c in angles]
+    one, other = PlatformMotion.of(clean), PlatformMotion.of(platform.recording(*drawn))
+    scatter = np.cov((other.specific_force - one.specific_force).T)
+    size = np.sqrt(np.diag(one.covariance))
+    # each element of a covariance of n samples scatters by at most sqrt(2 / n) of the two sizes; 6 of these, and the
+    # noise of angles changes along the record by the angles themselves, which the mean takes out to second order
+    np.testing.assert_allclose(
+        scatter / np.outer(size, size), one.covariance / np.outer(size, size), atol=6 * np.sqrt(2 / 4000) + 0.02
+    )
+
+
+def test_rate_is_used_where_it_knows_better(seed):
+    rng = np.random.default_rng(seed)
+    samples = 8000
+    clock = np.arange(samples) / RATE
+    # noise 2 rad/s^2 of the turn by accelerometers, and of the rate 2 / (2 pi 60): alike at 60 Hz
+    slow, fast = 50 * np.sin(2 * np.pi * 5 * clock), 50 * np.sin(2 * np.pi * 200 * clock)
+    turn = slow + fast
+    rate_values = -(50 / (2 * np.pi * 5)) * np.cos(2 * np.pi * 5 * clock) - (50 / (2 * np.pi * 200)) * np.cos(
+        2 * np.pi * 200 * clock
+    )
+    ends = [
+        Channel(f"ground_acceleration_{i}", -x * turn, "m/s^2", place=(x, 0, 0), axis=(0.0, 0.0, 1.0))
+        for i, x in enumerate((0.5, -0.5))
+    ]
+    rate = Channel("ground_turn_rate_PM", rate_values, "rad/s")
+    channels = [noisy(c, rng, np.sqrt(2)) for c in ends] + [noisy(rate, rng, 2 / (2 * np.pi * 60))]
+    motion = PlatformMotion.of(recording(*channels))
+    error = motion.acceleration[:, 1] - turn
+    inner = slice(400, -400)
+    # the noise of the turn: accelerometers above 60 Hz, both below; the variance of n samples scatters by sqrt(2 / n),
+    # more by the bandwidth's not being white: 6 of these for twice the variance
+    size = np.sqrt(motion.covariance[1, 1])
+    assert abs(rms(error[inner]) / size - 1) < 6 * np.sqrt(1 / samples) * 2, seed
+    spectrum = np.abs(np.fft.rfft(error[inner] * np.hanning(error[inner].size))) ** 2
+    frequency = np.fft.rfftfreq(error[inner].size, 1 / RATE)
+    low, high = (np.mean(spectrum[(frequency > a) & (frequency < b)]) for a, b in ((1, 20), (100, 400)))
+    # below 20 Hz the rate's noise is under a third of the accelerometers' in size; both bands hold over 100 ordinates
+    assert low < high / 3, seed
+    assert size < 2.0
+
+
+def test_motion_that_no_sensor_sees_is_named():
+    clock = np.arange(1000) / RATE
+    tone = np.sin(2 * np.pi * 20 * clock)
+    up = [
+        Channel(f"ground_acceleration_{i}", tone, "m/s^2", noise=1e-3, place=(x, 0, 0), axis=(0.0, 0.0, 1.0))
+        for i, x in enumerate((0.5, -0.5))
+    ]
+    motion = PlatformMotion.of(recording(*up))
+    assert not motion.acceleration[:, [2, 3, 4, 5]].any()
+    np.testing.assert_allclose(motion.acceleration[:, 0], tone, atol=1e-12)
+    text = " ".join(motion.assumptions)
+    for word in ("(AF)", "(SF)", "(YM)", "(RM)", "seen by no sensor"):
+        assert word in text
+    assert "(NF), " not in text
+
+
+def test_turn_that_cannot_be_told_from_a_shift_is_named():
+    tone = np.sin(2 * np.pi * 20 * np.arange(1000) / RATE)
+    one = Channel("ground_acceleration_1", tone, "m/s^2", noise=1e-3, place=(0.5, 0, 0), axis=(0.0, 0.0, 1.0))
+    motion = PlatformMotion.of(recording(one))
+    np.testing.assert_allclose(motion.acceleration[:, 0], tone, atol=1e-12)
+    assert any(
+        "turn in pitch (PM) cannot be told from its acceleration up (NF)" in text for text in motion.assumptions
+    )
+
+
+def test_turn_sensor_tells_it(seed):
+    rng = np.random.default_rng(seed)
+    clock = np.arange(1000) / RATE
+    turn, shift = (rng.normal() * np.sin(2 * np.pi * f * clock) for f in (20, 30))
+    reading = shift - 0.5 * turn  # nose up takes what is aft of the centre down
+    one = Channel("ground_acceleration_1", reading, "m/s^2", noise=1e-6, place=(0.5, 0, 0), axis=(0.0, 0.0, 1.0))
+    other = Channel("ground_turn_PM", turn, "rad/s^2", noise=1e-6)
+    motion = PlatformMotion.of(recording(one, other))
+    # w x (w x r) of 0.5 m is along the balance and not read
+    np.testing.assert_allclose(motion.acceleration[:, :2], np.column_stack([shift, turn]), atol=1e-10)
+
+
+def test_one_axis_gives_the_numbers_of_one_component(seed):
+    rng = np.random.default_rng(seed)
+    clock = np.arange(2000) / RATE
+    for name, component in (("", "AF"), ("_y", "SF"), ("_z", "NF")):
+        channels = [
+            Channel(f"ground_acceleration{name}", 30 * np.sin(300 * clock) + rng.normal(size=clock.size), "m/s^2"),
+            Channel("pitch", 0.1 + 0.05 * np.sin(3 * clock) + 1e-4 * rng.normal(size=clock.size), "rad"),
+            Channel("roll", 0.02 * np.cos(2 * clock), "rad", noise=0.0),
+        ]
+        six, one = PlatformMotion.of(recording(*channels)), GroundMotion.of(recording(*channels), component)
+        index = COMPONENTS.index(component)
+        np.testing.assert_allclose(six.acceleration[:, index], one.acceleration, rtol=1e-12, atol=0)
+        np.testing.assert_allclose(six.specific_force[:, index], one.specific_force, rtol=1e-12, atol=1e-12)
+        # one component takes the mean of |slope| for that of the angle's noise, which differs by its variation
+        assert abs(np.sqrt(six.covariance[index, index]) / one.noise - 1) < 1e-3
+
+
+def test_at_rest_is_zero_but_for_tones(seed):
+    rng = np.random.default_rng(seed)
+    clock = np.arange(4000) / RATE
+    noise = rng.normal(size=(3, clock.size))
+    hum = 0.5 * np.sin(2 * np.pi * 100 * clock)
+    channels = [
+        Channel("ground_acceleration", noise[0], "m/s^2", noise=1.0),
+        Channel("ground_acceleration_y", noise[1] + hum, "m/s^2", noise=1.0),
+        Channel("ground_acceleration_z", noise[2] + 3 * hum, "m/s^2", noise=1.0),
+    ]
+    motion = PlatformMotion.of(recording(*channels))
+    assert not motion.acceleration[:, COMPONENTS.index("AF")].any()
+    left = motion.acceleration[:, COMPONENTS.index("SF")]
+    # the tone's size is known to 1 / sqrt(4000 / 8) = 4.5 %, and 6 of these; of 2001 ordinates 17 are kept, a tenth of
+    # the noise
+    assert abs((left @ hum) / (hum @ hum) - 1) < 0.27 and rms(left - hum) < 0.2, seed
+    np.testing.assert_array_equal(motion.acceleration[:, COMPONENTS.index("NF")], channels[2].values)
+    assert sum("beyond its noise" in text for text in motion.assumptions) == 2
+
+
+def test_far_sensors_at_rest_do_not_spoil_the_others(seed):
+    rng = np.random.default_rng(seed)
+    clock = np.arange(4000) / RATE
+    shift = 5 * np.sin(2 * np.pi * 30 * clock)
+    pair = [
+        noisy(Channel(f"ground_acceleration_{i}", shift, "m/s^2", place=(x, 0, 0), axis=(0.0, 0.0, 1.0)), rng, 1.0)
+        for i, x in enumerate((0.4, 0.5))
+    ]
+    motion = PlatformMotion.of(recording(*pair))
+    # the turn, known to 1.4 / 0.1 rad/s^2, is taken as zero, and the acceleration is then the mean of both
+    assert not motion.acceleration[:, COMPONENTS.index("PM")].any(), seed
+    assert abs(motion.covariance[0, 0] - 0.5) < 1e-9
+    np.testing.assert_allclose(motion.acceleration[:, 0], np.mean([c.values for c in pair], axis=0), atol=1e-12)
+
+
+def test_sensor_with_a_wrong_gain_is_named(seed):
+    rng = np.random.default_rng(seed)
+    platform = Platform(rng, samples=2000)
+    bad = int(rng.integers(10))
+    channels = [noisy(c, rng, 0.1) for c in random_sensors(platform, rng, 10)]
+    wrong = -1.0
+    channels[bad] = dataclasses.replace(channels[bad], values=channels[bad].values * wrong)
+    redundancy = GroundFit.of(ground_sensors(platform.recording(*channels)), rate=RATE)
+    shown = 1 - (redundancy.rows @ redundancy.bands[0].gains).diagonal()
+    if shown[bad] < 0.2 or rms(channels[bad].values) < 0.5:
+        return  # a sensor that the others hardly check
+    with pytest.warns(DoubtWarning, match=f"ground_acceleration_{bad} "):
+        PlatformMotion.of(platform.recording(*channels, *platform.angles()))
+
+
+def test_good_sensors_are_not_doubted(seed):
+    rng = np.random.default_rng(seed)
+    platform = Platform(rng, samples=2000)
+    channels = [noisy(c, rng, 0.1) for c in random_sensors(platform, rng, 9)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        PlatformMotion.of(platform.recording(*channels, *platform.angles()))
+
+
+def test_stated_uncertainty_is_no_fault(seed):
+    rng = np.random.default_rng(seed)
+    platform = Platform(rng, samples=2000, still=("x", "y", "z"), shift=0.02)
+    gains = 1 + 0.05 * rng.normal(size=9)
+    plain = random_sensors(platform, rng, 9)
+    channels = [
+        noisy(dataclasses.replace(c, values=c.values * g), rng, 0.02, relative_uncertainty=0.05)
+        for c, g in zip(plain, gains, strict=True)
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        PlatformMotion.of(platform.recording(*channels, *platform.angles()))
+
+
+def test_two_sensors_that_differ_are_both_named(seed):
+    rng = np.random.default_rng(seed)
+    shift = 5 * np.sin(2 * np.pi * 30 * np.arange(4000) / RATE)
+    pair = [
+        noisy(Channel(f"ground_acceleration_{i}", shift * gain, "m/s^2", axis=(0.0, 0.0, 1.0)), rng, 0.1)
+        for i, gain in enumerate((1.0, 1.2))
+    ]
+    with pytest.warns(DoubtWarning, match=r"ground_acceleration_\d, ground_acceleration_\d do not agree"):
+        PlatformMotion.of(recording(*pair))
+
+
+def test_offset_is_told(seed):
+    rng = np.random.default_rng(seed)
+    shift = 5 * np.sin(2 * np.pi * 30 * np.arange(4000) / RATE)
+    trio = [
+        noisy(Channel(f"ground_acceleration_{i}", shift + off, "m/s^2", axis=(0.0, 0.0, 1.0)), rng, 1.0)
+        for i, off in enumerate((0.0, 0.5, 0.0))
+    ]
+    with pytest.warns(DoubtWarning, match=r"ground_acceleration_1 reads 0\.[3-7]\d* more"):
+        PlatformMotion.of(recording(*trio))
+
+
+def changed(rec, item, by):
+    """The recording as it would be if one unknown were off by so much: readings that are taken for something else."""
+    channels = dict(rec.channels)
+    channel = channels[item.source]
+    word = item.name.rpartition(" ")[2]
+    if word == "gain":
+        channels[item.source] = dataclasses.replace(channel, values=channel.values * (1 + by))
+    elif word == "zero":
+        channels[item.source] = dataclasses.replace(channel, values=channel.values + by)
+    else:
+        place = np.array(channel.place)
+        place[["aft", "right", "up"].index(word)] -= by  # it is taken to sit there
+        channels[item.source] = dataclasses.replace(channel, place=tuple(place))
+    return dataclasses.replace(rec, channels=channels)
+
+
+def test_slopes_are_those_of_changed_readings(seed):
+    rng = np.random.default_rng(seed)
+    platform = Platform(rng, samples=2000, swing=0.002)
+    settings = {"relative_uncertainty": 0.01, "zero_uncertainty": 0.1}
+    sensors = random_sensors(platform, rng, 12, noise=1e-3, place_uncertainty=1e-3, **settings)
+    angles = [dataclasses.replace(c, **settings) for c in platform.angles()]
+    rec = platform.recording(*sensors, *angles)
+    base = PlatformMotion.of(rec)
+    assert len(base.unknowns) == 12 * 5 + 4 + 1
+    several = [*rng.choice(60, 6, replace=False), 60, 61, 62, 63]  # of the sensors', and all of the angles'
+    for number in several:
+        item = base.unknowns[number]
+        by = 1e-5
+        other = PlatformMotion.of(changed(rec, item, by))
+        change = np.zeros(len(base.unknowns))
+        change[number] = by
+        moved = base.moved(change).specific_force - base.specific_force
+        # the slopes leave out that w x (w x r) changes with the motion, by 2 w times the change of w: for swings of
+        # 0.002 rad at 6 Hz, w is under 0.1 rad/s, and the change of acceleration over 12 rad/s times that of w: under
+        # 2 % for each of several levers
+        error = rms(other.specific_force - base.specific_force - moved).max()
+        assert error < 0.1 * rms(moved).max() + 1e-12, (seed, item.name, error, rms(moved).max())
+
+
+def test_sensors_of_different_delay_are_brought_together(seed):
+    rng = np.random.default_rng(seed)
+    clock = np.arange(4000) / RATE
+    late = float(rng.uniform(1e-3, 4e-3))
+
+    def shift(t):
+        return 5 * np.sin(2 * np.pi * 30 * t)
+
+    pair = [
+        Channel(f"ground_acceleration_{i}", shift(clock - d), "m/s^2", noise=0.1, delay=d, axis=(0.0, 0.0, 1.0))
+        for i, d in enumerate((1e-3, 1e-3 + late))
+    ]
+    motion = PlatformMotion.of(recording(*pair))
+    assert motion.delay == 1e-3
+    # the ends are continued; within, a shift of a spectrum is exact for whole periods and good to 1e-3 for others
+    np.testing.assert_allclose(motion.acceleration[INNER, 0], shift(clock - 1e-3)[INNER], atol=5e-3)
+
+
+def test_missing_readings_are_bridged_and_said():
+    values = np.sin(2 * np.pi * 5 * np.arange(1000) / RATE)
+    values[300:303] = np.nan
+    with pytest.warns(DoubtWarning, match="3 missing"):
+        motion = PlatformMotion.of(recording(Channel("ground_acceleration_z", values, "m/s^2", noise=1e-3)))
+    assert np.isfinite(motion.specific_force).all()
+
+
+def test_nothing_recorded_is_rest_and_gravity():
+    motion = PlatformMotion.of(recording(Channel("pitch", np.full(100, 0.3), "rad", noise=0.0)))
+    assert not motion.acceleration.any() and any("at rest" in text for text in motion.assumptions)
+    body = RigidMass(2.0, np.zeros(3), np.eye(3))
+    np.testing.assert_allclose(motion.force(body), body.weight(np.full(100, 0.3)), atol=1e-12)
+
+
+def test_accelerometer_without_an_axis_is_refused():
+    one = Channel("ground_acceleration_1", np.zeros(100), "m/s^2", place=(0.5, 0, 0))
+    with pytest.raises(FitError, match="ground_acceleration_1 has no axis"):
+        PlatformMotion.of(recording(one))
+
+
+def test_accelerometer_without_a_place_is_said_to_be_at_the_centre(seed):
+    rng = np.random.default_rng(seed)
+    platform = Platform(rng, samples=4000)
+    channels = [noisy(c, rng, 0.05) for c in random_sensors(platform, rng, 8)]
+    bare = Channel("ground_acceleration", platform.acceleration((0, 0, 0))[:, 0], "m/s^2", noise=0.05)
+    motion = PlatformMotion.of(platform.recording(*channels, bare, *platform.angles()))
+    assert any("ground_acceleration: no place is given" in text for text in motion.assumptions)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"axis": (1.0, 1.0, 0.0)}, "length 1"),
+        ({"place": (np.nan, 0.0, 0.0)}, "three numbers"),
+        ({"place_uncertainty": -1.0}, "zero or more"),
+    ],
+)
+def test_impossible_mountings_are_refused(settings, words):
+    with pytest.raises(ValueError, match=words):
+        Channel("ground_acceleration_1", np.zeros(4), "m/s^2", **settings)
+
+
+def test_only_accelerometers_have_a_mounting():
+    with pytest.raises(ValueError, match="place and axis are for"):
+        Channel("AF", np.zeros(4), "N", place=(0.0, 0.0, 0.0))
+
+
+def test_named_axes_are_aft_right_and_up():
+    assert AXES_BY_NAME == {
+        "ground_acceleration": (1, 0, 0),
+        "ground_acceleration_y": (0, 1, 0),
+        "ground_acceleration_z": (0, 0, 1),
+    }
