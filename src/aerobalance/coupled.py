@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 
-from aerobalance.components import COMPONENTS
+from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.recording import Array
 
@@ -28,6 +28,13 @@ VECTORS: Final = {
     "RM": (-1, 0, 0),
 }
 """Direction of every component along aft, right, up: of the force, or of the right-handed turn of the moment."""
+
+MASS_PARAMETERS: Final = (
+    "mass",
+    *(f"centre {axis}" for axis in ("aft", "right", "up")),
+    *(f"inertia {axes}" for axes in ("aft-aft", "right-right", "up-up", "aft-right", "aft-up", "right-up")),
+)
+"""Order of the rows and columns of `RigidMass.covariance`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +68,18 @@ class RigidMass:
         if not np.allclose(self.inertia, self.inertia.T, rtol=1e-9, atol=0):
             raise ValueError("inertia must be symmetric")
 
+    @classmethod
+    def of_values(cls, values: Array) -> RigidMass:
+        """A mass from values of `MASS_PARAMETERS`, shape (10,), taken as known exactly."""
+        aa, rr, uu, ar, au, ru = (float(value) for value in values[4:])
+        inertia = np.array([[aa, ar, au], [ar, rr, ru], [au, ru, uu]])
+        return cls(float(values[0]), np.array(values[1:4]), inertia)
+
+    @property
+    def values(self) -> Array:
+        """Values of `MASS_PARAMETERS`, shape (10,)."""
+        return np.array([self.mass, *self.centre, *self.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
+
     @property
     def matrix(self) -> Array:
         """Mass matrix in the order and signs of `COMPONENTS`, shape (6, 6) [kg, kg*m, kg*m^2].
@@ -73,11 +92,68 @@ class RigidMass:
         whole[:3, 3:] = self.mass * across.T
         whole[3:, :3] = self.mass * across
         whole[3:, 3:] = self.inertia + self.mass * across @ across.T
-        turn = np.zeros((6, 6))
-        for row, name in enumerate(COMPONENTS):
-            place = slice(3, 6) if name in ("PM", "YM", "RM") else slice(0, 3)
-            turn[row, place] = VECTORS[name]
+        turn = _directions()
         return turn @ whole @ turn.T
+
+    def weight(self, pitch: ArrayLike, roll: ArrayLike = 0.0, *, gravity: float = STANDARD_GRAVITY) -> Array:
+        """Loads of the weight about the balance's centre, shape (n, 6) [N, N*m].
+
+        Parameters
+        ----------
+        pitch, roll
+            Angles nose up and right side down, shape (n,) or one [rad].
+        gravity
+            Acceleration of gravity [m/s^2].
+        """
+        theta, phi = np.broadcast_arrays(np.atleast_1d(pitch), np.atleast_1d(roll))
+        pull = [np.sin(theta), np.cos(theta) * np.sin(phi), -np.cos(theta) * np.cos(phi)]
+        return np.asarray(gravity * np.stack(pull, axis=-1) @ (self.matrix @ _directions())[:, :3].T)
+
+    def turning_load(self, rate: Array) -> Array:
+        """Loads that keep the mass turning at a steady rate: m w x (w x r) and its moment, with w x I w.
+
+        It is to be added to `matrix` times the acceleration of the balance's centre.
+
+        Parameters
+        ----------
+        rate
+            Turn of the ground end in the signs of PM, YM and RM, shape (n, 3) [rad/s].
+
+        Returns
+        -------
+        loads
+            Shape (n, 6) [N, N*m].
+        """
+        w = rate @ np.array([VECTORS[name] for name in MOMENTS])
+        force = self.mass * np.cross(w, np.cross(w, self.centre))
+        moment = np.cross(self.centre, force) + np.cross(w, w @ self.inertia)
+        return np.asarray(np.hstack([force, moment]) @ _directions().T)
+
+
+def _directions() -> Array:
+    """Matrix from force and moment along aft, right, up to the order and signs of `COMPONENTS`, shape (6, 6)."""
+    turn = np.zeros((6, 6))
+    for row, name in enumerate(COMPONENTS):
+        turn[row, slice(3, 6) if name in MOMENTS else slice(0, 3)] = VECTORS[name]
+    return turn
+
+
+class ModalForm(NamedTuple):
+    """Free motion of coupled components as 2 n modes z' = pole z + weight @ net load, loads felt = sum shape z.
+
+    Attributes
+    ----------
+    poles
+        Shape (2 n,) [rad/s], in conjugate pairs where they oscillate.
+    shapes
+        Loads felt by mode, shape (n, 2 n).
+    weights
+        What each mode takes of the net load, shape (2 n, n).
+    """
+
+    poles: NDArray[np.complex128]
+    shapes: NDArray[np.complex128]
+    weights: NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,6 +219,22 @@ class CoupledDynamics:
             covariance,
         )
 
+    @classmethod
+    def of_rigid_mass(cls, mass: RigidMass, *, stiffness: Array, damping: Array) -> CoupledDynamics:
+        """All six components of a rigid mass on springs and dampers: A = M K^-1, D = C K^-1.
+
+        Parameters
+        ----------
+        mass
+            The moving mass.
+        stiffness
+            K, load over displacement and turn of the balance's centre, shape (6, 6) [N/m, N, N*m].
+        damping
+            C, load over their rates, shape (6, 6) [N*s/m, N*s, N*m*s].
+        """
+        flexibility = np.linalg.inv(stiffness)
+        return cls(COMPONENTS, mass.matrix @ flexibility, damping @ flexibility, mass=mass)
+
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the rows of `covariance`: the inertia row by row, then the damping."""
@@ -158,6 +250,15 @@ class CoupledDynamics:
         whole[n:, :n] = -np.linalg.inv(self.inertia)
         whole[n:, n:] = -np.linalg.solve(self.inertia, self.damping)
         return whole
+
+    @property
+    def modal_form(self) -> ModalForm:
+        """The free motion, mode by mode."""
+        n = len(self.components)
+        poles, shapes = np.linalg.eig(self._generator)
+        drive = np.vstack([np.zeros((n, n)), np.linalg.inv(self.inertia)]).astype(np.complex128)
+        weights = np.linalg.solve(shapes, drive).astype(np.complex128)
+        return ModalForm(poles.astype(np.complex128), shapes[:n].astype(np.complex128), weights)
 
     @property
     def poles(self) -> NDArray[np.complex128]:
@@ -183,13 +284,11 @@ class CoupledDynamics:
     def load_felt(self, net: Array, *, interval: float) -> Array:
         """Loads felt under loads that are linear between samples and were held before the first; both (samples, n)."""
         n = len(self.components)
-        poles, shapes = np.linalg.eig(self._generator)
-        drive = np.vstack([np.zeros((n, n)), np.linalg.inv(self.inertia)])
+        poles, shapes, weights = self.modal_form
         change = net - net[0]
         before = np.vstack([np.zeros((1, n)), change[:-1]])
-        weights = np.linalg.solve(shapes, drive.astype(np.complex128))
         felt = np.zeros(net.shape, dtype=np.complex128)
-        for pole, shape, weight in zip(poles, shapes[:n].T, weights, strict=True):
+        for pole, shape, weight in zip(poles, shapes.T, weights, strict=True):
             growth = np.exp(pole * interval)
             late = (np.expm1(pole * interval) - pole * interval) / (pole**2 * interval)
             early = np.expm1(pole * interval) / pole - late

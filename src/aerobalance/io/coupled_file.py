@@ -1,0 +1,319 @@
+"""dynamics.json of components that ring together: matrices with named rows and columns, covariance, rigid mass."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import numpy as np
+from pydantic import Field
+
+from aerobalance.components import COMPONENTS, si_unit
+from aerobalance.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics import Dynamics
+from aerobalance.io.artefacts import (
+    SCHEMA,
+    Covariance,
+    Finite,
+    Loose,
+    NotNegative,
+    Positive,
+    PositiveValue,
+    Value,
+    check_unit,
+    checked_covariance,
+    load,
+    provenance,
+    write_json,
+)
+from aerobalance.io.dynamics_file import FREQUENCY_AGREEMENT, read_dynamics
+from aerobalance.problems import ReadError
+from aerobalance.recording import Array
+
+KIND: Final = "coupled dynamics"
+"""What the file calls itself; dynamics.json of components each for itself is of kind ``dynamics``."""
+
+Kind = Literal["axial", "coupled"]
+Matrix = Literal["inertia", "damping"]
+
+_TIMES: Final[Mapping[Matrix, str]] = {"inertia": "s^2", "damping": "s"}
+_CENTRE: Final = ("aft", "right", "up")
+_INERTIA: Final = {"aa": (0, 0), "rr": (1, 1), "uu": (2, 2), "ar": (0, 1), "au": (0, 2), "ru": (1, 2)}
+"""Moments of inertia by axes: aft, right, up."""
+
+
+class _Matrix(Loose):
+    rows: list[str] | None = None
+    columns: list[str] | None = None
+    units: list[list[str]] | None = None
+    matrix: list[list[Finite]]
+    u: list[list[NotNegative]] | None = None
+
+
+class _Centre(Loose):
+    aft: Value
+    right: Value
+    up: Value
+
+
+class _Inertia(Loose):
+    aa: PositiveValue
+    rr: PositiveValue
+    uu: PositiveValue
+    ar: Value = Value(value=0.0)
+    au: Value = Value(value=0.0)
+    ru: Value = Value(value=0.0)
+
+
+class _Mass(Loose):
+    mass: PositiveValue
+    centre: _Centre
+    inertia: _Inertia
+    covariance: Covariance | None = None
+
+
+class _Mode(Loose):
+    natural_frequency: Positive
+    damping_ratio: Finite
+
+
+class _CoupledFile(Loose):
+    kind: Literal["coupled dynamics"] = "coupled dynamics"
+    schema_: Annotated[Literal[1], Field(alias="schema")] = 1
+    components: Annotated[list[str], Field(min_length=1)]
+    inertia: _Matrix
+    damping: _Matrix
+    covariance: Covariance | None = None
+    mass: _Mass | None = None
+    modes: list[_Mode] = Field(default_factory=list)
+
+
+def matrix_units(components: Sequence[str], kind: Matrix) -> list[list[str]]:
+    """Units of the elements of A (inertia) or D (damping): unit of the row over that of the column, times s^2 or s."""
+    time = _TIMES[kind]
+    table = {
+        ("N", "N"): time,
+        ("N*m", "N*m"): time,
+        ("N", "N*m"): time + "/m",
+        ("N*m", "N"): "m*" + time,
+    }
+    return [[table[si_unit(row), si_unit(column)] for column in components] for row in components]
+
+
+def coupled_payload(dynamics: CoupledDynamics) -> dict[str, object]:
+    """Give what dynamics.json says of coupled components, as plain data."""
+    n, names = len(dynamics.components), list(dynamics.components)
+    deviations = np.sqrt(np.diag(dynamics.covariance)).reshape(2, n, n)
+    payload: dict[str, object] = {"components": names}
+    for kind, deviation in zip(_TIMES, deviations, strict=True):
+        payload[kind] = {
+            "rows": names,
+            "columns": names,
+            "units": matrix_units(names, kind),
+            "matrix": getattr(dynamics, kind),
+            "u": deviation,
+        }
+    payload["modes"] = [
+        {
+            "natural_frequency": mode.natural_frequency,
+            "damping_ratio": mode.damping_ratio,
+            "units": {"natural_frequency": "Hz", "damping_ratio": "1"},
+        }
+        for mode in dynamics.modes
+    ]
+    if dynamics.mass is not None:
+        payload["mass"] = _mass_payload(dynamics.mass)
+    if dynamics.covariance.any():
+        payload["covariance"] = {"parameters": list(dynamics.parameters), "matrix": dynamics.covariance}
+    return payload
+
+
+def _mass_payload(mass: RigidMass) -> dict[str, object]:
+    values = _mass_values(mass)
+    deviations = np.sqrt(np.diag(mass.covariance))
+    units = ("kg", *("m",) * 3, *("kg*m^2",) * 6)
+    entries = [
+        {"value": value, "u": u, "unit": unit} for value, u, unit in zip(values, deviations, units, strict=True)
+    ]
+    payload: dict[str, object] = {
+        "mass": entries[0],
+        "centre": dict(zip(_CENTRE, entries[1:4], strict=True)),
+        "inertia": dict(zip(_INERTIA, entries[4:], strict=True)),
+    }
+    if mass.covariance.any():
+        payload["covariance"] = {"parameters": list(_mass_names()), "matrix": mass.covariance}
+    return payload
+
+
+def _mass_values(mass: RigidMass) -> list[float]:
+    """Mass, centre and moments of inertia in the order of the covariance."""
+    return [mass.mass, *mass.centre.tolist(), *(float(mass.inertia[place]) for place in _INERTIA.values())]
+
+
+def _mass_names() -> tuple[str, ...]:
+    return ("mass", *(f"centre.{axis}" for axis in _CENTRE), *(f"inertia.{axes}" for axes in _INERTIA))
+
+
+def write_coupled(
+    path: Path | str,
+    dynamics: CoupledDynamics,
+    *,
+    details: Mapping[str, object] | None = None,
+    inputs: Sequence[Path] = (),
+    settings: Mapping[str, object] | None = None,
+    warnings: Sequence[str] = (),
+) -> None:
+    """Write dynamics.json of coupled components.
+
+    Parameters
+    ----------
+    path
+        The file.
+    dynamics
+        What it is to hold.
+    details
+        How the fit went; written under ``fit``.
+    inputs
+        Files the result was computed from; their SHA-256 is noted.
+    settings
+        Settings of the computation.
+    warnings
+        What was warned about.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be written.
+    """
+    payload = {"kind": KIND, "schema": SCHEMA, **coupled_payload(dynamics)}
+    if details:
+        payload["fit"] = dict(details)
+    write_json(path, {**payload, "warnings": list(warnings), "provenance": provenance(inputs, settings=settings)})
+
+
+def read_coupled(path: Path | str) -> CoupledDynamics:
+    """Read dynamics.json of coupled components, as written by `write_coupled` or by hand.
+
+    By hand ``components``, ``inertia.matrix`` and ``damping.matrix`` are enough.
+
+    Raises
+    ------
+    ReadError
+        The file is no such JSON, or its numbers are not physical; the message names the key and what is allowed.
+    """
+    file = Path(path)
+    if dynamics_kind(file) == "axial":
+        raise ReadError(
+            file,
+            "components",
+            "holds components that ring each for itself, but coupled dynamics are needed: components that were "
+            "identified together, with the matrices inertia and damping",
+        )
+    contents = load(file, KIND, _CoupledFile)
+    names = tuple(contents.components)
+    if names != tuple(name for name in COMPONENTS if name in names):
+        raise ReadError(file, "components", f"must be some of {', '.join(COMPONENTS)}, in this order and each once")
+    matrices: dict[str, Array] = {}
+    deviations: dict[str, float] = {}
+    for kind in _TIMES:
+        matrices[kind], u = _read_matrix(file, kind, getattr(contents, kind), names)
+        pairs = [f"{kind} {row}/{column}" for row in names for column in names]
+        deviations |= dict(zip(pairs, u.ravel().tolist(), strict=True))
+    covariance = checked_covariance(file, "covariance", contents.covariance, deviations)
+    mass = _read_mass(file, contents.mass) if contents.mass else None
+    try:
+        dynamics = CoupledDynamics(names, matrices["inertia"], matrices["damping"], covariance, mass)
+    except np.linalg.LinAlgError:
+        raise ReadError(file, "inertia.matrix", "cannot be inverted: some load would move no mass") from None
+    except ValueError as error:
+        raise ReadError(file, "", str(error)) from None
+    _check_modes(file, contents.modes, dynamics)
+    return dynamics
+
+
+def _read_matrix(path: Path, kind: Matrix, given: _Matrix, names: tuple[str, ...]) -> tuple[Array, Array]:
+    """Matrix and standard uncertainties, both of shape (n, n)."""
+    for side in ("rows", "columns"):
+        found = getattr(given, side)
+        if found is not None and tuple(found) != names:
+            raise ReadError(
+                path, f"{kind}.{side}", f"are {', '.join(found)}, but components are {', '.join(names)}, in this order"
+            )
+    n = len(names)
+    expected = matrix_units(names, kind)
+    if given.units is not None and given.units != expected:
+        raise ReadError(path, f"{kind}.units", f"must be {expected} (artefacts are in SI units)")
+    for name, table in (("matrix", given.matrix), ("u", given.u)):
+        if table is not None and [len(row) for row in table] != [n] * n:
+            raise ReadError(path, f"{kind}.{name}", f"must have {n} rows of {n} numbers, one for each component")
+    u = np.zeros((n, n)) if given.u is None else np.array(given.u, dtype=np.float64)
+    return np.array(given.matrix, dtype=np.float64), u
+
+
+def _read_mass(path: Path, given: _Mass) -> RigidMass:
+    entries: dict[str, Value] = {"mass": given.mass}
+    entries |= {f"centre.{axis}": getattr(given.centre, axis) for axis in _CENTRE}
+    entries |= {f"inertia.{axes}": getattr(given.inertia, axes) for axes in _INERTIA}
+    for name, entry in entries.items():
+        unit = "kg" if name == "mass" else "m" if name.startswith("centre") else "kg*m^2"
+        check_unit(path, f"mass.{name}.unit", entry, unit)
+    deviations = {name: entry.u for name, entry in entries.items()}
+    inertia = np.zeros((3, 3))
+    for axes, (i, j) in _INERTIA.items():
+        inertia[i, j] = inertia[j, i] = entries[f"inertia.{axes}"].value
+    return RigidMass(
+        given.mass.value,
+        np.array([entries[f"centre.{axis}"].value for axis in _CENTRE]),
+        inertia,
+        checked_covariance(path, "mass.covariance", given.covariance, deviations),
+    )
+
+
+def _check_modes(path: Path, given: Sequence[_Mode], dynamics: CoupledDynamics) -> None:
+    """Refuse modes that contradict the matrices: one or the other was altered by mistake."""
+    if not given:
+        return
+    modes = dynamics.modes
+    if len(given) != len(modes):
+        raise ReadError(path, "modes", f"are {len(given)}, but the matrices have {len(modes)}; leave modes out")
+    for number, (stated, own) in enumerate(zip(given, modes, strict=True)):
+        for name in ("natural_frequency", "damping_ratio"):
+            found, allowed = getattr(stated, name), getattr(own, name)
+            if abs(found - allowed) > FREQUENCY_AGREEMENT * allowed:
+                raise ReadError(
+                    path,
+                    f"modes[{number}].{name}",
+                    f"is {found:g}, but the matrices give {allowed:g}; correct what is wrong, or leave modes out",
+                )
+
+
+def dynamics_kind(path: Path | str) -> Kind | None:
+    """Say whether a dynamics.json holds components each for itself (``"axial"``) or coupled ones; None if neither.
+
+    Its kind says it, or, in a file by hand, its keys.
+    """
+    try:
+        given = json.loads(Path(path).read_bytes().decode("utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(given, dict):
+        return None
+    if "kind" in given:
+        kinds: dict[object, Kind] = {KIND: "coupled", "dynamics": "axial"}
+        return kinds.get(given["kind"]) if isinstance(given["kind"], str) else None
+    if "inertia" in given or isinstance(given.get("components"), list):
+        return "coupled"
+    return "axial" if isinstance(given.get("components"), dict) else None
+
+
+def read_any_dynamics(path: Path | str) -> dict[str, Dynamics] | CoupledDynamics:
+    """Read a dynamics.json of either kind: components each for itself by name, or coupled ones.
+
+    Raises
+    ------
+    ReadError
+        As `read_dynamics` and `read_coupled`.
+    """
+    return read_coupled(path) if dynamics_kind(path) == "coupled" else read_dynamics(path)

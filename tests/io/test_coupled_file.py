@@ -1,0 +1,215 @@
+"""dynamics.json of coupled components: what is written reads back exactly; what is broken or unphysical is refused."""
+
+import copy
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerobalance.components import COMPONENTS
+from aerobalance.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics import Dynamics
+from aerobalance.io.coupled_file import dynamics_kind, matrix_units, read_any_dynamics, read_coupled, write_coupled
+from aerobalance.io.dynamics_file import read_dynamics, write_dynamics
+from aerobalance.problems import ReadError
+from aerobalance.rigs import random_balance
+
+# printf 'time [s],AF [N]\n0,1\n1,2\n' | sha256sum
+SHA256 = "ef293ed0de57a6f4c463d425043e4eb566f80704df1763d9cf36760d3c6bf8ac"
+
+
+def full(seed):
+    """Six components with a covariance of everything."""
+    generator = np.random.default_rng(seed)
+    known = random_balance(generator).dynamics
+    size = 1e-4 * np.abs(np.concatenate([known.inertia.ravel(), known.damping.ravel()]))
+    factor = size[:, None] * generator.normal(0, 1, (72, 72))
+    weighed = 1e-3 * generator.normal(0, 1, (10, 10))
+    mass = RigidMass(known.mass.mass, known.mass.centre, known.mass.inertia, symmetric(weighed @ weighed.T))
+    return replace(known, covariance=symmetric(factor @ factor.T), mass=mass)
+
+
+def symmetric(matrix):
+    return (matrix + matrix.T) / 2
+
+
+def written(tmp_path, dynamics, **settings):
+    path = tmp_path / "dynamics.json"
+    write_coupled(path, dynamics, **settings)
+    return path
+
+
+def test_round_trip_is_exact(tmp_path):
+    seed = int(np.random.SeedSequence().entropy % 2**32)
+    given = full(seed)
+    found = read_coupled(written(tmp_path, given))
+    assert found.components == given.components
+    for name in ("inertia", "damping", "covariance"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(given, name), err_msg=str(seed))
+    for name in ("mass", "centre", "inertia", "covariance"):
+        np.testing.assert_array_equal(getattr(found.mass, name), getattr(given.mass, name), err_msg=str(seed))
+
+
+def test_what_is_not_known_stays_so(tmp_path):
+    parts = [Dynamics("NF", 20.0, 2e7, 400.0), Dynamics("AF", 18.0, 3e7, 900.0)]
+    given = CoupledDynamics.of_components(parts)
+    path = written(tmp_path, given)
+    found = read_coupled(path)
+    assert found.components == ("NF", "AF")
+    assert found.mass is None
+    assert not found.covariance.any()
+    assert not {"mass", "covariance", "fit"} & set(json.loads(path.read_text()))
+
+
+def test_structure_names_rows_units_and_provenance(tmp_path):
+    source = tmp_path / "run.csv"
+    source.write_text("time [s],AF [N]\n0,1\n1,2\n")
+    given = full(3)
+    path = written(
+        tmp_path, given, details={"rms": 0.5}, inputs=[source], settings={"component": "all"}, warnings=["one doubt"]
+    )
+    contents = json.loads(path.read_text())
+    assert contents["kind"] == "coupled dynamics"
+    assert contents["schema"] == 1
+    assert contents["components"] == list(COMPONENTS)
+    for kind in ("inertia", "damping"):
+        assert contents[kind]["rows"] == contents[kind]["columns"] == list(COMPONENTS)
+        np.testing.assert_array_equal(contents[kind]["matrix"], getattr(given, kind))
+    deviations = np.sqrt(np.diag(given.covariance))
+    np.testing.assert_array_equal(np.ravel(contents["damping"]["u"]), deviations[36:])
+    # F = A X'': newtons from the second derivative of newton-metres need s^2/m
+    assert contents["inertia"]["units"][0][:2] == ["s^2", "s^2/m"]
+    assert contents["inertia"]["units"][1][:2] == ["m*s^2", "s^2"]
+    assert contents["damping"]["units"][1][:2] == ["m*s", "s"]
+    assert contents["covariance"]["parameters"] == list(given.parameters)
+    assert [mode["natural_frequency"] for mode in contents["modes"]] == [m.natural_frequency for m in given.modes]
+    assert contents["mass"]["mass"]["unit"] == "kg"
+    assert contents["mass"]["centre"]["aft"]["value"] == given.mass.centre[0]
+    assert contents["mass"]["inertia"]["au"] == {
+        "value": given.mass.inertia[0, 2],
+        "u": float(np.sqrt(given.mass.covariance[8, 8])),
+        "unit": "kg*m^2",
+    }
+    assert contents["fit"] == {"rms": 0.5}
+    assert contents["warnings"] == ["one doubt"]
+    assert contents["provenance"]["inputs"] == [{"name": "run.csv", "sha256": SHA256}]
+    assert contents["provenance"]["settings"] == {"component": "all"}
+
+
+def test_same_inputs_give_the_same_bytes(tmp_path):
+    texts = []
+    for _ in range(2):
+        contents = json.loads(written(tmp_path, full(4)).read_text())
+        contents["provenance"].pop("created")
+        texts.append(json.dumps(contents))
+    assert texts[0] == texts[1]
+
+
+def test_a_file_by_hand_needs_the_matrices_only(tmp_path):
+    path = tmp_path / "dynamics.json"
+    path.write_text(
+        json.dumps(
+            {
+                "components": ["NF", "PM"],
+                "inertia": {"matrix": [[1e-6, 1e-7], [1e-8, 2e-6]], "u": [[1e-9, 0], [0, 0]]},
+                "damping": {"matrix": [[1e-5, 0], [0, 1e-5]]},
+            }
+        )
+    )
+    found = read_any_dynamics(path)
+    assert isinstance(found, CoupledDynamics)
+    assert found.inertia[0, 1] == 1e-7
+    assert found.covariance[0, 0] == pytest.approx(1e-18)
+    assert np.count_nonzero(found.covariance) == 1
+
+
+def test_each_kind_is_told_from_the_other(tmp_path):
+    coupled = written(tmp_path, full(5))
+    axial = tmp_path / "axial.json"
+    write_dynamics(axial, {"AF": Dynamics("AF", 0.68, 11.43e6, 371.98)})
+    assert dynamics_kind(coupled) == "coupled"
+    assert dynamics_kind(axial) == "axial"
+    assert isinstance(read_any_dynamics(coupled), CoupledDynamics)
+    assert list(read_any_dynamics(axial)) == ["AF"]
+    with pytest.raises(ReadError, match="ring each for itself, but coupled dynamics are needed"):
+        read_coupled(axial)
+    with pytest.raises(ReadError, match="'coupled dynamics', but a file of kind 'dynamics' is needed"):
+        read_dynamics(coupled)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", '{"kind": "mass"}', '{"kind": 3}', "\x00", None])
+def test_files_of_no_kind(tmp_path, text):
+    path = tmp_path / "bad.json"
+    if text is not None:
+        path.write_text(text)
+    assert dynamics_kind(path) is None
+    for read in (read_coupled, read_any_dynamics):
+        with pytest.raises(ReadError, match=r"bad\.json"):
+            read(path)
+
+
+def swapped(contents, *keys):
+    for key in keys[:-1]:
+        contents = contents[key]
+    return contents, keys[-1]
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "where", "said"),
+    [
+        (("schema",), 2, "schema", "reads schema 1"),
+        (("components",), ["PM", "NF"], "components", "in this order and each once"),
+        (("components",), ["XX"], "components", "must be some of NF"),
+        (("components",), [], "components", "at least 1"),
+        (("inertia",), None, "inertia", "must be"),
+        (("inertia", "rows"), ["PM", "NF"], "inertia.rows", "are PM, NF, but components are NF, PM"),
+        (("damping", "columns"), ["NF"], "damping.columns", "are NF, but"),
+        (("inertia", "units", 0), ["s^2", "s^2"], "inertia.units", "SI units"),
+        (("inertia", "matrix", 0), [1e-6], "inertia.matrix", "2 rows of 2 numbers"),
+        (("inertia", "u", 0), [1e-6], "inertia.u", "2 rows of 2 numbers"),
+        (("inertia", "u", 0, 0), -1e-9, "inertia.u", "greater than or equal to 0"),
+        (("inertia", "u", 0, 0), 1e-7, "covariance.matrix", "they must agree"),
+        (("damping", "matrix", 0, 0), "a", "damping.matrix", "must be a number"),
+        (("damping", "matrix"), [[-1e-4, 0], [0, -1e-4]], "", "grows or never ends"),
+        (("inertia", "matrix"), [[1e-6, 1e-6], [1e-6, 1e-6]], "inertia.matrix", "cannot be inverted"),
+        (("covariance", "parameters", 0), "mass", "covariance.parameters", "must name some of inertia NF/NF"),
+        (("covariance", "matrix", 0, 0), -1.0, "covariance.matrix", "negative variance"),
+        (("modes", 0, "natural_frequency"), 10.0, "modes[0].natural_frequency", "the matrices give"),
+        (("modes", 1, "damping_ratio"), 0.5, "modes[1].damping_ratio", "the matrices give"),
+        (("modes",), [{"natural_frequency": 1.0, "damping_ratio": 0.1}], "modes", "are 1, but the matrices have 2"),
+        (("mass", "mass", "unit"), "lb", "mass.mass.unit", "allowed: 'kg'"),
+        (("mass", "mass", "value"), -1.0, "mass.mass.value", "greater than 0"),
+        (("mass", "centre", "aft", "unit"), "mm", "mass.centre.aft.unit", "allowed: 'm'"),
+        (("mass", "inertia", "aa", "value"), 0.0, "mass.inertia.aa.value", "greater than 0"),
+        (("mass", "centre"), {}, "mass.centre.aft", "is missing"),
+    ],
+)
+def test_bad_files_name_the_place(tmp_path, keys, value, where, said):
+    given = CoupledDynamics(
+        ("NF", "PM"),
+        np.array([[1e-6, 1e-7], [1e-8, 2e-6]]),
+        np.array([[1e-5, 0.0], [0.0, 1e-5]]),
+        np.diag([1e-18] * 8),
+        RigidMass(2.0, np.zeros(3), np.eye(3), 1e-4 * np.eye(10)),
+    )
+    path = written(tmp_path, given)
+    contents = copy.deepcopy(json.loads(path.read_text()))
+    place, key = swapped(contents, *keys)
+    place[key] = value
+    path.write_text(json.dumps(contents))
+    with pytest.raises(ReadError) as caught:
+        read_coupled(path)
+    assert caught.value.where.startswith(where)
+    assert said in caught.value.what
+    assert str(path) in str(caught.value)
+
+
+def test_units_of_rows_over_columns():
+    assert matrix_units(("NF", "PM"), "damping") == [["s", "s/m"], ["m*s", "s"]]
+
+
+def test_a_failed_write_leaves_nothing(tmp_path):
+    with pytest.raises(ValueError, match="no folder"):
+        write_coupled(tmp_path / "none" / "dynamics.json", full(6))
+    assert list(tmp_path.iterdir()) == []

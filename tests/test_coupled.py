@@ -1,0 +1,220 @@
+"""Coupled dynamics against mechanics of points, equations of motion in displacements, and single components."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+from scipy.signal import lsim
+
+from aerobalance.components import COMPONENTS, MOMENTS
+from aerobalance.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics import Dynamics
+from aerobalance.rigs import random_balance
+from aerobalance.weighing.model import WeightModel, weight_direction
+
+AFT, RIGHT, UP = np.eye(3)
+PLACE = {name: index for index, name in enumerate(COMPONENTS)}
+SINGLE = (
+    Dynamics("NF", 20.0, 2e7, 400.0),
+    Dynamics("PM", 0.8, 3e5, 5.0),
+    Dynamics("AF", 18.0, 3e7, 900.0),
+)
+
+
+def fresh():
+    seed = np.random.SeedSequence().entropy
+    return np.random.default_rng(seed), seed
+
+
+def points(generator, count=7):
+    """Point masses [kg] and where they are [m], and the same as a rigid mass."""
+    masses, places = generator.uniform(0.5, 3, count), generator.uniform(-0.4, 0.4, (count, 3))
+    total = masses.sum()
+    centre = masses @ places / total
+    away = places - centre
+    inertia = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, away, strict=True))
+    return masses, places, RigidMass(float(total), centre, (inertia + inertia.T) / 2)
+
+
+def six_loads(masses, places, accelerations):
+    """Loads that take these accelerations, from the words of the conventions: nose up turns about right, and so on."""
+    forces = masses[:, None] * accelerations
+    force, moment = forces.sum(axis=0), np.cross(places, forces).sum(axis=0)
+    found = {
+        "NF": force @ UP,
+        "SF": force @ RIGHT,
+        "AF": force @ AFT,
+        "PM": moment @ RIGHT,
+        "YM": -moment @ UP,
+        "RM": -moment @ AFT,
+    }
+    return np.array([found[name] for name in COMPONENTS])
+
+
+def turn_vector(turns):
+    """Right-handed turn from nose up, nose right, right side down."""
+    return turns[0] * RIGHT - turns[1] * UP - turns[2] * AFT
+
+
+def test_mass_matrix_is_that_of_accelerated_points():
+    generator, seed = fresh()
+    masses, places, body = points(generator)
+    acceleration = generator.normal(0, 1, 6)
+    linear = acceleration[PLACE["AF"]] * AFT + acceleration[PLACE["SF"]] * RIGHT + acceleration[PLACE["NF"]] * UP
+    turn = turn_vector([acceleration[PLACE[name]] for name in MOMENTS])
+    expected = six_loads(masses, places, linear + np.cross(turn, places))
+    # sums of a few terms of size up to 30: rounding only
+    np.testing.assert_allclose(body.matrix @ acceleration, expected, atol=1e-12, err_msg=str(seed))
+    np.testing.assert_allclose(body.matrix, body.matrix.T, atol=1e-14)
+    assert (np.linalg.eigvalsh(body.matrix) > 0).all(), seed
+
+
+@pytest.mark.parametrize(
+    ("centre", "force", "turn", "sign"),
+    [
+        ((-1, 0, 0), "NF", "PM", 1),  # turned nose up, a mass in the nose rises
+        ((-1, 0, 0), "SF", "YM", 1),  # turned nose right, it goes to the right
+        ((0, 1, 0), "NF", "RM", -1),  # turned right side down, a mass on the right sinks
+        ((0, 0, 1), "AF", "PM", 1),  # turned nose up, a mass on top goes aft
+        ((0, 0, 1), "SF", "RM", 1),  # turned right side down, it goes to the right
+        ((0, 1, 0), "AF", "YM", 1),  # turned nose right, a mass on the right goes aft
+    ],
+)
+def test_signs_of_the_mass_matrix(centre, force, turn, sign):
+    body = RigidMass(2.0, np.array(centre, dtype=float), np.eye(3))
+    assert body.matrix[PLACE[force], PLACE[turn]] == sign * 2.0
+
+
+def test_turning_load_is_that_of_points_on_circles():
+    generator, seed = fresh()
+    masses, places, body = points(generator)
+    rates = generator.normal(0, 3, (4, 3))
+    for rate, found in zip(rates, body.turning_load(rates), strict=True):
+        w = turn_vector(rate)
+        expected = six_loads(masses, places, np.cross(w, np.cross(w, places)))
+        np.testing.assert_allclose(found, expected, atol=1e-11, err_msg=str(seed))
+
+
+def test_weight_is_what_weighing_expects():
+    generator, seed = fresh()
+    body = points(generator)[2]
+    pitch, roll = generator.uniform(-1, 1, (2, 9))
+    model = WeightModel(COMPONENTS)
+    known = {"mass": body.mass} | {
+        f"moment.{axis}": body.mass * lever for axis, lever in zip(("aft", "right", "up"), body.centre, strict=True)
+    }
+    values = np.array([known.get(name, 0.0) for name in model.names])
+    expected = model.loads(weight_direction(pitch, roll), values)
+    np.testing.assert_allclose(body.weight(pitch, roll), expected, atol=1e-11, err_msg=str(seed))
+
+
+def test_response_is_that_of_mass_damper_and_spring():
+    generator, seed = fresh()
+    balance = random_balance(generator)
+    frequency = generator.uniform(0, 1000, 20)
+    for f, found in zip(frequency, balance.dynamics.response(frequency), strict=True):
+        w = 2 * np.pi * f
+        dynamic = balance.stiffness + 1j * w * balance.damping - w**2 * balance.mass.matrix
+        expected = balance.stiffness @ np.linalg.inv(dynamic)
+        scale = np.outer(balance.half_range, 1 / balance.half_range)
+        # condition of K and M over half range is about 1e3, of the response at resonance about 1e3: 1e-16 x 1e6
+        assert np.abs((found - expected) / scale).max() < 1e-9 * np.abs(expected / scale).max(), seed
+
+
+def test_load_felt_is_the_exact_integral():
+    """Against the matrix exponential of scipy in the coordinates of motion, for loads linear between samples."""
+    generator, seed = fresh()
+    balance = random_balance(generator)
+    n, interval = 400, 1 / 10_000
+    net = np.cumsum(generator.normal(0, 0.05, (n, 6)), axis=0) * balance.half_range + 0.3 * balance.half_range
+    M, C, K = balance.mass.matrix, balance.damping, balance.stiffness
+    state = np.block([[np.zeros((6, 6)), np.eye(6)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
+    drive = np.vstack([np.zeros((6, 6)), np.linalg.inv(M)])
+    start = np.concatenate([np.linalg.solve(K, net[0]), np.zeros(6)])
+    output = np.hstack([K, np.zeros((6, 6))])
+    _, expected, _ = lsim((state, drive, output, np.zeros((6, 6))), net, np.arange(n) * interval, start)
+    found = balance.dynamics.load_felt(net, interval=interval)
+    # 400 steps of an exponential whose state is scaled by 1e7: about 1e-16 x 1e4 x 400
+    assert np.abs((found - expected) / balance.half_range).max() < 1e-8, seed
+
+
+def test_modal_form_gives_the_response():
+    generator, seed = fresh()
+    dynamics = random_balance(generator).dynamics
+    poles, shapes, weights = dynamics.modal_form
+    frequency = np.array([10.0, 150.0, 400.0])
+    expected = dynamics.response(frequency)
+    for f, response in zip(frequency, expected, strict=True):
+        found = shapes @ np.diag(1 / (2j * np.pi * f - poles)) @ weights
+        assert np.abs(found - response).max() < 1e-8 * np.abs(response).max(), seed
+
+
+def test_undamped_frequencies_are_those_of_mass_and_spring():
+    generator, seed = fresh()
+    balance = random_balance(generator)
+    # damping in proportion to stiffness leaves |pole| at the undamped frequency exactly
+    dynamics = CoupledDynamics.of_rigid_mass(
+        balance.mass, stiffness=balance.stiffness, damping=1e-5 * balance.stiffness
+    )
+    expected = np.sqrt(eigh(balance.stiffness, balance.mass.matrix, eigvals_only=True)) / (2 * np.pi)
+    found = [mode.natural_frequency for mode in dynamics.modes]
+    np.testing.assert_allclose(found, expected, rtol=1e-9, err_msg=str(seed))
+    ratios = [mode.damping_ratio for mode in dynamics.modes]
+    np.testing.assert_allclose(ratios, 0.5e-5 * 2 * np.pi * expected, rtol=1e-6, err_msg=str(seed))
+    assert all(a.natural_frequency <= b.natural_frequency for a, b in pairwise(dynamics.modes))
+
+
+def test_single_components_stay_what_they_are():
+    generator, seed = fresh()
+    coupled = CoupledDynamics.of_components(SINGLE[::-1])
+    assert coupled.components == ("NF", "PM", "AF")
+    frequency = generator.uniform(0, 500, 10)
+    response = coupled.response(frequency)
+    net = generator.normal(0, 100, (500, 3))
+    felt = coupled.load_felt(net, interval=1e-4)
+    for column, part in enumerate(SINGLE):
+        np.testing.assert_allclose(response[:, column, column], part.response(frequency), rtol=1e-10)
+        expected = part.load_felt(net[:, column], interval=1e-4)
+        np.testing.assert_allclose(felt[:, column], expected, atol=1e-8, err_msg=str(seed))
+    np.testing.assert_array_equal(response[:, 0, 1:], 0)
+    for mode, part in zip(coupled.modes, sorted(SINGLE, key=lambda d: d.natural_frequency), strict=True):
+        assert mode.natural_frequency == pytest.approx(part.natural_frequency, rel=1e-12)
+        assert mode.damping_ratio == pytest.approx(part.damping_ratio, rel=1e-9)
+
+
+def test_uncertainty_of_single_components_is_carried_over():
+    factor = np.diag([0.01, 1e4, 2.0, 1e-7]) @ np.array([[1, 0, 0, 0], [0.5, 1, 0, 0], [0, 0.3, 1, 0], [0, 0, 0, 1]])
+    part = Dynamics("AF", 18.0, 3e7, 900.0, covariance=factor @ factor.T)
+
+    def ratios(values):
+        return np.array([values[0] / values[1], values[2] / values[1]])
+
+    steps = np.array([1e-4, 1e2, 1e-2])
+    slopes = np.zeros((2, 4))
+    for column, step in enumerate(steps):
+        change = np.zeros(4)
+        change[column] = step
+        slopes[:, column] = (ratios(part.values + change) - ratios(part.values - change)) / (2 * step)
+    found = CoupledDynamics.of_components([part]).covariance
+    # central differences with relative steps of about 1e-5: 1e-10, and rounding 1e-11
+    np.testing.assert_allclose(found, slopes @ part.covariance @ slopes.T, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"components": ("PM", "NF")}, "in this order"),
+        ({"components": ()}, "in this order"),
+        ({"inertia": np.eye(3)}, r"inertia must have shape \(2, 2\)"),
+        ({"damping": np.full((2, 2), np.nan)}, "damping must have shape"),
+        ({"damping": -1e-4 * np.eye(2)}, "grows or never ends"),
+        ({"inertia": np.diag([-1e-6, 1e-6])}, "grows or never ends"),
+        ({"covariance": np.eye(3)}, r"covariance must have shape \(8, 8\)"),
+        ({"covariance": -np.eye(8)}, "variances of zero or more"),
+    ],
+)
+def test_what_is_not_physical_is_refused(settings, said):
+    usual = {"components": ("NF", "PM"), "inertia": 1e-6 * np.eye(2), "damping": 1e-5 * np.eye(2)}
+    with pytest.raises(ValueError, match=said):
+        CoupledDynamics(**(usual | settings))
