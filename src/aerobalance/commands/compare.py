@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from aerobalance.commands.known import Known, Separate
 from aerobalance.commands.loads import BalanceFiles, Reduction, from_gauges, loads_account
 from aerobalance.commands.shared import Account, check_out, doubts, known_component, recording_of
 from aerobalance.components import STANDARD_GRAVITY, si_unit
@@ -57,7 +58,7 @@ def compare(
         raise FitError(f"{dynamics} has no {component}; it has {', '.join(known)}")
     balance = known[component]
     with doubts() as collected:
-        source = _Source(known, files, gravity, channel_map)
+        source = _Source(Separate(known), files, gravity, channel_map)
         recording, reduced = source.recording(path)
         recording.channel(component)
         applied = None
@@ -95,7 +96,7 @@ def _paths(files: BalanceFiles | None) -> tuple[Path, ...]:
 class _Source(NamedTuple):
     """How a file becomes loads felt."""
 
-    known: Mapping[str, Dynamics]
+    known: Known
     files: BalanceFiles | None
     gravity: float
     channel_map: Path | None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -11,16 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from aerobalance.balance import TOLERANCE, BalanceMatrix
+from aerobalance.commands.known import Known
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of
 from aerobalance.components import COMPONENTS
-from aerobalance.dynamics import Dynamics
 from aerobalance.forms import Form
 from aerobalance.io import check_output, write_loads
 from aerobalance.io.balance_file import read_balance, write_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix, read_balfit_matrix, write_balfit_matrix
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_loads, with_loads
-from aerobalance.motion import gravity_share
 from aerobalance.problems import DoubtWarning, FitError, ReadError
 from aerobalance.recording import Array, Recording
 from aerobalance.weighing import LoadPoints, points_from_recordings
@@ -144,7 +143,7 @@ class Reduction(NamedTuple):
 def from_gauges(
     recording: Recording,
     files: BalanceFiles,
-    known: Mapping[str, Dynamics],
+    known: Known,
     *,
     gravity: float,
     channel_map: Path | None,
@@ -158,7 +157,7 @@ def from_gauges(
     files
         The balance and its zeros and tares.
     known
-        Dynamics by component, whose mass carries the weight.
+        The dynamics, whose mass carries the weight.
     gravity
         Local acceleration of gravity [m/s^2].
     channel_map
@@ -196,22 +195,20 @@ def _without_gravity(recording: Recording) -> Recording:
 
 
 def _with_weight_at_zero(
-    recording: Recording, zeros: Sequence[Recording], known: Mapping[str, Dynamics], *, gravity: float
+    recording: Recording, zeros: Sequence[Recording], known: Known, *, gravity: float
 ) -> Recording:
     """Add the weight that the zero took off with it, as it was read with the model on."""
     channels = dict(recording.channels)
-    for name, dynamics in known.items():
+    for name in known.names_in(recording):
         if name not in channels:
             continue
-        shares = []
+        weights = []
         for zero in zeros:
-            angles = {
-                angle: zero.channel(angle).values if angle in zero else np.zeros(zero.samples)
-                for angle in ("pitch", "roll")
-            }
-            shares.append(float(np.nanmean(gravity_share(name, pitch=angles["pitch"], roll=angles["roll"]))))
-        weight = dynamics.mass * gravity * float(np.mean(shares))
-        channels[name] = replace(channels[name], values=channels[name].values + weight)
+            pitch, roll = (
+                zero.channel(angle).values if angle in zero else np.zeros(zero.samples) for angle in ("pitch", "roll")
+            )
+            weights.append(float(np.nanmean(known.weight(name, pitch=pitch, roll=roll, gravity=gravity))))
+        channels[name] = replace(channels[name], values=channels[name].values + float(np.mean(weights)))
     lacking = [zero.name for zero in zeros if "pitch" not in zero]
     if lacking and "pitch" in recording:
         warnings.warn(

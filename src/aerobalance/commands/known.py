@@ -1,0 +1,162 @@
+"""Dynamics of either kind as the commands use them: components each for itself, or components that ring together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.coupled import CoupledDynamics
+from aerobalance.coupled_force import reconstruct_coupled
+from aerobalance.coupled_misfit import misfits_of_coupled
+from aerobalance.dynamics import Dynamics
+from aerobalance.estimate import ForceEstimate
+from aerobalance.force import Method, noise_of, reconstruct, without_hum
+from aerobalance.hum import Hum
+from aerobalance.io.coupled_file import read_any_dynamics
+from aerobalance.misfit import misfit_of
+from aerobalance.motion import gravity_share
+from aerobalance.noise_spectrum import NoiseSpectrum
+from aerobalance.problems import FitError
+from aerobalance.recording import Array, Recording
+
+
+class Settings(NamedTuple):
+    """How the force is worked out.
+
+    Attributes
+    ----------
+    method, bandwidth, hum
+        As `aerobalance.force.reconstruct` takes them.
+    gravity, gravity_uncertainty
+        Local acceleration of gravity and its standard uncertainty [m/s^2].
+    """
+
+    method: Method = "smoother"
+    bandwidth: float | None = None
+    gravity: float = STANDARD_GRAVITY
+    gravity_uncertainty: float = 0.0
+    hum: Hum = "mains"
+
+
+class Known(Protocol):
+    """What a command asks of dynamics of either kind."""
+
+    def names_in(self, recording: Recording) -> list[str]:
+        """Components of a recording that a force can be worked out for."""
+
+    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
+        """Weight of the moving mass along a component at given attitudes, shape (n,) [N, N*m]."""
+
+    def noises(self, calm: Recording, settings: Settings) -> dict[str, NoiseSpectrum]:
+        """Spectra of the noise, by component, from a record of noise alone."""
+
+    def forces(
+        self, recording: Recording, settings: Settings, *, noises: Mapping[str, NoiseSpectrum]
+    ) -> dict[str, ForceEstimate]:
+        """Forces applied, by component."""
+
+    def doubts(self, recording: Recording, estimates: Mapping[str, ForceEstimate]) -> list[str]:
+        """What a recording says against the dynamics."""
+
+
+@dataclass(frozen=True, slots=True)
+class Separate:
+    """Components each for itself.
+
+    Attributes
+    ----------
+    parts
+        Dynamics by component.
+    """
+
+    parts: Mapping[str, Dynamics]
+
+    def names_in(self, recording: Recording) -> list[str]:
+        """Components of the recording whose dynamics are known."""
+        return [name for name in self.parts if name in recording]
+
+    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
+        """Weight of the component's own moving mass."""
+        return self.parts[name].mass * gravity * gravity_share(name, pitch=pitch, roll=roll)
+
+    def noises(self, calm: Recording, settings: Settings) -> dict[str, NoiseSpectrum]:
+        """Spectra of the noise of the components in the record."""
+        return {
+            name: noise_of(
+                calm, self.parts[name], gravity=settings.gravity, gravity_uncertainty=settings.gravity_uncertainty
+            )
+            for name in self.names_in(calm)
+        }
+
+    def forces(
+        self, recording: Recording, settings: Settings, *, noises: Mapping[str, NoiseSpectrum]
+    ) -> dict[str, ForceEstimate]:
+        """One component after the other."""
+        return {
+            name: reconstruct(recording, self.parts[name], noise=noises.get(name), **settings._asdict())
+            for name in self.names_in(recording)
+        }
+
+    def doubts(self, recording: Recording, estimates: Mapping[str, ForceEstimate]) -> list[str]:
+        """Modes that the dynamics lack, and frequencies and dampings that have changed."""
+        found = []
+        for name, estimate in estimates.items():
+            quiet = without_hum(recording, estimate)
+            misfit = misfit_of(quiet, self.parts[name], noise=estimate.noise, steps=estimate.steps)
+            found += misfit.sentences(self.parts[name])
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Coupled:
+    """Components that ring together.
+
+    Attributes
+    ----------
+    dynamics
+        Their dynamics.
+    """
+
+    dynamics: CoupledDynamics
+
+    def names_in(self, recording: Recording) -> list[str]:
+        """All components, or none."""
+        names = list(self.dynamics.components)
+        return names if any(name in recording for name in names) else []
+
+    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
+        """Weight of the common moving mass along a component."""
+        if self.dynamics.mass is None:
+            return np.zeros_like(pitch)
+        return self.dynamics.mass.weight(pitch, roll, gravity=gravity)[:, COMPONENTS.index(name)]
+
+    def noises(self, calm: Recording, settings: Settings) -> dict[str, NoiseSpectrum]:
+        """Not to be had: what a component taken apart has of noise comes from all channels."""
+        raise FitError("--noise-record is for components each for itself; the noise of coupled ones is taken as white")
+
+    def forces(
+        self, recording: Recording, settings: Settings, *, noises: Mapping[str, NoiseSpectrum]
+    ) -> dict[str, ForceEstimate]:
+        """All components at once."""
+        return reconstruct_coupled(recording, self.dynamics, **settings._asdict())
+
+    def doubts(self, recording: Recording, estimates: Mapping[str, ForceEstimate]) -> list[str]:
+        """Modes of the record that the dynamics do not have, or have elsewhere."""
+        return misfits_of_coupled(recording, self.dynamics, estimates)
+
+
+def read_known(path: Path) -> Known:
+    """Read a dynamics.json of either kind.
+
+    Raises
+    ------
+    ReadError
+        The file is no such JSON, or its numbers are not physical.
+    """
+    found = read_any_dynamics(path)
+    return Coupled(found) if isinstance(found, CoupledDynamics) else Separate(found)

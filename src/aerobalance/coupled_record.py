@@ -1,0 +1,360 @@
+"""A recording of components that ring together, made ready for the estimator of one component.
+
+The load that ground motion and gravity put on the moving mass is taken off, and every component is taken apart from
+the others (`aerobalance.decoupling`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import resample_poly
+
+from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.contributions import Contribution, Systematic
+from aerobalance.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
+from aerobalance.decoupling import FINE, LoneComponent, finer
+from aerobalance.estimate import FEWEST_SAMPLES, Job, Through
+from aerobalance.motion import GroundMotion, Unknown
+from aerobalance.noise import white_noise
+from aerobalance.platform_motion import PlatformMotion
+from aerobalance.problems import FitError
+from aerobalance.recording import Array, Channel, Recording
+from aerobalance.sensing import corrected
+
+AROUND: Final = 200
+"""Samples either side of a gap from which it is filled at first."""
+
+EXACT: Final = 1e-9
+"""Share of a channel's variance that its samples are taken to be exact to when a gap is filled."""
+
+SMALL: Final = 1e-6
+"""Relative change of the mass's parameters over which its slopes are taken; the matrix is a polynomial in them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LoneJob(Job):
+    """One of several components that ring together, taken apart from the others.
+
+    `recording` holds what a balance of this component alone would read under its force, and no motion of the ground.
+
+    Attributes
+    ----------
+    coupled
+        The coupled components.
+    lone
+        The component's balance.
+    loads
+        Readings of all components without gaps, shape (samples, n).
+    channels
+        The channels that they come from.
+    platform
+        What the ground end does.
+    """
+
+    coupled: CoupledDynamics
+    lone: LoneComponent
+    loads: Array
+    channels: tuple[Channel, ...]
+    platform: PlatformMotion
+
+    @property
+    def motion_source(self) -> str:
+        """Channels that the noise of the ground's motion comes from."""
+        return "ground motion"
+
+    def parameter_errors(self, values: Array, again: Callable[[Job], Array], through: Through) -> Systematic:
+        """What a wrong element of inertia, damping or mass does to the force."""
+        n, place = len(self.coupled.components), self.lone.place
+        row = np.arange(place * n, place * n + n)
+        rows = np.concatenate([row, n * n + row])
+        slopes = through(self.lone.parameter_slopes(self.loads, interval=self.interval))
+        covariance = self.coupled.covariance[np.ix_(rows, rows)]
+        names = [self.coupled.parameters[number] for number in rows]
+        mass = self.coupled.mass
+        if mass is not None and mass.covariance.any() and self.platform.specific_force.any():
+            felt = [self._read(-self.platform.specific_force @ part.T) for part in mass_slopes(mass)]
+            slopes = np.column_stack([slopes, -through(np.column_stack(felt))])
+            zero = np.zeros((2 * n, len(felt)))
+            covariance = np.block([[covariance, zero], [zero.T, mass.covariance]])
+            names += list(MASS_PARAMETERS)
+        return Systematic("inertia, damping and mass", "dynamics", tuple(names), slopes, covariance)
+
+    def _read(self, net: Array) -> Array:
+        """What the lone balance reads when loads act on the moving mass of the coupled one, both (samples, ...)."""
+        felt = load_felt(self.coupled, net, interval=self.interval)
+        return self.lone.reading(felt, interval=self.interval)
+
+    def felt_under(self, item: Unknown) -> Array:
+        """Load felt under a unit of an unknown of the ground's motion, shape (samples,)."""
+        return self._read(-item.slope @ _mass_matrix(self.coupled).T)
+
+    def as_force(self, item: Unknown) -> Array:
+        """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, (samples,)."""
+        return np.asarray((item.slope @ _mass_matrix(self.coupled).T)[:, self.lone.place])
+
+    def motion_errors(self, slope: Callable[[Unknown], Array]) -> list[Contribution]:
+        """What holds along the ground's motion and is not known, by what a unit of it does to the force."""
+        return [
+            Systematic(item.name, item.source, (item.name,), slope(item)[:, None], np.array([[item.uncertainty**2]]))
+            for item in self.platform.unknowns
+        ]
+
+    def reading_errors(self, values: Array, through: Through) -> list[Contribution]:
+        """Gain of every channel that has a part in the component, and the zero of its own."""
+        parts: list[Contribution] = []
+        for place, channel in enumerate(self.channels):
+            if channel.relative_uncertainty > 0:
+                alone = np.zeros_like(self.loads)
+                alone[:, place] = self.loads[:, place]
+                slope = through(self.lone.reading(alone, interval=self.interval)[:, None])
+                name, variance = f"gain of {channel.name}", channel.relative_uncertainty**2
+                parts.append(Systematic(name, channel.name, (name,), slope, np.array([[variance]])))
+        own = self.channels[self.lone.place]
+        if own.zero_uncertainty > 0:
+            name, variance = f"zero of {own.name}", own.zero_uncertainty**2
+            one = np.ones((values.size, 1))
+            parts.append(Systematic(name, own.name, (name,), one, np.array([[variance]])))
+        return parts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoupledRecord:
+    """A recording with coupled dynamics and the ground's motion that go with it.
+
+    Attributes
+    ----------
+    recording
+        The recording.
+    dynamics
+        The coupled components.
+    platform
+        What the ground end does.
+    channels
+        The components' channels.
+    loads
+        Their readings, shape (samples, n); NaN where missing or at a limit.
+    from_ground
+        Loads felt under gravity and the ground's motion alone, on the clock, shape (samples, n).
+    lones
+        The components' own balances.
+    """
+
+    recording: Recording
+    dynamics: CoupledDynamics
+    platform: PlatformMotion
+    channels: tuple[Channel, ...]
+    loads: Array
+    from_ground: Array
+    lones: tuple[LoneComponent, ...]
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        dynamics: CoupledDynamics,
+        *,
+        gravity: float = STANDARD_GRAVITY,
+        gravity_uncertainty: float = 0.0,
+    ) -> CoupledRecord:
+        """Take a recording as it was written.
+
+        Raises
+        ------
+        FitError
+            A component that the others ring with is not in the recording, or has too few readings; or the ground end
+            moves and the dynamics hold no mass.
+        """
+        recording = corrected(recording)
+        channels = _channels(recording, dynamics)
+        platform = PlatformMotion.of(recording, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
+        loads = np.column_stack([np.where(channel.at_limit, np.nan, channel.values) for channel in channels])
+        interval = 1 / recording.rate
+        from_ground = load_felt(dynamics, net_load(platform, dynamics), interval=interval)
+        columns = zip(channels, bridged(loads).T, strict=True)
+        noise = np.array([_noise_of(channel, column) for channel, column in columns])
+        lones = tuple(LoneComponent.of(dynamics, name, noise=noise) for name in dynamics.components)
+        return cls(
+            recording,
+            dynamics,
+            platform,
+            channels,
+            loads,
+            later(from_ground, platform.delay, interval=interval),
+            lones,
+        )
+
+    @property
+    def interval(self) -> float:
+        """Time between samples [s]."""
+        return 1 / self.recording.rate
+
+    @property
+    def rings_together(self) -> bool:
+        """True where a component's force needs the readings of another."""
+        return not all(lone.alone for lone in self.lones)
+
+    def jobs(self, filled: Array) -> dict[str, LoneJob]:
+        """The components taken apart, by name.
+
+        Parameters
+        ----------
+        filled
+            The readings with something in the place of those that are missing, shape (samples, n). A component's
+            reading stays missing where one that has a part in it is.
+        """
+        return {lone.component: self._job(lone, filled) for lone in self.lones}
+
+    def _job(self, lone: LoneComponent, filled: Array) -> LoneJob:
+        channel = self.channels[lone.place]
+        own = _aligned(filled, self.channels, to=channel, interval=self.interval)
+        ground = later(self.from_ground, -channel.delay, interval=self.interval)
+        reading = lone.reading(own - ground, interval=self.interval)
+        gap = ~np.isfinite(self.loads[:, lone.partners]).all(axis=1)
+        values = np.where(gap, np.nan, reading)
+        apart = Channel(name=channel.name, values=values, unit=channel.unit, noise=channel.noise)
+        return LoneJob(
+            recording=replace(self.recording, channels={channel.name: apart}),
+            dynamics=lone.dynamics,
+            motion=_at_rest(self.platform, self.dynamics, lone),
+            coupled=self.dynamics,
+            lone=lone,
+            loads=own,
+            channels=self.channels,
+            platform=self.platform,
+        )
+
+
+def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Array:
+    """Loads felt under loads on the moving mass that are band-limited, both (samples, n)."""
+    if not net.any():
+        return np.zeros_like(net)
+    return dynamics.load_felt(finer(net), interval=interval / FINE)[::FINE]
+
+
+def net_load(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
+    """Loads that ground motion and gravity put on the moving mass, W - M x1'', shape (samples, n).
+
+    Raises
+    ------
+    FitError
+        There is motion, and the mass is not known.
+    """
+    if not platform.specific_force.any():
+        return np.zeros((platform.specific_force.shape[0], len(dynamics.components)))
+    if dynamics.mass is None:
+        raise FitError(
+            "the ground end moves or pitches, but the dynamics hold no mass: give mass, centre of gravity and inertia "
+            "when they are identified (--mass)"
+        )
+    return platform.force(dynamics.mass)[:, [COMPONENTS.index(name) for name in dynamics.components]]
+
+
+def mass_slopes(mass: RigidMass) -> list[Array]:
+    """Derivatives of the mass matrix by mass, centre of gravity and the six elements of the inertia, (6, 6) each."""
+    values = mass.values
+    slopes = []
+    for place in range(values.size):
+        small = SMALL * max(abs(values[place]), 1e-3)
+        more, less = values.copy(), values.copy()
+        more[place] += small
+        less[place] -= small
+        slopes.append((RigidMass.of_values(more).matrix - RigidMass.of_values(less).matrix) / (2 * small))
+    return slopes
+
+
+def _mass_matrix(dynamics: CoupledDynamics) -> Array:
+    """Rows of the mass matrix that belong to the components, shape (n, 6); nothing without a mass."""
+    if dynamics.mass is None:
+        return np.zeros((len(dynamics.components), len(COMPONENTS)))
+    return dynamics.mass.matrix[[COMPONENTS.index(name) for name in dynamics.components]]
+
+
+def _channels(recording: Recording, dynamics: CoupledDynamics) -> tuple[Channel, ...]:
+    lacking = [name for name in dynamics.components if name not in recording]
+    if lacking:
+        raise FitError(
+            f"{recording.name} has no {', '.join(lacking)}; the components ring together, so the force of each needs "
+            f"the readings of all: {', '.join(dynamics.components)}"
+        )
+    channels = tuple(recording.channel(name) for name in dynamics.components)
+    for channel in channels:
+        count = int(np.count_nonzero(np.isfinite(channel.values)))
+        if count < FEWEST_SAMPLES:
+            raise FitError(
+                f"{recording.name}: {count} readings of {channel.name}; a force needs at least {FEWEST_SAMPLES}"
+            )
+    return channels
+
+
+def _noise_of(channel: Channel, filled: Array) -> float:
+    """Noise of a channel, for its weight beside the others; never quite nothing."""
+    noise = white_noise(filled) if channel.noise is None else channel.noise
+    return max(noise, 1e-9 * float(np.max(np.abs(filled))), 1e-60)
+
+
+def bridged(loads: Array) -> Array:
+    """Loads with their gaps filled from the samples around them, shape (samples, n).
+
+    The best guess of a process with the record's own autocovariance: straight lines would look like sudden forces.
+    """
+    filled = loads.copy()
+    index = np.arange(loads.shape[0])
+    for column in filled.T:
+        gap = ~np.isfinite(column)
+        if not gap.any():
+            continue
+        column[gap] = np.interp(index[gap], index[~gap], column[~gap])
+        mean = column.mean()
+        power = np.abs(np.fft.rfft(column - mean, 2 * column.size)) ** 2
+        covariance = np.fft.irfft(power)[: column.size] / column.size
+        for first, last in _runs(gap):
+            known = index[max(first - AROUND, 0) : last + AROUND]
+            known = known[~gap[known]]
+            across = covariance[np.abs(known[:, None] - known)] + EXACT * covariance[0] * np.eye(known.size)
+            weights = np.linalg.solve(across, covariance[np.abs(known[:, None] - np.arange(first, last))])
+            column[first:last] = mean + weights.T @ (column[known] - mean)
+    return filled
+
+
+def _runs(gap: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First sample of every gap and the first one after it."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], gap, [False]])))
+    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
+
+
+def _aligned(loads: Array, channels: Sequence[Channel], *, to: Channel, interval: float) -> Array:
+    """Loads at the instants at which one channel was sampled, shape (samples, n)."""
+    late = [channel.delay - to.delay for channel in channels]
+    if not any(late):
+        return loads
+    return np.column_stack([later(column, by, interval=interval) for column, by in zip(loads.T, late, strict=True)])
+
+
+def later(series: Array, by: float, *, interval: float) -> Array:
+    """A band-limited series, shape (samples, ...), at instants that are later by so much [s]."""
+    if not by or not series.any():
+        return series
+    fine = resample_poly(series, FINE, 1, axis=0, window=("kaiser", 8.0), padtype="line")
+    clock = np.arange(fine.shape[0]) * interval / FINE
+    return np.asarray(CubicSpline(clock, fine)(np.clip(clock[::FINE] + by, clock[0], clock[-1])))
+
+
+def _at_rest(platform: PlatformMotion, dynamics: CoupledDynamics, lone: LoneComponent) -> GroundMotion:
+    """No motion, but the noise that the motion taken off has brought into the component's force."""
+    rows = _mass_matrix(dynamics)[lone.place]
+    force_noise = float(np.sqrt(max(rows @ platform.covariance @ rows, 0.0)))
+    still = np.zeros(platform.specific_force.shape[0])
+    return GroundMotion(
+        specific_force=still,
+        noise=force_noise / lone.dynamics.mass,
+        acceleration=still,
+        relative_uncertainty=0.0,
+        delay=0.0,
+        assumptions=platform.assumptions,
+    )

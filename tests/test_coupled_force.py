@@ -1,0 +1,187 @@
+"""Forces and moments of components that ring together, on the simulated balance of six components."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerobalance.coupled import CoupledDynamics
+from aerobalance.coupled_force import reconstruct_coupled
+from aerobalance.dynamics import Dynamics
+from aerobalance.force import reconstruct
+from aerobalance.problems import FitError
+from aerobalance.recording import Array, Channel, Recording
+from aerobalance.rigs import SixComponentRig
+from aerobalance.rigs.six_balance import CoupledBalance, random_balance
+from aerobalance.rigs.six_components import Release, SixSimulation
+from aerobalance.rigs.six_signals import Band, broadband, random_motion
+
+DURATION = 0.25
+
+
+def _drawn() -> tuple[CoupledBalance, CoupledDynamics, np.random.Generator, int]:
+    entropy = int(np.random.SeedSequence().generate_state(1)[0])
+    generator = np.random.default_rng(entropy)
+    balance = random_balance(generator)
+    return balance, replace(balance.dynamics, mass=balance.mass), generator, entropy
+
+
+def _inverse_noise(balance: CoupledBalance, rate: float) -> tuple[Array, Array]:
+    """Density of the noise of the exact inverse, (m, 6), at frequencies (m,): an upper bound of the error's."""
+    frequency = np.linspace(0, rate / 2, 4001)
+    inverse = balance.dynamics.inverse_response(frequency)
+    density = (balance.noise * balance.half_range) ** 2 / rate
+    return frequency, np.real(np.einsum("mij,j,mij->mi", inverse, density, inverse.conj()))
+
+
+def _broadband(
+    balance: CoupledBalance, generator: np.random.Generator, **settings: object
+) -> tuple[SixSimulation, float]:
+    top = 1.2 * max(mode.natural_frequency for mode in balance.dynamics.modes)
+    load = broadband(generator, Band(0, top), rms=0.1 * balance.half_range, period=2 * DURATION)
+    rig = SixComponentRig(balance, applied=load, output="loads")
+    return rig.run(DURATION, generator), top
+
+
+def _inner(samples: int) -> slice:
+    return slice(samples // 20, -(samples // 20))
+
+
+def test_broadband_loads_through_all_resonances_come_back() -> None:
+    balance, dynamics, generator, entropy = _drawn()
+    simulation, top = _broadband(balance, generator)
+    found = reconstruct_coupled(simulation.recording, dynamics)
+    frequency, noise = _inverse_noise(balance, simulation.recording.rate)
+    inside = frequency < top
+    bound = np.sqrt(2 * np.trapezoid(noise[inside], frequency[inside], axis=0))
+    inner = _inner(simulation.recording.samples)
+    for place, (name, estimate) in enumerate(found.items()):
+        error = float(np.sqrt(np.mean((estimate.values - simulation.applied[:, place])[inner] ** 2)))
+        # 1.4 is what is promised of six components; 0.225 s of a band hold 0.45 s times its width of independent
+        # values, and their rms scatters by 1 / sqrt(2 * 0.45 top): four of these
+        assert error < 1.4 * bound[place] * (1 + 4 / np.sqrt(0.9 * top)), f"{name}, seed {entropy}"
+        assert error > 0, f"{name}, seed {entropy}"
+
+
+def test_a_release_is_a_step_of_the_components_that_it_pulls() -> None:
+    balance, dynamics, generator, entropy = _drawn()
+    pull = balance.half_range * np.array([0.3, 0.2, 0.0, 0.0, 0.1, 0.4])
+    instant = 0.1 + 0.05 * generator.random()
+    rig = SixComponentRig(balance, releases=(Release(load=pull, instant=instant),), output="loads")
+    simulation = rig.run(DURATION, generator)
+    found = reconstruct_coupled(simulation.recording, dynamics)
+    for place, (name, estimate) in enumerate(found.items()):
+        size, steps = pull[place], estimate.steps
+        if size == 0:
+            assert not steps, f"{name}, seed {entropy}"
+            continue
+        assert len(steps) == 1, f"{name}, seed {entropy}"
+        # a pure step: its instant is known to a small part of a sample (0.1 is what is promised), and the plateaus
+        # to 0.05 % of half range
+        assert abs(steps[0].instant - instant) * simulation.recording.rate < 0.1, f"{name}, seed {entropy}"
+        error = estimate.values - simulation.applied[:, place]
+        error[np.abs(np.arange(error.size) / simulation.recording.rate - instant) < 2 / simulation.recording.rate] = 0
+        assert np.abs(error).max() < 5e-4 * balance.half_range[place], f"{name}, seed {entropy}"
+
+
+@pytest.mark.filterwarnings(
+    "ignore:.*noise alone"
+)  # what the accelerometers' noise leaves is weaker than the readings'
+def test_motion_and_gravity_are_taken_off_all_components() -> None:
+    """No load at all on a balance whose ground end shakes and that pitches and rolls."""
+    balance, dynamics, generator, entropy = _drawn()
+    shaking = random_motion(generator, Band(5, 60), rms=np.array([1, 0.5, 1, 0.5, 0.5, 1]), period=2 * DURATION)
+    rig = SixComponentRig(
+        balance,
+        base=shaking,
+        pitch=lambda time: 0.1 + 0.02 * np.sin(2 * np.pi * 3 * time),
+        roll=lambda time: np.full(time.shape, -0.2),
+        output="loads",
+    )
+    simulation = rig.run(DURATION, generator)
+    found = reconstruct_coupled(simulation.recording, dynamics)
+    inner = _inner(simulation.recording.samples)
+    felt = simulation.recording
+    for name, estimate in found.items():
+        left = estimate.values[inner] / estimate.uncertainty[inner]
+        # the errors of neighbours go together, so only what no chance of many such records gives is refused
+        assert np.abs(left).max() < 6, f"{name}, seed {entropy}"
+        size = float(np.std(felt.channel(name).values))
+        assert float(np.std(estimate.values[inner])) < 0.2 * size, f"{name}, seed {entropy}"
+
+
+def test_one_component_is_the_axial_way() -> None:
+    """Diagonal matrices: the same forces to rounding, with steps, noise and gaps."""
+    entropy = int(np.random.SeedSequence().generate_state(1)[0])
+    generator = np.random.default_rng(entropy)
+    parts = [Dynamics("NF", 100.0, 1e8, 500.0), Dynamics("AF", 177.87, 3.093e7, 828.21)]
+    rate, samples = 1600.0, 2400
+    time = np.arange(samples) / rate
+    channels = {}
+    for part in parts:
+        values = -900 * (1 - part.step_response(time - 0.5003)) + generator.normal(size=samples) * 2
+        values[1000:1010] = np.nan
+        channels[part.component] = Channel(name=part.component, values=values, unit="N")
+    recording = Recording.from_columns(time, channels)
+    together = reconstruct_coupled(recording, CoupledDynamics.of_components(parts))
+    for part in parts:
+        alone = reconstruct(recording, part)
+        other = together[part.component]
+        # 1/k and M/k round once more each, 2e-16; the smoother's condition number magnifies that by up to 1e6
+        np.testing.assert_allclose(other.values, alone.values, atol=1e-9 * 900, err_msg=f"seed {entropy}")
+        assert [step.instant for step in other.steps] == pytest.approx([step.instant for step in alone.steps])
+
+
+def test_parameters_are_felt_as_they_are_wrong() -> None:
+    """Matrices that are off by a draw from their covariance: the force is off by what the slopes say."""
+    balance, dynamics, generator, entropy = _drawn()
+    simulation, _ = _broadband(balance, generator)
+    size = 1e-4 * np.sqrt(np.outer(np.diag(dynamics.inertia), np.diag(dynamics.inertia)))
+    unit = np.outer(balance.half_range, 1 / balance.half_range)
+    sizes = np.concatenate([(size * unit).ravel(), np.zeros(36)])
+    uncertain = replace(dynamics, covariance=np.diag(sizes**2))
+    found = reconstruct_coupled(simulation.recording, uncertain)
+    draw = generator.normal(size=36) * sizes[:36]
+    moved = reconstruct_coupled(
+        simulation.recording, replace(uncertain, inertia=dynamics.inertia + draw.reshape(6, 6)), hum="keep"
+    )
+    for place, (name, estimate) in enumerate(found.items()):
+        part = next(part for part in estimate.contributions if part.source == "dynamics")
+        change = moved[name].values - estimate.values
+        predicted = part.slopes[:, :6] @ draw.reshape(6, 6)[place]  # type: ignore[union-attr]
+        rest = float(np.sqrt(np.mean((change - predicted) ** 2)))
+        # second order in 1e-4 and the noise that other matrices let through
+        assert rest < 0.05 * float(np.sqrt(np.mean(predicted**2))) + estimate.noise, f"{name}, seed {entropy}"
+
+
+def test_a_gap_in_one_channel_is_bridged_by_the_dynamics() -> None:
+    balance, dynamics, generator, entropy = _drawn()
+    simulation, _ = _broadband(balance, generator)
+    whole = simulation.recording
+    channel = whole.channel("PM")
+    values = channel.values.copy()
+    values[3000:3010] = np.nan  # 0.4 ms
+    broken = replace(whole, channels={**whole.channels, "PM": replace(channel, values=values)})
+    found = reconstruct_coupled(broken, dynamics)
+    inner = _inner(whole.samples)
+    for place, (name, estimate) in enumerate(found.items()):
+        error = np.abs(estimate.values - simulation.applied[:, place]) / estimate.uncertainty
+        assert error[inner].max() < 6, f"{name}, seed {entropy}"
+
+
+def test_a_component_that_is_not_recorded_is_named() -> None:
+    _, dynamics, _, _ = _drawn()
+    time = np.arange(100) / 1e3
+    recording = Recording.from_columns(time, {"AF": Channel(name="AF", values=np.ones(100), unit="N")})
+    with pytest.raises(FitError, match="no NF, PM, SF, YM, RM"):
+        reconstruct_coupled(recording, dynamics)
+
+
+def test_motion_without_a_mass_is_refused() -> None:
+    balance, dynamics, generator, _ = _drawn()
+    rig = SixComponentRig(balance, pitch=lambda time: np.full(time.shape, 0.1), output="loads")
+    recording = rig.run(0.1, generator).recording
+    with pytest.raises(FitError, match="hold no mass"):
+        reconstruct_coupled(recording, replace(dynamics, mass=None))
