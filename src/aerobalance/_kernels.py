@@ -109,6 +109,16 @@ def gains(
                 for j in range(d):
                     scale = np.sqrt(following[i, i] * following[j, j]) + 1e-300
                     change = max(change, abs(following[i, j] - P[i, j]) / scale)
+            # a reading that shows more than the first state has to settle as a whole
+            across = 0.0
+            for i in range(d):
+                half[0, i] = 0.0
+                for j in range(d):
+                    half[0, i] += following[i, j] * h[j]
+                across += h[i] * half[0, i]
+            for i in range(d):
+                scale = np.sqrt(across * following[i, i]) + 1e-300
+                change = max(change, abs(half[0, i] - Ph[i]) / scale)
             frozen = change < tolerance
         which[k] = used
         used += 1

@@ -12,10 +12,14 @@ from aerobalance.contributions import Contribution, Systematic, total_deviation
 from aerobalance.dynamics import Dynamics
 from aerobalance.hum import Line
 from aerobalance.motion import AXES, GroundMotion, Unknown, load_from_ground
+from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.prior import Learned, Reading
 from aerobalance.recording import Array, Recording
 from aerobalance.sensing import corrected
 from aerobalance.steps import Step
+
+FEWEST_SAMPLES: Final = 32
+"""Fewest readings of a component that a force is worked out for."""
 
 PARAMETERS_NAME: Final = "mass, stiffness, damping, delay"
 """Name of what the dynamics contribute to the uncertainty."""
@@ -123,11 +127,14 @@ class Job:
     recording: Recording
     dynamics: Dynamics
     motion: GroundMotion
+    noise: NoiseSpectrum | None = field(default=None, kw_only=True)
 
     @classmethod
-    def of(cls, recording: Recording, dynamics: Dynamics, motion: GroundMotion) -> Job:
+    def of(
+        cls, recording: Recording, dynamics: Dynamics, motion: GroundMotion, *, noise: NoiseSpectrum | None = None
+    ) -> Job:
         """Take a recording as it was written: what its channels' filters have done is undone first."""
-        return cls(corrected(recording), dynamics, motion)
+        return cls(corrected(recording), dynamics, motion, noise=noise)
 
     @property
     def load(self) -> Array:
@@ -163,11 +170,12 @@ class Job:
             interval=self.interval,
             dynamics=d,
             input_density=self.input_noise**2 * self.interval,
-            noise=channel.noise,
+            noise=channel.noise if self.noise is None else self.noise.deviation,
             hum=hum,
+            color=None if self.noise is None else self.noise.states(channel.values.size * self.interval),
         )
 
-    def parameter_errors(self, values: Array, again: Callable[[Job], Array], _: Through) -> Systematic:
+    def parameter_errors(self, values: Array, again: Callable[[Job], Array], through: Through) -> Systematic:
         """What the parameters of the dynamics do to the force: the method is run again with each of them changed.
 
         The slopes of Eq. (17) of [Gorbushin2020]_ would say too much where the smoother's prior has no force at a
@@ -199,7 +207,7 @@ class Job:
             for item in self.motion.unknowns
         ]
 
-    def reading_errors(self, values: Array, _: Through) -> list[Contribution]:
+    def reading_errors(self, values: Array, through: Through) -> list[Contribution]:
         """Gain and zero of the load's channel: a gain acts on all that the readings say of the net force."""
         channel = self.recording.channel(self.dynamics.component)
         net = values + self.motion.force(self.dynamics.mass)

@@ -14,10 +14,13 @@ import numpy as np
 
 from aerobalance.components import STANDARD_GRAVITY, si_unit
 from aerobalance.dynamics import Dynamics
-from aerobalance.estimate import ForceEstimate, Job
+from aerobalance.estimate import FEWEST_SAMPLES, ForceEstimate, Job
 from aerobalance.hum import Hum, Line, reading_of_lines
 from aerobalance.inverses import band_limited, central_differences
 from aerobalance.motion import GroundMotion, Unknown
+from aerobalance.noise_floor import departure_of
+from aerobalance.noise_record import noise_spectrum_of
+from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.prior import Learned, Reading
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Array, Recording
@@ -25,8 +28,11 @@ from aerobalance.smoothing import Estimator, Smoothed, taken_apart
 
 Method = Literal["smoother", "paper"]
 
-FEWEST_SAMPLES: Final = 32
-"""Shortest record that a force is worked out for."""
+SAME_RATE: Final = 1e-3
+"""Relative difference of two sampling rates that are the same."""
+
+FREQUENCIES: Final = 4097
+"""Frequencies from zero to half the sampling rate at which spectra are compared."""
 
 EXPLAINED_BLOCK: Final = 256
 """Samples over which it is looked whether the readings are explained."""
@@ -41,6 +47,7 @@ def reconstruct(
     gravity: float = STANDARD_GRAVITY,
     gravity_uncertainty: float = 0.0,
     hum: Hum = "mains",
+    noise: NoiseSpectrum | None = None,
 ) -> ForceEstimate:
     """Work out the force applied along one component of a recording, Eq. (17) of [Gorbushin2020]_.
 
@@ -60,11 +67,15 @@ def reconstruct(
         What the smoother takes for hum and not for force: ``"mains"`` steady lines at 50 or 60 Hz and harmonics that
         stand out of the reading (with a `DoubtWarning` that names them), ``"keep"`` none, or lines near given
         frequencies [Hz].
+    noise
+        Spectrum of the noise of the load's readings, as `noise_of` finds it. Without one the noise is taken as white,
+        but for what the record itself shows far above the natural frequency.
 
     Raises
     ------
     FitError
-        The recording has no such component, is too short, or has missing samples that the method cannot bridge.
+        The recording has no such component, is too short, or has missing samples that the method cannot bridge; or
+        the noise was recorded at another sampling rate.
     """
     load = recording.channel(dynamics.component)
     present = np.isfinite(load.values)
@@ -74,7 +85,43 @@ def reconstruct(
             f"a force needs at least {FEWEST_SAMPLES}"
         )
     motion = GroundMotion.of(recording, dynamics.component, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
-    return with_motion(recording, dynamics, motion, method=method, bandwidth=bandwidth, hum=hum)
+    return with_motion(recording, dynamics, motion, method=method, bandwidth=bandwidth, hum=hum, noise=noise)
+
+
+def noise_of(
+    recording: Recording,
+    dynamics: Dynamics,
+    *,
+    gravity: float = STANDARD_GRAVITY,
+    gravity_uncertainty: float = 0.0,
+) -> NoiseSpectrum:
+    """Spectrum of the noise of one component's readings from a record of noise alone: wind off, balance at rest.
+
+    Parameters
+    ----------
+    recording
+        The record, with the sampling rate, gains and filters of the runs. The load that a recorded motion of the
+        ground has put on it is taken off.
+    dynamics
+        Mass, stiffness and damping of the component: frequencies near its modes are left out.
+    gravity, gravity_uncertainty
+        Local acceleration of gravity and its standard uncertainty [m/s^2].
+
+    Raises
+    ------
+    FitError
+        The recording has no such component, is too short, or shows no noise.
+    """
+    recording.channel(dynamics.component)
+    motion = GroundMotion.of(recording, dynamics.component, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
+    reading = Job.of(recording, dynamics, motion).reading()
+    return noise_spectrum_of(
+        reading.values,
+        dynamics,
+        interval=reading.interval,
+        input_density=reading.input_density,
+        name=recording.name,
+    )
 
 
 def with_motion(
@@ -85,15 +132,30 @@ def with_motion(
     method: Method = "smoother",
     bandwidth: float | None = None,
     hum: Hum = "mains",
+    noise: NoiseSpectrum | None = None,
 ) -> ForceEstimate:
     """Work out the force as `reconstruct` does, with the motion of the ground end given."""
-    if not np.isfinite(dynamics.natural_frequency):
+    job = Job.of(recording, dynamics, motion, noise=noise)
+    return estimated(job, method=method, bandwidth=bandwidth, hum=hum)
+
+
+def estimated(job: Job, *, method: Method, bandwidth: float | None, hum: Hum) -> ForceEstimate:
+    """Work out the force of one component that has been made ready."""
+    if not np.isfinite(job.dynamics.natural_frequency):
         raise FitError(
-            f"mass and stiffness of {dynamics.component} leave the range that can be calculated with; check the units"
+            f"mass and stiffness of {job.dynamics.component} leave the range that can be calculated with; check the "
+            "units"
         )
     if not isinstance(hum, str) and (bandwidth is not None or method != "smoother"):
         raise ValueError("only the smoother without a bandwidth can take lines for hum")
-    job = Job.of(recording, dynamics, motion)
+    if job.noise is not None:
+        if bandwidth is not None or method != "smoother":
+            raise ValueError("only the smoother without a bandwidth can take a spectrum of noise")
+        if abs(job.noise.interval / job.interval - 1) > SAME_RATE:
+            raise FitError(
+                f"{job.recording.name} has {1 / job.interval:g} samples a second and the record of noise "
+                f"{1 / job.noise.interval:g}: record the noise with the rate, gains and filters of the run"
+            )
     if bandwidth is not None:
         return band_limited(job, bandwidth)
     if method == "paper":
@@ -105,8 +167,12 @@ def with_motion(
 
 def _optimal(job: Job, hum: Hum) -> ForceEstimate:
     """The smoother of `aerobalance.smoother` with its prior learned and its steps found."""
-    apart = taken_apart(job.reading(), hum=hum)
+    apart = taken_apart(_with_noise(job), hum=hum)
     reading, steps, learned = apart.reading, apart.steps, apart.learned
+    if apart.floor is not None:
+        _doubt(job, apart.floor.sentence(job.dynamics.component, unit=si_unit(job.dynamics.component)))
+    elif job.noise is None:
+        _tell_of_faint(job, learned)
     fit = Smoothed.of(reading, learned=learned, steps=steps)
     level = _unexplained(job, fit.innovations)
     lines = fit.sized(apart.hum)
@@ -132,13 +198,57 @@ def _optimal(job: Job, hum: Hum) -> ForceEstimate:
             *job.motion_errors(moved),
             *job.reading_errors(fit.force, through),
         ],
-        method=f"smoother: {learned.spectrum}, by Whittle's likelihood",
+        method=f"smoother: {learned.spectrum}, by Whittle's likelihood{_words_on_noise(job, learned)}",
         noise=learned.noise,
         bandwidth=_resolved_bandwidth(reading, learned),
         noise_gain=float(np.sqrt(np.mean(fit.variance))) / learned.noise,
         steps=tuple(steps),
         hum=lines,
         learned=learned,
+    )
+
+
+def _words_on_noise(job: Job, learned: Learned) -> str:
+    """What the noise of the readings is taken for, where that is said or seen."""
+    if job.noise is not None:
+        return f"; noise of the record of noise: {job.noise}"
+    if learned.color is not None:
+        return f"; noise with {len(learned.color.humps)} hump(s), seen in the run"
+    return ""
+
+
+def _doubt(job: Job, text: str) -> None:
+    warnings.warn(f"{job.recording.name}: {text}", DoubtWarning, stacklevel=6)
+
+
+def _with_noise(job: Job) -> Reading:
+    """The reading with the noise that was given, unless its white part is not that of the run."""
+    reading = job.reading()
+    ratio = None if job.noise is None else departure_of(reading)
+    if ratio is None:
+        return reading
+    _doubt(
+        job,
+        f"the white noise of {job.dynamics.component} has {ratio:.2g} times the power that it has in the record of "
+        "noise, as another gain, filter or cabling, or a force of a very wide band, would make it; it is judged from "
+        "the run, and what the noise has beyond white is taken as recorded",
+    )
+    return replace(reading, noise=None)
+
+
+def _tell_of_faint(job: Job, learned: Learned) -> None:
+    """Say that a force which is fainter than the noise may be noise with a color."""
+    frequency = np.linspace(0, 0.5 / job.interval, FREQUENCIES)[1:]
+    felt = np.abs(job.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
+    size = float(np.sqrt(np.mean(felt) / job.interval))
+    if not 0 < size < learned.noise:
+        return
+    name, unit = job.dynamics.component, si_unit(job.dynamics.component)
+    _doubt(
+        job,
+        f"{name} fluctuates by {size:.2g} {unit} rms beside a white noise of {learned.noise:.2g} {unit}: that is "
+        "taken for force, but noise of the electronics that rises at low frequency (1/f) looks the same and is then "
+        "an error of that size, which the uncertainty does not hold; a record of noise alone (--noise-record) decides",
     )
 
 
@@ -205,9 +315,9 @@ def _unexplained(job: Job, white: Array) -> Array:
 
 def _resolved_bandwidth(reading: Reading, learned: Learned) -> float:
     """Frequency up to which the force is stronger in the reading than the noise [Hz]; 0 if it is nowhere."""
-    frequency = np.linspace(0, 0.5 / reading.interval, 4097)[1:]
+    frequency = np.linspace(0, 0.5 / reading.interval, FREQUENCIES)[1:]
     transfer = np.abs(reading.dynamics.response(frequency)) ** 2
     force = transfer * learned.spectrum.density(frequency)
-    noise = transfer * reading.input_density + learned.noise**2 * reading.interval
+    noise = transfer * reading.input_density + learned.noise_density(frequency, interval=reading.interval)
     above = np.flatnonzero(force > noise)
     return float(frequency[above[-1]]) if above.size else 0.0

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics import Dynamics
+from aerobalance.noise_spectrum import ColoredNoise
 from aerobalance.problems import FitError
 from aerobalance.recording import Array
 from aerobalance.shaping import EDGE, ShapingFilter
@@ -41,12 +42,22 @@ class Learned:
     shaping
         Shaping filter of that spectrum.
     noise
-        Standard uncertainty of a reading [N].
+        Standard deviation of the white noise of a reading [N].
+    color
+        What the noise has beyond that; None if nothing.
     """
 
     spectrum: Spectrum
     shaping: ShapingFilter
     noise: float
+    color: ColoredNoise | None = None
+
+    def noise_density(self, frequency: Array, *, interval: float) -> Array:
+        """Two-sided density of the noise of a reading, its mean about evenly spaced frequencies [Hz], [N^2/Hz]."""
+        white = np.full(frequency.shape, self.noise**2 * interval)
+        if self.color is None:
+            return white
+        return white + self.color.density(frequency, width=float(frequency[1] - frequency[0]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,9 +75,11 @@ class Reading:
     input_density
         Density of the white force noise that comes with the known inputs [N^2/Hz].
     noise
-        Standard uncertainty of a reading [N]; None when it is to be learned.
+        Standard deviation of the white noise of a reading [N]; None when it is to be learned.
     hum
         Frequencies of steady lines that are no force [Hz].
+    color
+        What the noise has beyond that; None if nothing is known of it.
     """
 
     values: Array
@@ -75,6 +88,7 @@ class Reading:
     input_density: float = 0.0
     noise: float | None = None
     hum: tuple[float, ...] = ()
+    color: ColoredNoise | None = None
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -105,6 +119,7 @@ class Reading:
             noise=learned.noise,
             input_density=self.input_density,
             swing=self.swing,
+            colors=() if learned.color is None else learned.color.shapings,
         )
 
 
@@ -169,11 +184,11 @@ def confirmed(reading: Reading, learned: Learned, *, columns: Array) -> Learned:
     narrow = [place for place in range(spectrum.edges.size - 1) if 2 * ordinate > EDGE * spectrum.edges[place]]
     if spectrum.roll_off or not narrow:
         return learned
-    here = log_likelihood(reading, learned, columns=columns)
+    here = log_likelihood(reading, _filter(reading, learned), columns=columns)
     for place in narrow:
         for move in EDGE_MOVES:
             wider = _widened(reading, learned, place=place, width=move * ordinate)
-            found = log_likelihood(reading, wider, columns=columns)
+            found = log_likelihood(reading, _filter(reading, wider), columns=columns)
             if found < here + EDGE_EVIDENCE:
                 break
             learned, here = wider, found
@@ -194,14 +209,22 @@ def _widened(reading: Reading, learned: Learned, *, place: int, width: float) ->
 def _learn(reading: Reading, values: Array) -> Learned:
     """The answer from readings without gaps and known shapes; what bridges a gap has no noise."""
     interval, share = reading.interval, float(np.mean(reading.present))
-    periodogram = Periodogram.of(values, reading.dynamics, interval=interval, input_density=reading.input_density)
+    color = reading.color
+    periodogram = Periodogram.of(
+        values,
+        reading.dynamics,
+        interval=interval,
+        input_density=reading.input_density,
+        color=None if color is None else lambda f, width: share * color.density(f, width=width),
+    )
     fit = fit_spectrum(
         periodogram,
         noise_density=None if reading.noise is None else share * reading.noise**2 * interval,
         floor=reading.least_noise**2 * interval,
     )
     density = fit.noise_density / share
-    return Learned(fit.spectrum, _shaped(reading, fit.spectrum, density), float(np.sqrt(density / interval)))
+    shaping = _shaped(reading, fit.spectrum, density)
+    return Learned(fit.spectrum, shaping, float(np.sqrt(density / interval)), color)
 
 
 def _shaped(reading: Reading, spectrum: Spectrum, noise_density: float) -> ShapingFilter:
@@ -211,6 +234,8 @@ def _shaped(reading: Reading, spectrum: Spectrum, noise_density: float) -> Shapi
     gain = np.abs(reading.dynamics.response(frequency)) ** 2
     density = spectrum.density(frequency)
     noise = noise_density + gain * reading.input_density
+    if reading.color is not None:
+        noise = noise + reading.color.density(frequency, width=float(frequency[0]))
     error = float(np.mean(density * noise / (gain * density + noise)))
     if not error > 0:
         return ShapingFilter.silent()
@@ -243,8 +268,11 @@ def generalised_least_squares(filter_: Filter, readings: Array, columns: Array) 
     return solution / scale, covariance, float(residual @ residual)
 
 
-def log_likelihood(reading: Reading, learned: Learned, *, columns: Array) -> float:
-    """Logarithm of the likelihood of the innovations, the sizes of the columns at their best."""
-    filter_ = Filter.of(reading.system(learned), reading.present)
+def _filter(reading: Reading, learned: Learned) -> Filter:
+    return Filter.of(reading.system(learned), reading.present)
+
+
+def log_likelihood(reading: Reading, filter_: Filter, *, columns: Array) -> float:
+    """Logarithm of the likelihood of a filter's innovations, the sizes of the columns at their best."""
     *_, squares = generalised_least_squares(filter_, reading.filled, columns)
     return -0.5 * (filter_.log_determinant + squares)

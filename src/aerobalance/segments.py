@@ -105,6 +105,7 @@ def _cheapest(cost: Array) -> NDArray[np.int64]:
 def _sharpened(spectrum: Spectrum, periodogram: Periodogram, noise: float) -> Spectrum:
     """The edges placed again among single ordinates, with what the window leaks across them."""
     frequency, density, gain = periodogram.ordinates
+    color = np.zeros(frequency.size) if periodogram.color is None else periodogram.color
     step = frequency[1] - frequency[0]
     edges = spectrum.edges.copy()
     widths = np.diff(np.append(0.0, spectrum.edges)) / step
@@ -119,7 +120,7 @@ def _sharpened(spectrum: Spectrum, periodogram: Periodogram, noise: float) -> Sp
         tried = tried[tried > 0]
         share = leaked(index - tried[:, None])
         below, above = spectrum.levels[place : place + 2]
-        model = gain[part] * (below + (above - below) * share + periodogram.input_density) + noise
+        model = gain[part] * (below + (above - below) * share + periodogram.input_density) + noise + color[part]
         cost = np.sum(np.log(model) + density[part] / model, axis=1)
         edges[place] = frequency[0] + step * tried[np.argmin(cost)]
     return replace(spectrum, edges=edges)

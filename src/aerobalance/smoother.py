@@ -14,7 +14,8 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -32,7 +33,7 @@ GAIN_TOLERANCE: Final = 1e-8
 LOAD, LOAD_RATE, FORCE = 0, 1, 2
 """Places in the state: the load felt AF, its rate AF'/w0, and the force F, the first state of its shaping filter.
 
-The further modes q and their rates q'/w come last."""
+The further modes q and their rates q'/w come next, and the states of colored noise last."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,13 +47,16 @@ class StateSpace:
     initial
         Covariance of the first state, shape (d, d).
     noise_variance
-        Variance of a reading [N^2].
+        Variance of the white noise of a reading [N^2].
+    colors
+        Places of the states that colored noise adds to a reading.
     """
 
     transition: Array
     process_noise: Array
     initial: Array
     noise_variance: float
+    colors: tuple[int, ...] = field(default=())
 
     @classmethod
     def of_balance(
@@ -64,6 +68,7 @@ class StateSpace:
         noise: float,
         input_density: float = 0.0,
         swing: float = 0.0,
+        colors: Sequence[ShapingFilter] = (),
     ) -> StateSpace:
         """Join the balance, Eq. (8) of [Gorbushin2020]_, with the process that the force is taken for.
 
@@ -76,18 +81,21 @@ class StateSpace:
         interval
             Time between samples [s].
         noise
-            Standard uncertainty of a reading [N].
+            Standard deviation of the white noise of a reading [N].
         input_density
             Two-sided density of the white noise which enters as a force with known inputs, such as (M u(x1''))^2
             times the interval [N^2/Hz].
         swing
             Size of a free oscillation that may be under way when the record starts [N].
+        colors
+            What makes the further noise of a reading, process by process, out of white noise.
         """
         first, *further = dynamics.modes
         w0 = first.angular_frequency
-        size = FORCE + force.order + 2 * len(further)
+        balance = FORCE + force.order + 2 * len(further)
+        size = balance + sum(color.order for color in colors)
         A = np.zeros((size, size))
-        B = np.zeros((size, 2))
+        B = np.zeros((size, 2 + len(colors)))
         A[LOAD, LOAD_RATE] = w0
         A[LOAD_RATE, [LOAD, LOAD_RATE, FORCE]] = -w0, -2 * first.damping_ratio * w0, first.share * w0
         A[FORCE : FORCE + force.order, FORCE : FORCE + force.order] = force.drift
@@ -105,18 +113,23 @@ class StateSpace:
             A[LOAD_RATE, FORCE] += share * w**2 / w0
             B[rate, 0] = w * np.sqrt(input_density)
         B[LOAD_RATE, 0] = A[LOAD_RATE, FORCE] * np.sqrt(input_density)
+        places = balance + np.cumsum([0, *(color.order for color in colors)], dtype=int)
+        for number, (color, first_place) in enumerate(zip(colors, places[:-1], strict=True), 2):
+            part = slice(first_place, first_place + color.order)
+            A[part, part] = color.drift
+            B[part, number] = color.drive
         transition, process_noise = _discretise(A, B @ B.T, interval)
         initial = solve_continuous_lyapunov(A, -B @ B.T)
         initial = (initial + initial.T) / 2
-        swinging = [LOAD, LOAD_RATE, *range(FORCE + force.order, size)]
+        swinging = [LOAD, LOAD_RATE, *range(FORCE + force.order, balance)]
         initial[swinging, swinging] += swing**2
-        return cls(transition, process_noise, initial, noise**2)
+        return cls(transition, process_noise, initial, noise**2, tuple(int(place) for place in places[:-1]))
 
     @property
     def observation(self) -> Array:
         """Row h that turns the state into the reading, shape (d,)."""
         row = np.zeros(self.transition.shape[0])
-        row[LOAD] = 1.0
+        row[[LOAD, *self.colors]] = 1.0
         return row
 
 

@@ -12,6 +12,7 @@ from scipy.stats import norm
 from aerobalance import _series_kernels
 from aerobalance.contributions import Contribution, Noise, Systematic
 from aerobalance.hum import Hum, Line, columns_of_lines, hum_lines
+from aerobalance.noise_floor import Floor, floor_of
 from aerobalance.prior import Learned, Reading, generalised_least_squares
 from aerobalance.recording import Array
 from aerobalance.smoother import FORCE, LOAD, Filter, StateSpace
@@ -49,6 +50,8 @@ class Apart:
         Lines that are taken for hum.
     large
         Lines at frequencies of the mains that are too large a part of the record to be taken for hum.
+    floor
+        What may be a color of the noise, far above the natural frequency; None if there is nothing.
     """
 
     reading: Reading
@@ -56,12 +59,14 @@ class Apart:
     learned: Learned
     hum: tuple[Line, ...]
     large: tuple[Line, ...]
+    floor: Floor | None = None
 
 
 def taken_apart(reading: Reading, *, hum: Hum) -> Apart:
     """Find hum, steps and prior of a record.
 
-    Steps ring over a wide band and hide weak lines, so the lines are looked for again when the steps are known.
+    Steps ring over a wide band and hide weak lines, so the lines are looked for again when the steps are known. A
+    floor of the noise that is not flat is looked for last; with it, steps and prior are found again.
     """
     lines, large = _hum_of(reading, reading.values, hum)
     named = replace(reading, hum=tuple(line.frequency for line in lines))
@@ -76,7 +81,12 @@ def taken_apart(reading: Reading, *, hum: Hum) -> Apart:
         named = replace(reading, hum=again)
         if not same:
             steps, learned = find_steps(named)
-    return Apart(named, steps, learned, lines, large)
+    left = reading.values - columns_of(steps, reading) @ np.array([0.0, *(step.height for step in steps)])
+    floor = floor_of(named, learned, left=left)
+    if floor is not None and floor.color is not None:
+        named = replace(named, color=floor.color)
+        steps, learned = find_steps(named)
+    return Apart(named, steps, learned, lines, large, floor)
 
 
 def _hum_of(reading: Reading, values: Array, hum: Hum) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
@@ -206,12 +216,7 @@ class Smoothed:
             ]
         X, forms = instant_columns(reading, self.steps, heights=heights)
         covariance = generalised_least_squares(filter_, reading.filled, X)[1]
-        slopes = np.column_stack(
-            [
-                form - filter_.smooth(np.ascontiguousarray(column))[0][:, FORCE]
-                for form, column in zip(forms.T, X.T, strict=True)
-            ]
-        )
+        slopes = forms - self.estimator.smooth(X)
         source = self.reading.dynamics.component
         return [
             Systematic("size and instant of steps", source, tuple(names), slopes, covariance),
@@ -283,9 +288,10 @@ class Estimator:
             _root(system.process_noise),
             _root(system.initial) @ generator.normal(size=size),
             generator.normal(size=(count, size)),
-            np.array([LOAD, FORCE]),
+            np.array([LOAD, FORCE, *system.colors]),
         )
         readings = states[:, 0] + np.sqrt(system.noise_variance) * generator.normal(size=count)
+        readings += np.sum(states[:, 2:], axis=1)
         return states[:, 1], np.where(self.filter.present, readings, 0.0)
 
 
@@ -344,7 +350,10 @@ def _error_spectra(
     frequency = np.linspace(0, 0.5 / reading.interval, FREQUENCIES + 1)
     force = learned.shaping.spectrum(frequency)
     gain = np.abs(reading.dynamics.response(frequency)) ** 2
-    noises = [learned.noise**2 * reading.interval / gain, np.full(frequency.size, reading.input_density)]
+    noises = [
+        learned.noise_density(frequency, interval=reading.interval) / gain,
+        np.full(frequency.size, reading.input_density),
+    ]
     for index in (0, 1):
         if only in (None, index):
             noises[index] = noises[index] * factor**2

@@ -1,11 +1,12 @@
 """Spectra: of the force, and of the reading through which it is seen.
 
 The reading shows the force through the balance, with noise: the expected periodogram is |G|^2 (S_F + S_u) + R, with
-S_F the force, S_u the white noise that comes with known inputs, and R the noise of the reading.
+S_F the force, S_u the white noise that comes with known inputs, and R the noise of the reading, white and colored.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,6 +21,9 @@ LONGEST: Final = 1 << 17
 
 HANN_BANDWIDTH: Final = 1.94
 """Ordinates of a Hann periodogram that are as good as one independent ordinate."""
+
+HANN_WIDTH: Final = 2.0
+"""Ordinates that a Hann window smears a line over."""
 
 FEWEST_ORDINATES: Final = 4
 """Ordinates that are averaged at least where the balance's response does not change within them."""
@@ -121,6 +125,9 @@ class Periodogram:
         First ordinate of each average, shape (m,).
     input_density
         Density of the white noise that enters as a force with the known inputs [N^2/Hz].
+    color
+        Density of the reading's noise beyond its white part at all ordinates, shape (n,) [N^2/Hz]; None if there is
+        none.
     """
 
     frequency: Array
@@ -132,6 +139,7 @@ class Periodogram:
     ordinates: Array
     edges: NDArray[np.int64]
     input_density: float
+    color: Array | None = None
 
     @property
     def count(self) -> NDArray[np.int64]:
@@ -144,7 +152,15 @@ class Periodogram:
         return 1 / self.interval - self.frequency
 
     @classmethod
-    def of(cls, values: Array, dynamics: Dynamics, *, interval: float, input_density: float = 0.0) -> Periodogram:
+    def of(
+        cls,
+        values: Array,
+        dynamics: Dynamics,
+        *,
+        interval: float,
+        input_density: float = 0.0,
+        color: Callable[[Array, float], Array] | None = None,
+    ) -> Periodogram:
         """Take a Hann periodogram and average it as far as the balance's response allows.
 
         Parameters
@@ -157,6 +173,8 @@ class Periodogram:
             Time between samples [s].
         input_density
             Density of the white noise that enters as a force with the known inputs [N^2/Hz].
+        color
+            Mean density of the colored noise about frequencies [Hz], over a width [Hz], [N^2/Hz].
         """
         length = min(values.size, LONGEST)
         parts = [values[k : k + length] for k in range(0, values.size - length + 1, max(length // 2, 1))]
@@ -175,11 +193,16 @@ class Periodogram:
         frequency, density, gain = np.add.reduceat(ordinates, edges, axis=1) / count
         folded = np.abs(dynamics.response(1 / interval - frequency)) ** 2
         weight = count * (values.size / length / HANN_BANDWIDTH)
-        return cls(frequency, density, gain, weight, folded, interval, ordinates, edges, input_density)
+        step = 1 / (length * interval)
+        seen = None if color is None else color(ordinates[0], HANN_WIDTH * step)
+        return cls(frequency, density, gain, weight, folded, interval, ordinates, edges, input_density, seen)
 
     def background(self, noise: float) -> Array:
-        """Density of what is no force: the noise of the reading [N^2/Hz] and the input's, shape (m,)."""
-        return np.asarray((self.gain + self.folded_gain) * self.input_density + noise)
+        """Density of what is no force: the noise of the reading (its white part is given) and the input's, (m,)."""
+        background = (self.gain + self.folded_gain) * self.input_density + noise
+        if self.color is not None:
+            background = background + np.add.reduceat(self.color, self.edges) / self.count
+        return np.asarray(background)
 
     def load(self, spectrum: Spectrum) -> Array:
         """Density of the load felt under a force of this spectrum, as the window sees it [N^2/Hz], shape (m,)."""

@@ -70,8 +70,8 @@ class LiveForce:
     interval
         Time between samples [s].
     learned
-        Process of the force and noise of a reading, from an earlier record; None to begin with a wide band and learn
-        from the readings.
+        Process of the force and noise of a reading, from an earlier record, the noise white; None to begin with a wide
+        band and learn from the readings.
     noise
         Standard uncertainty of a reading [N]; None when it is to be learned.
     lag
@@ -108,6 +108,11 @@ class LiveForce:
     ) -> None:
         if not 0 < interval < np.inf:
             raise ValueError(f"interval must be positive and finite, not {interval}")
+        if learned is not None and learned.color is not None:
+            raise ValueError(
+                "the live estimator takes the noise of a reading as white; learned must come from a record without "
+                "colored noise"
+            )
         self.dynamics, self.interval = dynamics, interval
         time = LAG_PERIODS / dynamics.natural_frequency if lag is None else lag
         self.latency = round(time / interval)

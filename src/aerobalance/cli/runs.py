@@ -80,6 +80,10 @@ def force(
             "--hum", metavar="mains|keep|HZ,HZ", help="Lines that are no force: mains hum if found, none, or near HZ."
         ),
     ] = "mains",
+    noise_record: Annotated[
+        Path | None,
+        typer.Option("--noise-record", help="Record of noise alone (wind off, at rest), for noise that is not white."),
+    ] = None,
     balance: MaybeBalance = None,
     zero: Zero = None,
     zero_after: ZeroAfter = None,
@@ -111,6 +115,7 @@ def force(
             gravity=gravity,
             gravity_uncertainty=u_gravity,
             hum=command.hum_of(hum),
+            noise_record=noise_record,
             files=None if balance is None else BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare),
             channel_map=channel_map,
             check=None if monte_carlo is None else command.Check(monte_carlo, seed),

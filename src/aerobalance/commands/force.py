@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from aerobalance.commands.known import Known, Separate, Settings, read_known
 from aerobalance.commands.loads import BalanceFiles, from_gauges, loads_account
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of
 from aerobalance.commands.uncertainty import (
@@ -18,19 +20,17 @@ from aerobalance.commands.uncertainty import (
     uncertainty_text,
 )
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
-from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import ForceEstimate, with_balance
-from aerobalance.force import Method, reconstruct, without_hum
+from aerobalance.force import Method
 from aerobalance.hum import Hum
 from aerobalance.io import (
     check_output,
     write_force,
 )
-from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.loads import static_uncertainty
-from aerobalance.misfit import misfit_of
 from aerobalance.monte_carlo import MonteCarlo, monte_carlo
 from aerobalance.motion import GroundMotion
+from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Force, Recording
 
@@ -48,6 +48,7 @@ def force(
     gravity: float = STANDARD_GRAVITY,
     gravity_uncertainty: float = 0.0,
     hum: Hum = "mains",
+    noise_record: Path | None = None,
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
     check: Check | None = None,
@@ -55,49 +56,39 @@ def force(
 ) -> Account:
     """Force applied, with its uncertainty, from the loads felt or, with a balance, from its gauge outputs."""
     check_output(out)
-    inputs = [item for item in (path, dynamics, channel_map, *(() if files is None else files.paths)) if item]
+    given = (path, dynamics, noise_record, channel_map, *(() if files is None else files.paths))
+    inputs = [item for item in given if item]
     check_out(out, *inputs)
     check_out(report, *inputs, out)
-    known = read_dynamics(dynamics)
+    known = read_known(dynamics)
+    if check is not None and not isinstance(known, Separate):
+        raise ValueError(f"--monte-carlo is for components each for itself; those of {dynamics} ring together")
+    settings = Settings(method, bandwidth, gravity, gravity_uncertainty, hum)
     with doubts() as collected:
         recording = recording_of(path, channel_map)
         reduction = None
         if files is not None:
             recording, reduction = from_gauges(recording, files, known, gravity=gravity, channel_map=channel_map)
-        names = [name for name in known if name in recording]
+        names = known.names_in(recording)
         if not names:
             raise FitError(
-                f"{path} has none of the components of {dynamics} ({', '.join(known)}); "
-                f"it has {', '.join(recording.channels) or 'no channels'}"
+                f"{path} has none of the components of {dynamics}; it has "
+                f"{', '.join(recording.channels) or 'no channels'}"
             )
-        estimates = {
-            name: reconstruct(
-                recording,
-                known[name],
-                method=method,
-                bandwidth=bandwidth,
-                gravity=gravity,
-                gravity_uncertainty=gravity_uncertainty,
-                hum=hum,
-            )
-            for name in names
-        }
+        noises: dict[str, NoiseSpectrum] = {}
+        if noise_record is not None:
+            calm = recording_of(noise_record, channel_map)
+            if files is not None:
+                calm, _ = from_gauges(calm, files, known, gravity=gravity, channel_map=channel_map)
+            noises = known.noises(calm, settings)
+        estimates = known.forces(recording, settings, noises=noises)
         if reduction is not None:
             forces = {name: estimate.values for name, estimate in estimates.items()}
             static = static_uncertainty(reduction.felt, reduction.matrix, forces=forces)
             estimates = {name: with_balance(estimate, static[name]) for name, estimate in estimates.items()}
-        for name, estimate in estimates.items():
-            quiet = without_hum(recording, estimate)
-            misfit = misfit_of(quiet, known[name], noise=estimate.noise, steps=estimate.steps)
-            for text in misfit.sentences(known[name]):
-                warnings.warn(f"{recording.name}: {text}", DoubtWarning, stacklevel=2)
-        checked = {}
-        if check is not None:
-            settings = Settings(method, bandwidth, gravity, gravity_uncertainty)
-            checked = {
-                name: _checked(recording, known[name], estimate, check=check, settings=settings)
-                for name, estimate in estimates.items()
-            }
+        for text in known.doubts(recording, estimates):
+            warnings.warn(f"{recording.name}: {text}", DoubtWarning, stacklevel=2)
+        checked = {} if check is None else _checked(recording, known, estimates, check=check, settings=settings)
     parts = list(estimates.values())
     write_force(
         out,
@@ -112,6 +103,8 @@ def force(
     left_out = [name for name in COMPONENTS if name in recording and name not in names]
     origins = Origins(recording, dynamics, None if files is None else files.balance)
     components = {name: force_account(estimate, origins) for name, estimate in estimates.items()}
+    for name, spectrum in noises.items():
+        components[name]["noise_spectrum"] = noise_account(spectrum)
     for name, result in checked.items():
         components[name]["monte_carlo"] = monte_carlo_account(result)
     account: Account = {
@@ -129,6 +122,24 @@ def force(
     return {**account, "summary": uncertainty_text(components)}
 
 
+def noise_account(spectrum: NoiseSpectrum) -> Account:
+    """Plain data on a spectrum of noise."""
+    return {
+        "text": str(spectrum),
+        "white": {
+            "value": spectrum.white,
+            "u": spectrum.u_white * spectrum.white,
+            "unit": "unit of the load squared per Hz, two-sided",
+        },
+        "corner": {"value": spectrum.corner, "unit": "Hz"},
+        "exponent": {"value": spectrum.exponent, "u": float(np.sqrt(spectrum.covariance[1, 1]))},
+        "humps": [
+            {"frequency": hump.frequency, "relative_width": hump.width, "level": hump.level} for hump in spectrum.humps
+        ],
+        "lines_left_out": list(spectrum.left_out),
+    }
+
+
 def hum_of(text: str) -> Hum:
     """What is to be taken for hum, from the words of the command line."""
     if text in ("mains", "keep"):
@@ -139,44 +150,28 @@ def hum_of(text: str) -> Hum:
         raise ValueError(f"--hum must be mains, keep or frequencies in Hz such as 50,100, not {text}") from None
 
 
-class Settings(NamedTuple):
-    """How the force is worked out.
-
-    Attributes
-    ----------
-    method, bandwidth
-        As `aerobalance.force.reconstruct` takes them.
-    gravity, gravity_uncertainty
-        Local acceleration of gravity and its standard uncertainty [m/s^2].
-    """
-
-    method: Method
-    bandwidth: float | None
-    gravity: float
-    gravity_uncertainty: float
-
-
 def _checked(
-    recording: Recording, dynamics: Dynamics, estimate: ForceEstimate, *, check: Check, settings: Settings
-) -> MonteCarlo:
-    """Check one component's uncertainty by Monte Carlo, and warn where it differs."""
-    found = monte_carlo(
-        recording,
-        dynamics,
-        estimate,
-        motion=GroundMotion.of(
+    recording: Recording, known: Known, estimates: Mapping[str, ForceEstimate], *, check: Check, settings: Settings
+) -> dict[str, MonteCarlo]:
+    """Check the uncertainty of every component by Monte Carlo, and warn where it differs."""
+    if not isinstance(known, Separate):
+        return {}
+    found = {}
+    for name, estimate in estimates.items():
+        found[name] = monte_carlo(
             recording,
-            estimate.component,
-            gravity=settings.gravity,
-            gravity_uncertainty=settings.gravity_uncertainty,
-        ),
-        draws=check.draws,
-        seed=check.seed,
-        method=settings.method,
-        bandwidth=settings.bandwidth,
-    )
-    for text in found.doubts:
-        warnings.warn(f"{recording.name}: {estimate.component}: {text}", DoubtWarning, stacklevel=2)
+            known.parts[name],
+            estimate,
+            motion=GroundMotion.of(
+                recording, name, gravity=settings.gravity, gravity_uncertainty=settings.gravity_uncertainty
+            ),
+            draws=check.draws,
+            seed=check.seed,
+            method=settings.method,
+            bandwidth=settings.bandwidth,
+        )
+        for text in found[name].doubts:
+            warnings.warn(f"{recording.name}: {name}: {text}", DoubtWarning, stacklevel=2)
     return found
 
 

@@ -1,0 +1,138 @@
+"""The force beside noise with a color: with a record of that noise, and what is seen without one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerobalance import noise_floor
+from aerobalance.force import noise_of as noise_of_record
+from aerobalance.force import reconstruct
+from aerobalance.noise_spectrum import Hump, NoiseSpectrum
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording import Channel, Recording
+from aerobalance.stream import LiveForce
+from test_noise_spectrum import RATE, T128, WHITE, fresh, noise_of
+
+N = 8000
+
+
+def record_of(values: np.ndarray, *, rate: float = RATE, noise: float | None = None) -> Recording:
+    time = np.arange(values.size) / rate
+    return Recording.from_columns(time, {"AF": Channel("AF", values, "N", noise=noise)}, name="run")
+
+
+def load_of_band(generator: np.random.Generator, edge: float, *, rms: float) -> tuple[np.ndarray, np.ndarray]:
+    """Load felt under a force of flat spectrum up to an edge, and that force."""
+    frequency = np.fft.rfftfreq(4 * N, 1 / RATE)
+    phasors = generator.normal(size=frequency.size) + 1j * generator.normal(size=frequency.size)
+    phasors[frequency > edge] = 0
+    phasors *= rms * np.sqrt(4 * N * RATE / (4 * edge))
+    phasors[0] = 0
+    felt, force = (np.fft.irfft(part, 4 * N)[:N] for part in (phasors * T128.response(frequency), phasors))
+    return felt, force
+
+
+def one_over_f(corner: float = 10.0, exponent: float = 1.0) -> NoiseSpectrum:
+    return NoiseSpectrum(WHITE, corner, exponent, (), 1 / RATE, np.zeros((2, 2)))
+
+
+def test_white_spectrum_is_the_noise_of_the_channel():
+    generator, seed = fresh()
+    felt, _ = load_of_band(generator, 30, rms=500)
+    values = felt + generator.normal(0, 2, N)
+    white = NoiseSpectrum(WHITE, 0.0, 1.0, (), 1 / RATE, np.zeros((2, 2)))
+    given = reconstruct(record_of(values), T128, noise=white)
+    plain = reconstruct(record_of(values, noise=white.deviation), T128)
+    assert np.array_equal(given.values, plain.values), seed
+    assert np.array_equal(given.uncertainty, plain.uncertainty), seed
+
+
+def test_step_beside_one_over_f():
+    generator, seed = fresh()
+    noise = noise_of_record(record_of(noise_of(generator, one_over_f().density)), T128)
+    time = np.arange(N) / RATE
+    values = 1020 * T128.step_response(time - 2.5) + noise_of(generator, one_over_f().density, n=N, longer=4)
+    found = reconstruct(record_of(values), T128, noise=noise)
+    assert len(found.steps) == 1, seed
+    away = np.abs(time - 2.5) > 2 / RATE
+    # two levels, each known to its uncertainty; six of them, and half as much again as a spectrum from 10 s is known
+    # to 20 %
+    assert np.all(np.abs(found.values - 1020 * (time >= 2.5))[away] < 9 * found.uncertainty[away]), seed
+    assert "1/f" in found.method
+    assert found.learned.color is not None
+
+
+def test_uncertainty_is_that_of_the_true_noise():
+    """The rms error under a load of a broad band, over the uncertainty that was said."""
+    generator, seed = fresh()
+    felt, force = load_of_band(generator, 120, rms=500)
+    values = felt + noise_of(generator, one_over_f(20).density, n=N, longer=4)
+    found = reconstruct(record_of(values), T128, noise=one_over_f(20))
+    inner = slice(N // 20, -N // 20)
+    error = (found.values - force)[inner]
+    # 0.9 * 5 s of a band of 120 Hz hold 1,080 independent errors (2 % of their rms), but the half of their power that
+    # is 1/f lies in a few slow ones: its variance of 0.1 N^2 a factor e in frequency, 3 of 5 below 3 Hz; 30 % at worst
+    ratio = float(np.sqrt(np.mean(error**2) / np.mean(found.uncertainty[inner] ** 2)))
+    assert 0.7 < ratio < 1.5, seed
+
+
+def test_faint_slow_force_is_doubted():
+    generator, seed = fresh()
+    values = noise_of(generator, one_over_f(30).density, n=N)
+    with pytest.warns(DoubtWarning, match=r"rises at low frequency \(1/f\) looks the same"):
+        found = reconstruct(record_of(values), T128)
+    assert found.bandwidth > 0, seed
+
+
+def test_color_of_the_floor_is_seen():
+    generator, seed = fresh()
+    felt, force = load_of_band(generator, 30, rms=500)
+    hump = Hump(300.0, 0.3, 2 * WHITE)
+    values = felt + noise_of(generator, lambda f: WHITE + hump.density(f), n=N)
+    with pytest.warns(DoubtWarning, match="taken for noise of the electronics"):
+        found = reconstruct(record_of(values), T128)
+    error = float(np.std((found.values - force)[N // 20 : -N // 20]))
+    # 0.37 N with white noise; as a force the hump makes 15 to 40 N
+    assert error < 1.0, seed
+    assert found.learned.color.humps[0].frequency == pytest.approx(300, rel=0.1), seed
+    assert "1 hump(s), seen in the run" in found.method
+
+
+def test_floor_that_stays_a_force_is_doubted(monkeypatch):
+    generator, _ = fresh()
+    monkeypatch.setattr(noise_floor, "_likelier_color", lambda *_, **__: None)
+    felt, _ = load_of_band(generator, 30, rms=500)
+    hump = Hump(300.0, 0.3, 2 * WHITE)
+    values = felt + noise_of(generator, lambda f: WHITE + hump.density(f), n=N)
+    with pytest.warns(DoubtWarning, match="so faint that it may be noise of the electronics"):
+        reconstruct(record_of(values), T128)
+
+
+def test_another_white_noise_is_told():
+    generator, seed = fresh()
+    felt, force = load_of_band(generator, 30, rms=500)
+    values = felt + generator.normal(0, 4, N)
+    with pytest.warns(DoubtWarning, match="times the power that it has in the record of noise"):
+        found = reconstruct(record_of(values), T128, noise=one_over_f())
+    # judged from 740 Hz of 0.2 Hz ordinates: 1 % of the standard deviation
+    assert found.noise == pytest.approx(4, rel=0.06), seed
+    assert np.std(found.values - force) < 3, seed
+
+
+def test_wrong_calls_are_refused():
+    generator, _ = fresh()
+    run = record_of(generator.normal(0, 2, 2000))
+    with pytest.raises(ValueError, match="only the smoother without a bandwidth can take a spectrum of noise"):
+        reconstruct(run, T128, method="paper", noise=one_over_f())
+    with pytest.raises(ValueError, match="only the smoother"):
+        reconstruct(run, T128, bandwidth=100, noise=one_over_f())
+    with pytest.raises(FitError, match="the record of noise 3200: record the noise with the rate"):
+        reconstruct(run, T128, noise=replace(one_over_f(), interval=1 / 3200))
+
+
+def test_live_estimator_refuses_color():
+    generator, _ = fresh()
+    found = reconstruct(record_of(noise_of(generator, one_over_f().density, n=2000)), T128, noise=one_over_f())
+    with pytest.raises(ValueError, match="takes the noise of a reading as white"):
+        LiveForce(T128, interval=1 / RATE, learned=found.learned)

@@ -1,0 +1,176 @@
+"""Noise with a color: its spectrum as states, learned from a record of noise alone, and what it does to a force."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal
+
+from aerobalance import noise_record
+from aerobalance.dynamics import Dynamics
+from aerobalance.noise_record import noise_spectrum_of
+from aerobalance.noise_spectrum import EXPONENTS, ColoredNoise, Hump, NoiseSpectrum
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.shaping import ShapingFilter
+from aerobalance.smoother import Filter, StateSpace
+
+T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
+RATE = 1600.0
+WHITE = 4.0 / RATE
+
+
+def fresh() -> tuple[np.random.Generator, int]:
+    seed = np.random.SeedSequence().entropy
+    return np.random.default_rng(seed), seed
+
+
+def noise_of(generator: np.random.Generator, density, *, n: int = 16_000, longer: int = 8) -> np.ndarray:
+    """Readings of a noise of a two-sided density [N^2/Hz], cut from a record several times as long."""
+    frequency = np.fft.rfftfreq(longer * n, 1 / RATE)
+    level = np.zeros(frequency.size)
+    level[1:] = density(frequency[1:])
+    phasors = generator.normal(size=frequency.size) + 1j * generator.normal(size=frequency.size)
+    return np.fft.irfft(phasors * np.sqrt(level * longer * n * RATE / 2), longer * n)[:n]
+
+
+def known(corner: float = 10.0, exponent: float = 1.0, *, humps: tuple[Hump, ...] = ()) -> NoiseSpectrum:
+    return NoiseSpectrum(WHITE, corner, exponent, humps, 1 / RATE, np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1.0, 1.5, 2.0])
+def test_states_have_the_spectrum(exponent):
+    states = known(10.0, exponent).states(5.0)
+    frequency = np.geomspace(1.0, 700.0, 200)
+    truth = known(10.0, exponent).density(frequency)
+    # relaxations a factor 3 apart ripple by 1 %; from 1 Hz on the level part below 1/15 Hz bends it by
+    # (1 / 15)^2 = 0.4 % at most; above the last corner the 1/f part itself is 1 % of the white
+    assert WHITE + states.density(frequency) == pytest.approx(truth, rel=0.02)
+
+
+def test_below_the_slowest_it_is_level():
+    states = known(10.0, 1.0).states(5.0)
+    # (10 Hz / f) at 1 / (3 * 5 s), where 1 / sqrt(f^2 + f^2) bends it
+    assert states.density(np.array([1e-4]))[0] == pytest.approx(WHITE * 150, rel=0.03)
+
+
+def test_mean_density_is_the_integral():
+    colored = ColoredNoise(np.array([0.1, 3.0, 500.0]), np.array([0.3, 0.2, 1.0]), (), 1 / RATE)
+    for middle, width in ((0.0, 0.4), (0.2, 0.3), (40.0, 10.0)):
+        area, _ = quad(lambda f: float(colored.density(np.array(f))), middle - width / 2, middle + width / 2)
+        assert float(colored.density(np.array(middle), width=width)) == pytest.approx(area / width, rel=1e-6)
+    # all of it is the variance
+    assert float(colored.density(np.array(0.0), width=RATE)) * RATE == pytest.approx(1.5, rel=1e-9)
+
+
+def test_hump_is_its_oscillator():
+    hump = Hump(300.0, 0.4, 7.0)
+    frequency = np.array([3.0, 250.0, 300.0, 420.0, 900.0])
+    assert hump.shaping.spectrum(frequency) == pytest.approx(hump.density(frequency), rel=1e-9)
+    assert hump.density(np.array([300.0]))[0] == pytest.approx(7.0)
+
+
+def test_likelihood_is_that_of_the_covariance():
+    """The filter with states of colored noise against the Gaussian density with the covariance written out."""
+    generator, seed = fresh()
+    colored = ColoredNoise(np.array([2.0, 30.0]), np.array([1.5, 0.4]), (), 1 / RATE)
+    system = StateSpace.of_balance(T128, ShapingFilter.silent(), interval=1 / RATE, noise=2.0, colors=colored.shapings)
+    n = 60
+    readings = generator.normal(0, 2, n)
+    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / RATE
+    covariance = 4 * np.eye(n)
+    for corner, variance in zip(colored.corners, colored.variances, strict=True):
+        covariance += variance * np.exp(-2 * np.pi * corner * lag)
+    filter_ = Filter.of(system, np.ones(n, dtype=bool))
+    white = filter_.whiten(readings[:, None])[:, 0]
+    found = -0.5 * (white @ white + filter_.log_determinant + n * np.log(2 * np.pi))
+    assert found == pytest.approx(multivariate_normal(np.zeros(n), covariance).logpdf(readings), rel=1e-8), seed
+
+
+def test_white_noise_is_found_white(monkeypatch):
+    # chance brings an evidence of 15 once in exp(15) records
+    monkeypatch.setattr(noise_record, "COLOR_EVIDENCE", 15.0)
+    generator, seed = fresh()
+    found = noise_spectrum_of(generator.normal(0, 2, 16_000), T128, interval=1 / RATE)
+    assert not found.colored, seed
+    assert found.states(5.0) is None
+    assert str(found) == "white noise"
+    # 16,000 readings: 0.56 % of the standard deviation; 5 of these and what the modes' bands take
+    assert found.deviation == pytest.approx(2, rel=0.035), seed
+    assert found.u_white == pytest.approx(np.sqrt(2 / 16_000), rel=0.2), seed
+
+
+@pytest.mark.parametrize("exponent", [0.7, 1.0, 1.5])
+def test_corner_is_found(exponent):
+    generator, seed = fresh()
+    values = noise_of(generator, lambda f: WHITE * (1 + (10 / f) ** exponent))
+    found = noise_spectrum_of(values, T128, interval=1 / RATE)
+    assert found.corner > 0, seed
+    level = np.log(found.white) + found.exponent * np.log(found.corner)
+    truth = np.log(WHITE) + exponent * np.log(10)
+    # Whittle's likelihood is normal for that many ordinates; six of its standard deviations
+    assert abs(level - truth) < 6 * np.sqrt(found.covariance[0, 0]), seed
+    assert abs(found.exponent - exponent) < 6 * np.sqrt(found.covariance[1, 1]), seed
+    assert abs(np.log(found.white / WHITE)) < 6 * found.u_white, seed
+    assert f"below {found.corner:.3g} Hz" in str(found)
+
+
+def test_random_walk_is_the_steepest():
+    generator, seed = fresh()
+    values = noise_of(generator, lambda f: WHITE * (1 + (3 / f) ** 2))
+    found = noise_spectrum_of(values, T128, interval=1 / RATE)
+    assert 1.2 < found.exponent <= EXPONENTS[1], seed
+
+
+def test_hump_is_found_beside_a_corner():
+    generator, seed = fresh()
+    hump = Hump(300.0, 0.4, 2 * WHITE)
+    values = noise_of(generator, lambda f: WHITE * (1 + 10 / f) + hump.density(f))
+    found = noise_spectrum_of(values, T128, interval=1 / RATE)
+    assert found.humps, seed
+    frequency = np.array([2.0, 20.0, 150.0, 250.0, 300.0, 400.0, 700.0])
+    truth = WHITE * (1 + 10 / frequency) + hump.density(frequency)
+    # at 2 Hz the 40 ordinates to 4 Hz tell it to 0.16, above there are hundreds; five of these
+    bounds = np.array([0.8, 0.4, 0.25, 0.25, 0.25, 0.25, 0.25])
+    assert np.all(np.abs(np.log(found.density(frequency) / truth)) < bounds), seed
+
+
+def test_swinging_and_mains_are_no_noise():
+    generator, seed = fresh()
+    t = np.arange(16_000) / RATE
+    values = generator.normal(0, 2, t.size) + 3 * np.sin(2 * np.pi * 50 * t) + np.sin(2 * np.pi * 410 * t)
+    values += 20 * np.exp(-t) * np.cos(2 * np.pi * T128.natural_frequency * t)
+    found = noise_spectrum_of(values, T128, interval=1 / RATE)
+    assert found.deviation == pytest.approx(2, rel=0.035), seed
+    assert found.left_out == pytest.approx((50.0, 410.0), abs=0.2), seed
+    assert not found.humps, seed
+
+
+def test_longest_stretch_is_taken():
+    generator, seed = fresh()
+    values = generator.normal(0, 50, 4000)
+    values[1000:] = generator.normal(0, 2, 3000)
+    values[999] = np.nan
+    # 3,000 readings: 1.3 % of the standard deviation
+    assert noise_spectrum_of(values, T128, interval=1 / RATE).deviation == pytest.approx(2, rel=0.08), seed
+
+
+def test_floor_that_falls_is_told():
+    generator, _ = fresh()
+    values = noise_of(generator, lambda f: WHITE * np.where(f > 500, 0.02, 1.0))
+    with pytest.warns(DoubtWarning, match="no white noise with 1/f and broad humps"):
+        noise_spectrum_of(values, T128, interval=1 / RATE)
+
+
+def test_what_is_no_record_of_noise_is_refused(monkeypatch):
+    generator, _ = fresh()
+    with pytest.raises(FitError, match="400 readings of AF without a gap"):
+        noise_spectrum_of(generator.normal(size=400), T128, interval=1 / RATE)
+    with pytest.raises(FitError, match="does not change"):
+        noise_spectrum_of(np.full(4000, 3.0), T128, interval=1 / RATE)
+    monkeypatch.setattr(noise_record, "STRENGTHENED", 0.5)
+    with pytest.raises(FitError, match="nothing is left"):
+        # up to 45 Hz the T-128 weakens no force
+        noise_spectrum_of(generator.normal(size=1000), T128, interval=1 / 90.0)
+    with pytest.raises(ValueError, match="must be positive"):
+        NoiseSpectrum(0.0, 0.0, 1.0, (), 1 / RATE, np.zeros((2, 2)))
+    with pytest.raises(ValueError, match="at most 2"):
+        NoiseSpectrum(1.0, 3.0, 4.0, (), 1 / RATE, np.zeros((2, 2)))
