@@ -52,14 +52,32 @@ HIGHEST: Final = 10.0
 FAINT: Final = 0.05
 """Rms in the reading, over its swing, of a force that may be what is left over of two steps read as a ramp."""
 
+FAINT_STEPS: Final = 2
+"""Steps that such a force is taken for at most; more are the error of a wrong model."""
+
 MOST_INSTANTS: Final = 64
 """Instants that are tried at most where a step that was found before is placed again."""
 
 NEWTON_TURNS: Final = 5
 """Turns of the Gauss-Newton iteration on all steps at once."""
 
-REFINING_SAMPLES: Final = 1 << 14
-"""Length of the part of a record, around a step, on which its instant is refined."""
+REFINING_SAMPLES: Final = (1 << 12, 1 << 14)
+"""Shortest and longest part of a record, around a step, on which its instant is refined."""
+
+DECAYED: Final = 4.0
+"""Decay times after which a step rings no more: 2 % of it is left, with 0.03 % of what it says of the instant."""
+
+BESIDE: Final = 4
+"""Earlier steps at most that are placed again beside a new one: those next to it."""
+
+ECHO: Final = 0.03
+"""Height of a step over that of one before it, up to which it may be an error of the model in that one's ringing."""
+
+ECHOES: Final = 2
+"""Such steps within the ringing up to which they are taken for steps; more are the model's error."""
+
+ECHO_PERIODS: Final = 30.0
+"""Periods of the natural frequency over which they are looked for, if the balance's own ringing is shorter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,14 +132,44 @@ def find_steps(reading: Reading) -> tuple[list[Step], Learned]:
     steps: list[Step] = []
     columns = columns_of(steps, reading)
     learned = confirmed(reading, learn(reading, columns=columns), columns=columns)
+    faint = 0
     while len(steps) < MOST_STEPS:
         found = _one_more(reading, learned, steps, prior=learned)
-        if found is None and steps and _faint(reading, learned, beside=FAINT * reading.swing):
+        if found is None and steps and faint < FAINT_STEPS and _faint(reading, learned, beside=FAINT * reading.swing):
             found = _one_more(reading, learned, steps, prior=_silenced(learned))
+            faint += 1
         if found is None:
             break
         steps, learned = found
+        sound = _without_echoes(steps, reading)
+        if len(sound) < len(steps):
+            return sound, learn(reading, columns=columns_of(sound, reading))
     return sorted(steps, key=lambda step: step.instant), learned
+
+
+def _without_echoes(steps: list[Step], reading: Reading) -> list[Step]:
+    """The steps less those that a wrong model of the balance has made of the ringing after another, where so many are.
+
+    They would go on for as long as it rings, and explain nothing.
+    """
+    ordered = sorted(steps, key=lambda step: step.instant)
+    d = reading.dynamics
+    reach = max(_ringing_time(reading), ECHO_PERIODS / d.natural_frequency)
+    for step in sorted(ordered, key=lambda step: -abs(step.height)):
+        echoes = [
+            other
+            for other in ordered
+            if 0 < other.instant - step.instant < reach and abs(other.height) < ECHO * abs(step.height)
+        ]
+        if len(echoes) > ECHOES:
+            return [other for other in ordered if other not in echoes]
+    return ordered
+
+
+def _ringing_time(reading: Reading) -> float:
+    """Time after which a step rings no more [s]."""
+    slowest = min(mode.damping_ratio * mode.angular_frequency for mode in reading.dynamics.modes)
+    return DECAYED / max(slowest, 1e-300)
 
 
 def _one_more(
@@ -165,19 +213,23 @@ def _taken_up(
     relearned = confirmed(reading, relearned, columns=columns_of(trial, reading))
     # each prior was learned from a periodogram, which hardly sees what happens near the ends of the record
     priors = (learned, relearned)
-    without, _ = _likelier(reading, priors, columns=columns_of(steps, reading))
-    with_it, better = _likelier(reading, priors, columns=columns_of(trial, reading))
+    (without, _), (with_it, better) = _likelier(reading, priors, steps, trial)
     evidence = 2 * (with_it - without)
     if evidence < _evidence_needed(reading):
         return None
     return [*trial[:-1], replace(trial[-1], evidence=evidence)], better
 
 
-def _likelier(reading: Reading, priors: tuple[Learned, ...], *, columns: Array) -> tuple[float, Learned]:
-    """The prior under which the innovations are most likely, and the logarithm of that likelihood."""
-    likelihoods = [log_likelihood(reading, prior, columns=columns) for prior in priors]
-    best = int(np.argmax(likelihoods))
-    return likelihoods[best], priors[best]
+def _likelier(reading: Reading, priors: tuple[Learned, ...], *readings: list[Step]) -> list[tuple[float, Learned]]:
+    """Log-likelihood of each set of steps and the prior under which it is largest."""
+    filters = [Filter.of(reading.system(prior), reading.present) for prior in priors]
+    found = []
+    for steps in readings:
+        columns = columns_of(steps, reading)
+        likelihoods = [log_likelihood(reading, filter_, columns=columns) for filter_ in filters]
+        best = int(np.argmax(likelihoods))
+        found.append((likelihoods[best], priors[best]))
+    return found
 
 
 def _settle(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list[Step], Learned]:
@@ -216,8 +268,7 @@ def _as_ramp(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[lis
     trial = _together(reading, relearned, trial)
     relearned = learn(reading, columns=columns_of(trial, reading), before=relearned)
     priors = (learned, relearned)
-    sudden, _ = _likelier(reading, priors, columns=columns_of(steps, reading))
-    slow, better = _likelier(reading, priors, columns=columns_of(trial, reading))
+    (sudden, _), (slow, better) = _likelier(reading, priors, steps, trial)
     if 2 * (slow - sudden) < RAMP_EVIDENCE:
         return steps, learned
     # of two steps close to each other a ramp explains much, but not all
@@ -227,9 +278,11 @@ def _as_ramp(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[lis
 
 
 def _earlier_again(reading: Reading, learned: Learned, steps: list[Step]) -> list[Step]:
-    """Every step but the last placed again beside the others: they were placed while it still bent the record."""
+    """The steps next to the last one placed again beside it: they were placed while it still bent the record."""
     steps = list(steps)
-    for place, step in enumerate(steps[:-1]):
+    nearest = np.argsort([abs(step.instant - steps[-1].instant) for step in steps[:-1]])
+    for place in sorted(int(number) for number in nearest[:BESIDE]):
+        step = steps[place]
         others = columns_of(steps[:place] + steps[place + 1 :], reading)
         steps[place] = replace(_refine(reading, learned, others, step, ramps=True), evidence=step.evidence)
     return steps
@@ -299,8 +352,9 @@ def _scan(reading: Reading, learned: Learned, columns: Array) -> tuple[Step, flo
 def _refine(reading: Reading, learned: Learned, columns: Array, step: Step, *, ramps: bool) -> Step:
     """Instant, duration, height and their uncertainties of a step whose place is known to a sample."""
     count, interval = reading.values.size, reading.interval
-    first = int(np.clip(step.instant / interval - REFINING_SAMPLES // 2, 0, max(count - REFINING_SAMPLES, 0)))
-    part = slice(first, min(first + REFINING_SAMPLES, count))
+    length = int(np.clip(2 * _ringing_time(reading) / interval, *REFINING_SAMPLES))
+    first = int(np.clip(step.instant / interval - length // 2, 0, max(count - length, 0)))
+    part = slice(first, min(first + length, count))
     local = replace(reading, values=reading.values[part])
     filter_ = Filter.of(local.system(learned), local.present)
     fixed = columns[part]
