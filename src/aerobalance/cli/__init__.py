@@ -53,9 +53,19 @@ def demo(
     tables: Annotated[
         bool, typer.Option("--tables", help="Make the paper's Tables 1 and 2 instead, with every rival (tables.html).")
     ] = False,
+    six: Annotated[
+        bool, typer.Option("--six", help="Six components that ring together instead, from mV/V to forces (six.html).")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Run both of the paper's experiments, simulated, end to end, and write report.html."""
+    if tables and six:
+        raise ValueError("--tables and --six are two demonstrations; give one of them")
+    if six:
+        from aerobalance.six_demo import run_six
+
+        show(lambda: run_six(out, seed=seed), as_json, doing="running six components", plain="summary")
+        return
     if tables:
         from aerobalance.tables import run_tables
 

@@ -132,20 +132,55 @@ def weigh(
 
 @identify.command("decay", epilog=example("identify decay cut.csv --component AF --mass 177.87 -o dynamics.json"))
 def identify_decay(
-    rec: Rec,
-    mass: Mass,
+    recs: Annotated[
+        list[Path], typer.Argument(metavar="REC...", help="A recording; several releases with --component all.")
+    ],
+    mass: Annotated[
+        str | None,
+        typer.Option(
+            "--mass", help="Moving mass in kg: a number (taken as exact) or a mass.json. Optional for --component all."
+        ),
+    ] = None,
     out: Out = None,
-    component: Component = "AF",
+    component: Annotated[
+        str,
+        typer.Option("--component", help="NF, PM, SF, YM, RM or AF; all for six that ring together, from releases."),
+    ] = "AF",
     modes: Modes = "1",
+    half_range: Annotated[
+        list[str] | None,
+        typer.Option("--half-range", help="With all: half of range, 'NF=2000' in N or N*m (repeatable)."),
+    ] = None,
     channel_map: Map = None,
     as_json: Json = False,
 ) -> None:
     """Identify from a free decay: a load that is held and released."""
+    if component == "all":
+        from aerobalance.commands import identify_coupled
+
+        if modes != "1":
+            raise ValueError("--modes is for one component; with --component all there is a mode for each")
+        ranges = identify_coupled.half_ranges(half_range or ())
+        show(
+            lambda: identify_coupled.identify_decays(recs, out, mass=mass, half_range=ranges, channel_map=channel_map),
+            as_json,
+            doing="fitting the releases",
+            plain="summary",
+        )
+        return
     from aerobalance.commands import identify
 
+    if len(recs) > 1:
+        raise ValueError(
+            f"{len(recs)} recordings were given; one component is identified from one (or --component all)"
+        )
+    if mass is None:
+        raise ValueError("--mass is needed: a release tells mass over stiffness only")
+    if half_range:
+        raise ValueError("--half-range goes with --component all")
     show(
         lambda: identify.identify_decay(
-            rec, out, component=component, mass=mass, modes=modes, channel_map=channel_map
+            recs[0], out, component=component, mass=mass, modes=modes, channel_map=channel_map
         ),
         as_json,
         doing="fitting the decay",

@@ -1,0 +1,240 @@
+"""Least squares over the matrices of all releases together and what is each release's own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.linalg import cho_factor, solve_triangular
+
+from aerobalance.identification.free_motion import FreeMotion
+from aerobalance.identification.release_model import Linear, Piece, damped, linearise, of_matrices
+from aerobalance.problems import FitError
+from aerobalance.recording import Array
+
+MOST_STEPS: Final = 60
+"""Gauss-Newton steps after which the fit is given up."""
+
+ENOUGH: Final = 1e-3
+"""Promised drop of the squares, in variances, at which a fit has settled."""
+
+VALLEY: Final = 20
+"""Steps over which a fit that gains less than one variance has settled."""
+
+LARGEST_GROWTH: Final = 20.0
+"""Logarithm of the growth of a trial motion over a record beyond which it is not tried."""
+
+LEAST_INDEPENDENCE: Final = 1e-3
+"""Least eigenvalue of the correlation matrix of the noise that is believed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReleaseFit:
+    """Matrices and own parameters that explain all pieces best.
+
+    Attributes
+    ----------
+    pieces
+        The records.
+    matrices
+        A^-1 and A^-1 D row by row, shape (2 n^2,), in the units of the pieces.
+    own
+        Own parameters of every piece.
+    noise
+        Covariance of the noise of a row, shape (n, n).
+    linears
+        Every record near the solution.
+    """
+
+    pieces: tuple[Piece, ...]
+    matrices: Array
+    own: tuple[Array, ...]
+    noise: Array
+    linears: tuple[Linear, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of components n."""
+        return int(self.pieces[0].values.shape[1])
+
+    @property
+    def motion(self) -> FreeMotion:
+        """Free motion of the matrices found."""
+        return motion_of(self.matrices, self.size)
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters, those of the records included."""
+        return self.matrices.size + sum(piece.own for piece in self.pieces)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Readings used less parameters."""
+        return self.size * sum(linear.rows for linear in self.linears) - self.parameters
+
+    @property
+    def information(self) -> Array:
+        """Rows whose squares are the information on the matrices, shape (k, 2 n^2)."""
+        rows = [
+            of_matrices(linear.block, piece.own)[:, :-1]
+            for linear, piece in zip(self.linears, self.pieces, strict=True)
+        ]
+        return np.asarray(np.linalg.qr(np.vstack(rows), mode="r"))
+
+
+def motion_of(matrices: Array, n: int) -> FreeMotion:
+    """Free motion of A^-1 and A^-1 D given row by row."""
+    return FreeMotion.of(*matrices.reshape(2, n, n))
+
+
+def whitener_of(noise: Array) -> Array:
+    """What turns noise of this covariance into independent unit noise."""
+    factor = cho_factor(noise, lower=True)[0]
+    return np.asarray(solve_triangular(np.tril(factor), np.eye(noise.shape[0]), lower=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What is known of the matrices beside the pieces: squares of (target - rows (matrices - about)), unit noise."""
+
+    rows: Array
+    target: Array
+    about: Array
+
+    def left(self, matrices: Array) -> Array:
+        """Residuals of this knowledge, shape (k,)."""
+        return np.asarray(self.target - self.rows @ (matrices - self.about))
+
+
+def others_than(fit: ReleaseFit, number: int) -> Known:
+    """What all pieces but one tell about the matrices, near the solution."""
+    blocks = [
+        of_matrices(linear.block, piece.own)
+        for place, (linear, piece) in enumerate(zip(fit.linears, fit.pieces, strict=True))
+        if place != number
+    ]
+    n = fit.matrices.size
+    rows = np.vstack([np.zeros((1, n + 1)), *blocks])
+    return Known(rows[:, :-1], rows[:, -1], fit.matrices)
+
+
+def settle(
+    pieces: Sequence[Piece],
+    matrices: Array,
+    own: Sequence[Array],
+    *,
+    noise: Array,
+    known: Known | None = None,
+    steps: int = MOST_STEPS,
+    enough: float = ENOUGH,
+) -> ReleaseFit:
+    """Minimise over all parameters by damped Gauss-Newton steps.
+
+    Raises
+    ------
+    FitError
+        The fit does not settle.
+    """
+    pieces, own = tuple(pieces), tuple(own)
+    n, whitener = pieces[0].values.shape[1], whitener_of(noise)
+    known = known or Known(np.zeros((0, matrices.size)), np.zeros(0), matrices)
+    caution = 0.0
+    here = _linears(pieces, matrices, own, whitener)
+    squares = total_squares(here, known, matrices)
+    history = []
+    for _ in range(steps):
+        history.append(squares)
+        if len(history) > VALLEY and history[-VALLEY] - squares < 1:  # as flat as this is for the covariance to tell
+            return ReleaseFit(pieces, matrices, own, noise, here)
+        move, moves, promised = _step(pieces, here, caution, known=known, matrices=matrices)
+        if promised < max(enough, 1e-12 * squares):
+            return ReleaseFit(pieces, matrices, own, noise, here)
+        trial = matrices + move
+        tried = tuple(old + change for old, change in zip(own, moves, strict=True))
+        found = np.inf
+        if _bounded(pieces, motion_of(trial, n), tried):
+            found = total_squares(_linears(pieces, trial, tried, whitener, derivatives=False), known, trial)
+        if found < squares:
+            matrices, own, caution = trial, tried, caution / 10 if caution > 1e-6 else 0.0
+            here = _linears(pieces, matrices, own, whitener)
+            squares = found
+        elif promised < 1e-9 * squares:  # rounding is all that is left
+            return ReleaseFit(pieces, matrices, own, noise, here)
+        else:
+            caution = max(10 * caution, 1e-3)
+    raise FitError(
+        f"{', '.join(piece.name for piece in pieces)}: the fit of the decays does not settle; are these releases of "
+        "one and the same balance and model, with nothing touching it?"
+    )
+
+
+def total_squares(linears: Sequence[Linear], known: Known, matrices: Array) -> float:
+    """Sum of squared weighted residuals of pieces and of what is known."""
+    return sum(linear.squares for linear in linears) + float(np.sum(known.left(matrices) ** 2))
+
+
+def _linears(
+    pieces: tuple[Piece, ...], matrices: Array, own: tuple[Array, ...], whitener: Array, *, derivatives: bool = True
+) -> tuple[Linear, ...]:
+    motion = motion_of(matrices, whitener.shape[0])
+    return tuple(
+        linearise(piece, motion, mine, whitener=whitener, derivatives=derivatives)
+        for piece, mine in zip(pieces, own, strict=True)
+    )
+
+
+def _step(
+    pieces: tuple[Piece, ...], linears: tuple[Linear, ...], caution: float, *, known: Known, matrices: Array
+) -> tuple[Array, list[Array], float]:
+    """Step of the matrices and of each record's own parameters, and the drop of squares that it promises."""
+    blocks = [damped(linear.block, piece.own, caution) for linear, piece in zip(linears, pieces, strict=True)]
+    common = np.vstack([of_matrices(block, piece.own) for block, piece in zip(blocks, pieces, strict=True)])
+    table = np.vstack([common[:, :-1], known.rows])
+    target = np.concatenate([common[:, -1], known.left(matrices)])
+    scale = np.linalg.norm(table, axis=0)
+    scale[scale == 0] = 1.0
+    full = np.vstack([table / scale, caution * np.eye(scale.size)])
+    move = np.linalg.lstsq(full, np.concatenate([target, np.zeros(scale.size)]), rcond=1e-14)[0] / scale
+    moves = []
+    promised = float(target @ target - np.sum((target - table @ move) ** 2))
+    for block, piece in zip(blocks, pieces, strict=True):
+        k = piece.own
+        aim = block[:k, -1] - block[:k, k:-1] @ move
+        moves.append(np.linalg.lstsq(block[:k, :k], aim, rcond=1e-14)[0])
+        promised += float(block[:k, -1] @ block[:k, -1])
+    return move, moves, promised
+
+
+def _bounded(pieces: tuple[Piece, ...], motion: FreeMotion, own: tuple[Array, ...]) -> bool:
+    """Whether a trial motion stays finite over the records and its edges lie in them."""
+    longest = max(float(piece.time[-1] - piece.time[0]) for piece in pieces)
+    inside = True
+    n = motion.size
+    for piece, mine in zip(pieces, own, strict=True):
+        if piece.kind != "free":
+            instant = float(mine[2 * n])
+            inside &= piece.time[0] < instant < piece.time[-1 - 3 * n]
+        if piece.kind == "ramp":
+            inside &= mine[-1] >= 0 and piece.edge[0] <= instant and instant + mine[-1] <= piece.edge[1]
+    return bool(inside and float(motion.poles.real.max()) * longest < LARGEST_GROWTH)
+
+
+def residual_noise(fit: ReleaseFit, *, least: Array) -> Array:
+    """Covariance of the residuals, shape (n, n); no deviation is taken to be below the least one, shape (n,)."""
+    table = np.vstack([part for linear in fit.linears for part in (linear.held, linear.ringing)])
+    covariance = table.T @ table * (fit.size / max(fit.degrees_of_freedom, 1))
+    deviation = np.maximum(np.sqrt(np.diag(covariance)), least)
+    correlation = covariance / np.outer(deviation, deviation)
+    np.fill_diagonal(correlation, 1.0)
+    if (deviation <= least).any() or np.linalg.eigvalsh(correlation)[0] < LEAST_INDEPENDENCE:
+        correlation = np.eye(fit.size)  # not noise but rounding, or a misfit that all components share
+    return np.asarray(correlation * np.outer(deviation, deviation))
+
+
+def replaced(fit: ReleaseFit, number: int, *, piece: Piece, own: Array) -> ReleaseFit:
+    """The fit with one record taken otherwise, not settled."""
+    pieces = (*fit.pieces[:number], piece, *fit.pieces[number + 1 :])
+    mine = (*fit.own[:number], own, *fit.own[number + 1 :])
+    return replace(fit, pieces=pieces, own=mine)

@@ -1,0 +1,107 @@
+"""The commands on components that ring together, from files to files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aerobalance.cli import main
+from aerobalance.components import COMPONENTS
+from aerobalance.io import read, write_recording
+from aerobalance.io.coupled_file import write_coupled
+from aerobalance.rigs import SixComponentRig
+from aerobalance.rigs.six_balance import CoupledBalance, random_balance
+from aerobalance.rigs.six_components import Release, SixSimulation
+
+
+@pytest.fixture(scope="module")
+def cut(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CoupledBalance, SixSimulation, int]:
+    """A folder with the record of a release, run.h5, and the balance's dynamics.json."""
+    entropy = int(np.random.SeedSequence().generate_state(1)[0])
+    generator = np.random.default_rng(entropy)
+    balance = random_balance(generator)
+    rig = SixComponentRig(balance, releases=(Release(0.3 * balance.half_range, 0.1001),), output="loads")
+    simulation = rig.run(0.25, generator)
+    folder = tmp_path_factory.mktemp("six")
+    write_recording(folder / "run.h5", simulation.recording)
+    write_coupled(folder / "dynamics.json", replace(balance.dynamics, mass=balance.mass))
+    return folder, balance, simulation, entropy
+
+
+def test_force_takes_a_file_of_coupled_dynamics(
+    cut: tuple[Path, CoupledBalance, SixSimulation, int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, balance, simulation, entropy = cut
+    out = folder / "force.csv"
+    assert (
+        main(["force", str(folder / "run.h5"), "--dynamics", str(folder / "dynamics.json"), "-o", str(out), "--json"])
+        == 0
+    )
+    account = json.loads(capsys.readouterr().out)
+    found = read(out)
+    for place, name in enumerate(COMPONENTS):
+        steps = account["components"][name]["steps"]
+        assert [step["instant"] for step in steps] == pytest.approx([0.1001], abs=4e-6), f"{name}, seed {entropy}"
+        error = found.channel(name).values - simulation.applied[:, place]
+        error[np.abs(found.time - 0.1001) < 1e-4] = 0
+        # 0.05 % of half range on the plateaus is what is promised
+        assert np.sqrt(np.mean(error**2)) < 5e-4 * balance.half_range[place], f"{name}, seed {entropy}"
+        assert f"u_{name}" in found
+
+
+def test_force_says_which_component_lacks(
+    cut: tuple[Path, CoupledBalance, SixSimulation, int], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    folder, _, simulation, _ = cut
+    recording = simulation.recording
+    channels = {name: channel for name, channel in recording.channels.items() if name != "RM"}
+    write_recording(tmp_path / "five.h5", replace(recording, channels=channels))
+    arguments = ["force", str(tmp_path / "five.h5"), "--dynamics", str(folder / "dynamics.json")]
+    assert main([*arguments, "-o", str(tmp_path / "f.csv")]) == 1
+    assert "has no RM" in capsys.readouterr().err
+    assert not (tmp_path / "f.csv").exists()
+
+
+def test_force_refuses_what_is_for_one_component(
+    cut: tuple[Path, CoupledBalance, SixSimulation, int], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    folder, *_ = cut
+    run = str(folder / "run.h5")
+    arguments = ["force", run, "--dynamics", str(folder / "dynamics.json"), "-o", str(tmp_path / "f.csv")]
+    assert main([*arguments, "--monte-carlo", "20"]) == 2
+    assert "ring together" in capsys.readouterr().err
+    assert main([*arguments, "--noise-record", run]) == 1
+    assert "each for itself" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--component", "all", "--modes", "2"], "--modes is for one component"),
+        (["--component", "all", "--half-range", "NF=x"], "like NF=2000"),
+        (["--component", "all", "--half-range", "NF=2000"], "PM, SF, YM, RM, AF are needed too"),
+        (["--component", "AF"], "--mass is needed"),
+        (["--component", "AF", "--mass", "1", "--half-range", "AF=1"], "goes with --component all"),
+    ],
+)
+def test_identify_decay_refuses_what_does_not_go_together(
+    cut: tuple[Path, CoupledBalance, SixSimulation, int],
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    words: str,
+) -> None:
+    folder, *_ = cut
+    assert main(["identify", "decay", str(folder / "run.h5"), *options]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_one_component_is_identified_from_one_recording(
+    cut: tuple[Path, CoupledBalance, SixSimulation, int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = str(cut[0] / "run.h5")
+    assert main(["identify", "decay", run, run, "--mass", "1"]) == 2
+    assert "one component is identified from one" in capsys.readouterr().err
