@@ -22,7 +22,9 @@ def drawn() -> tuple[CoupledBalance, int]:
 
 
 def _noise(balance: CoupledBalance) -> Array:
-    return balance.noise * balance.half_range
+    """Covariance of the noise, with a correlation of 0.3 between neighbours."""
+    size = balance.noise * balance.half_range
+    return np.outer(size, size) * (np.eye(6) + 0.3 * np.eye(6, k=1) + 0.3 * np.eye(6, k=-1))
 
 
 def test_the_lone_balance_has_the_noise_of_the_coupled_inverse(drawn: tuple[CoupledBalance, int]) -> None:
@@ -32,8 +34,9 @@ def test_the_lone_balance_has_the_noise_of_the_coupled_inverse(drawn: tuple[Coup
     inverse = dynamics.inverse_response(frequency)
     for place, name in enumerate(dynamics.components):
         lone = LoneComponent.of(dynamics, name, noise=noise)
-        through_all = np.sqrt(np.abs(inverse[:, place]) ** 2 @ noise**2)
-        alone = noise[place] / np.abs(lone.dynamics.response(frequency))
+        row = inverse[:, place]
+        through_all = np.sqrt(np.real(np.einsum("mi,ij,mj->m", row, noise, row.conj())))
+        alone = np.sqrt(noise[place, place]) / np.abs(lone.dynamics.response(frequency))
         # both are the root of a sum of six squares; the powers of frequency reach 1e4 here, so 1e-12 is rounding
         np.testing.assert_allclose(alone, through_all, rtol=1e-11, err_msg=f"{name}, seed {entropy}")
 
@@ -41,7 +44,7 @@ def test_the_lone_balance_has_the_noise_of_the_coupled_inverse(drawn: tuple[Coup
 def test_a_component_by_itself_is_left_as_it_is() -> None:
     dynamics = CoupledDynamics(("NF", "AF"), np.diag([1e-6, 4e-6]), np.diag([1e-5, 2e-5]))
     loads = np.random.default_rng(1).normal(size=(100, 2))
-    lone = LoneComponent.of(dynamics, "AF", noise=np.array([3.0, 1.0]))
+    lone = LoneComponent.of(dynamics, "AF", noise=np.diag([9.0, 1.0]))
     assert lone.alone
     assert (lone.own_inertia, lone.own_damping) == (4e-6, 2e-5)
     assert (lone.reading(loads, interval=1e-4) == loads[:, 1]).all()
@@ -73,7 +76,7 @@ def test_the_lone_reading_knows_its_own_force_only(drawn: tuple[CoupledBalance, 
 def test_slopes_are_those_of_differences(drawn: tuple[CoupledBalance, int]) -> None:
     balance, entropy = drawn
     dynamics = balance.dynamics
-    loads = np.cumsum(np.random.default_rng(entropy).normal(size=(400, 6)), axis=0) * _noise(balance)
+    loads = np.cumsum(np.random.default_rng(entropy).normal(size=(400, 6)), axis=0) * balance.half_range
     lone = LoneComponent.of(dynamics, "YM", noise=_noise(balance))
     slopes = lone.parameter_slopes(loads, interval=1 / RATE)
     before = lone.reading(loads, interval=1 / RATE)

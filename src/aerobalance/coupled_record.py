@@ -176,8 +176,7 @@ class CoupledRecord:
         loads = np.column_stack([np.where(channel.at_limit, np.nan, channel.values) for channel in channels])
         interval = 1 / recording.rate
         from_ground = load_felt(dynamics, net_load(platform, dynamics), interval=interval)
-        columns = zip(channels, bridged(loads).T, strict=True)
-        noise = np.array([_noise_of(channel, column) for channel, column in columns])
+        noise = _noise_covariance(channels, bridged(loads))
         lones = tuple(LoneComponent.of(dynamics, name, noise=noise) for name in dynamics.components)
         return cls(
             recording,
@@ -292,10 +291,29 @@ def _channels(recording: Recording, dynamics: CoupledDynamics) -> tuple[Channel,
     return channels
 
 
-def _noise_of(channel: Channel, filled: Array) -> float:
-    """Noise of a channel, for its weight beside the others; never quite nothing."""
-    noise = white_noise(filled) if channel.noise is None else channel.noise
-    return max(noise, 1e-9 * float(np.max(np.abs(filled))), 1e-60)
+def _noise_covariance(channels: Sequence[Channel], filled: Array) -> Array:
+    """Covariance of the noise of a reading, shape (n, n): a balance matrix mixes the noise of the gauges.
+
+    What the channels have in common is judged from the upper half of the spectrum, where no load is left.
+    """
+    deviation = np.array(
+        [
+            max(
+                white_noise(column) if channel.noise is None else channel.noise,
+                EXACT * float(np.max(np.abs(column))),
+                1e-60,
+            )
+            for channel, column in zip(channels, filled.T, strict=True)
+        ]
+    )
+    spectrum = np.fft.rfft(np.diff(filled, 4, axis=0), axis=0)
+    upper = spectrum[spectrum.shape[0] // 2 :]
+    power = np.real(upper.conj().T @ upper)
+    size = np.sqrt(np.maximum(np.diag(power), 1e-300))
+    correlation: Array = power / np.outer(size, size)
+    # between independent channels it scatters by 1 / sqrt(2 m) over m ordinates; one in 1e8 passes this
+    correlation[np.abs(correlation) < 4 / np.sqrt(upper.shape[0])] = 0.0
+    return np.outer(deviation, deviation) * correlation
 
 
 def bridged(loads: Array) -> Array:

@@ -1,11 +1,12 @@
 r"""Coupled components taken apart: six readings of which each is that of a balance with one component.
 
-Row i of F = X + D X' + A X'' gives F_i with noise of the spectrum N_i = sum_j R_j |delta_ij + D_ij s + A_ij s^2|^2,
-R_j the noise of channel j. That is a polynomial of second degree in the square of the frequency, so it has a factor
-N_i = R_i |1 + d s + a s^2|^2 which is stable: N_i is the noise with which a balance of one component, of mass over
-stiffness a and damping over stiffness d, would give F_i. What that balance would read,
+Row i of F = X + D X' + A X'' gives F_i with noise of the spectrum N_i = r R r*, r_j = delta_ij + D_ij s + A_ij s^2,
+and R the covariance of the channels' noise. It is a polynomial of second degree in the square of the frequency, so it
+has a stable factor, N_i = R_ii |1 + d s + a s^2|^2: the noise with which a balance of one component, of mass over
+stiffness a and damping over stiffness d, would give F_i.
+What that balance would read,
 
-    z_i = (X_i + sum_j (D_ij s + A_ij s^2) X_j) / (1 + d s + a s^2) = G_i F_i + white noise of variance R_i,
+    z_i = (X_i + sum_j (D_ij s + A_ij s^2) X_j) / (1 + d s + a s^2) = G_i F_i + white noise of variance R_ii,
 
 is found from the readings without any derivative of them, and contains nothing of the other components' forces. All
 that is done with one component is done with z_i; where row i of D and A has no other components, z_i is X_i.
@@ -62,16 +63,16 @@ class LoneComponent:
         component
             Which of them.
         noise
-            Standard deviation of a reading of every component, shape (n,) [N, N*m]; the ratios are what matters.
+            Covariance of the noise of a reading, shape (n, n) [N^2, N^2*m, N^2*m^2]; the ratios are what matters.
         """
         place = dynamics.components.index(component)
         D, A = dynamics.damping[place], dynamics.inertia[place]
         lone = cls(place, component, D, A, float(D[place]), float(A[place]))
         if lone.alone:
             return lone
-        weight = (noise / noise[place]) ** 2
-        a = float(np.sqrt(weight @ A**2))
-        d = float(np.sqrt(2 * (a - A[place]) + weight @ D**2))
+        own = noise[place, place]
+        a = float(np.sqrt(A @ noise @ A / own))
+        d = float(np.sqrt(max(2 * (a - A @ noise[place] / own) + D @ noise @ D / own, 0.0)))
         return replace(lone, own_damping=d, own_inertia=a)
 
     @property

@@ -41,11 +41,11 @@ REPEATS: Final = 3
 ATTITUDES: Final = ((0, 0), (-15, 0), (15, 0), (0, 90), (0, -90), (10, 45), (-10, -45), (0, 180))
 """Pitch and roll of the weighing [deg]."""
 
-PULLED: Final = 0.5
-"""Size of the releases of the identification, over half range."""
+PULLED: Final = 0.3
+"""Size of the releases of the identification, over half range: a release rings with up to twice its size."""
 
-GUSTS: Final = 0.1
-"""Rms of the gusts of the run, over half range."""
+FELT: Final = 0.15
+"""Rms of the load felt under the gusts of the run, over half range, in the component that feels most of them."""
 
 DURATION: Final = 1.0
 """Length of the run [s]."""
@@ -158,10 +158,10 @@ def _identified(folder: _Folder, balance: CoupledBalance, files: BalanceFiles, m
     for place, name in enumerate(COMPONENTS):
         load = np.zeros(len(COMPONENTS))
         load[place] = PULLED * balance.half_range[place]
-        rig = SixComponentRig(balance, releases=(Release(load, instant=0.1),))
+        rig = replace(_still(balance, 0.0, 0.0), releases=(Release(load, instant=0.1),))
         recorded, _ = folder.record(f"release_{name}", rig, 1.0)
         paths.append(folder.path / f"release_{name}_loads.h5")
-        loads_command.loads(recorded, paths[-1], files=files)
+        loads_command.loads(recorded, paths[-1], files=replace(files, mass=mass))
     dynamics = folder.path / "dynamics.json"
     half_range = dict(zip(COMPONENTS, balance.half_range.tolist(), strict=True))
     identify_decays(paths, dynamics, mass=str(mass), half_range=half_range)
@@ -171,16 +171,26 @@ def _identified(folder: _Folder, balance: CoupledBalance, files: BalanceFiles, m
 def _run(folder: _Folder, balance: CoupledBalance) -> tuple[Path, SixSimulation]:
     """Gusts through all resonances, a release, and a sting that shakes."""
     top = 1.2 * max(mode.natural_frequency for mode in balance.dynamics.modes)
-    size = balance.half_range * np.array([0.3, 0.25, 0.2, 0.25, 0.2, 0.3])
+    band = Band(0, top)
+    gusts = FELT / _felt(balance, band) * balance.half_range
+    size = balance.half_range * np.array([0.3, 0.25, 0.2, 0.25, 0.2, 0.3]) / 2
     rig = SixComponentRig(
         balance,
         releases=(Release(size, instant=INSTANT),),
-        applied=broadband(folder.generator, Band(0, top), rms=GUSTS * balance.half_range, period=2 * DURATION),
+        applied=broadband(folder.generator, band, rms=gusts, period=2 * DURATION),
         base=random_motion(folder.generator, Band(2, 40), rms=np.array([1, 1, 1, 1, 1, 1]), period=2 * DURATION),
         pitch=lambda time: np.zeros(time.shape),
         roll=lambda time: np.zeros(time.shape),
     )
     return folder.record("run", rig, DURATION)
+
+
+def _felt(balance: CoupledBalance, band: Band) -> float:
+    """Largest rms of a load felt over half range, when all loads applied have the rms of half range."""
+    frequency = np.linspace(0, band.highest, 4001)
+    response = balance.dynamics.response(frequency) * balance.half_range / balance.half_range[:, None]
+    power = np.sum(np.abs(response) ** 2, axis=2) * band.density(frequency)[:, None]
+    return float(np.sqrt(np.max(np.trapezoid(power, frequency, axis=0))))
 
 
 def _diagonal(run: Path, dynamics: Path, files: BalanceFiles) -> Mapping[str, Array]:

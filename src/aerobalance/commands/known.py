@@ -46,6 +46,10 @@ class Settings(NamedTuple):
 class Known(Protocol):
     """What a command asks of dynamics of either kind."""
 
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Components that the dynamics are of."""
+
     def names_in(self, recording: Recording) -> list[str]:
         """Components of a recording that a force can be worked out for."""
 
@@ -75,6 +79,11 @@ class Separate:
     """
 
     parts: Mapping[str, Dynamics]
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Components whose dynamics are known."""
+        return tuple(self.parts)
 
     def names_in(self, recording: Recording) -> list[str]:
         """Components of the recording whose dynamics are known."""
@@ -123,6 +132,11 @@ class Coupled:
     """
 
     dynamics: CoupledDynamics
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Components that ring together."""
+        return self.dynamics.components
 
     def names_in(self, recording: Recording) -> list[str]:
         """All components, or none."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -107,9 +107,18 @@ class BalanceFiles:
 
 
 def reduced(
-    recording: Recording, files: BalanceFiles, *, form: Form | None = None, channel_map: Path | None = None
+    recording: Recording,
+    files: BalanceFiles,
+    *,
+    form: Form | None = None,
+    channel_map: Path | None = None,
+    on_zero: Callable[[Sequence[Recording]], Array] | None = None,
 ) -> tuple[LoadsFelt, BalanceMatrix]:
-    """Loads felt in a recording, with zeros and tares from their files."""
+    """Loads felt in a recording, with zeros and tares from their files.
+
+    `on_zero` gives the weight that hung on the balance while its zero was read, by component: taken out of the zero,
+    it stays in the loads, and curved bridges are read from where they were calibrated.
+    """
     if files.tare and files.mass is not None:
         raise ValueError("give --tare or --mass, not both: each takes the weight off")
     matrix = read_matrix(files.balance)
@@ -120,7 +129,7 @@ def reduced(
             DoubtWarning,
             stacklevel=2,
         )
-    zero = _zero(files, matrix, channel_map)
+    zero = _zero(files, matrix, channel_map, on_zero=on_zero)
     if form not in (None, "direct") and (files.tare or files.mass is not None):
         raise ValueError(f"--form {form} cannot go with --tare or --mass, which are in direct-read form")
     tare = None
@@ -172,14 +181,13 @@ def from_gauges(
     """
     if files.mass is not None:
         raise ValueError("the weight comes from the mass in the dynamics; --mass would take it off twice")
-    felt, matrix = reduced(recording, files, channel_map=channel_map)
+
+    def carried(zeros: Sequence[Recording]) -> Array:
+        return _weight_on_zero(zeros, known, gravity=gravity, pitched="pitch" in recording)
+
+    felt, matrix = reduced(recording, files, channel_map=channel_map, on_zero=None if files.tare else carried)
     ready = with_loads(recording, felt)
-    if files.tare:
-        return _without_gravity(ready), Reduction(felt, matrix)
-    if files.zero and not files.as_they_are:
-        zeros = [recording_of(path, channel_map) for path in files.zero]
-        ready = _with_weight_at_zero(ready, zeros, known, gravity=gravity)
-    return ready, Reduction(felt, matrix)
+    return (_without_gravity(ready) if files.tare else ready), Reduction(felt, matrix)
 
 
 def _without_gravity(recording: Recording) -> Recording:
@@ -194,29 +202,23 @@ def _without_gravity(recording: Recording) -> Recording:
     return replace(recording, channels=channels)
 
 
-def _with_weight_at_zero(
-    recording: Recording, zeros: Sequence[Recording], known: Known, *, gravity: float
-) -> Recording:
-    """Add the weight that the zero took off with it, as it was read with the model on."""
-    channels = dict(recording.channels)
-    for name in known.names_in(recording):
-        if name not in channels:
-            continue
-        weights = []
-        for zero in zeros:
-            pitch, roll = (
-                zero.channel(angle).values if angle in zero else np.zeros(zero.samples) for angle in ("pitch", "roll")
-            )
-            weights.append(float(np.nanmean(known.weight(name, pitch=pitch, roll=roll, gravity=gravity))))
-        channels[name] = replace(channels[name], values=channels[name].values + float(np.mean(weights)))
+def _weight_on_zero(zeros: Sequence[Recording], known: Known, *, gravity: float, pitched: bool) -> Array:
+    """Weight of the moving mass on the balance while its zero was read, in the order of the components, shape (6,)."""
     lacking = [zero.name for zero in zeros if "pitch" not in zero]
-    if lacking and "pitch" in recording:
+    if lacking and pitched:
         warnings.warn(
             f"{lacking[0]} has no channel pitch; the zero is taken as read level, with the model on",
             DoubtWarning,
             stacklevel=3,
         )
-    return replace(recording, channels=channels)
+    weights = np.zeros((len(zeros), len(COMPONENTS)))
+    for row, zero in zip(weights, zeros, strict=True):
+        pitch, roll = (
+            zero.channel(angle).values if angle in zero else np.zeros(zero.samples) for angle in ("pitch", "roll")
+        )
+        for name in known.components:
+            row[COMPONENTS.index(name)] = np.nanmean(known.weight(name, pitch=pitch, roll=roll, gravity=gravity))
+    return np.asarray(weights.mean(axis=0))
 
 
 def _stand_in(zero: GaugeZero | None, recordings: Sequence[Recording], matrix: BalanceMatrix) -> GaugeZero | None:
@@ -232,7 +234,13 @@ def _stand_in(zero: GaugeZero | None, recordings: Sequence[Recording], matrix: B
     return gauge_zero(recordings, matrix)
 
 
-def _zero(files: BalanceFiles, matrix: BalanceMatrix, channel_map: Path | None) -> GaugeZero | None:
+def _zero(
+    files: BalanceFiles,
+    matrix: BalanceMatrix,
+    channel_map: Path | None,
+    *,
+    on_zero: Callable[[Sequence[Recording]], Array] | None = None,
+) -> GaugeZero | None:
     if files.as_they_are:
         nothing = np.zeros(len(matrix.components))
         return GaugeZero(nothing, nothing, "none: outputs as they are", nothing)
@@ -242,11 +250,19 @@ def _zero(files: BalanceFiles, matrix: BalanceMatrix, channel_map: Path | None) 
         return None
     before, after = ([recording_of(path, channel_map) for path in paths] for paths in (files.zero, files.zero_after))
     zero = gauge_zero(before, matrix, after=after)
-    return zero if files.mass is None else _weightless(zero, before, files.mass, matrix)
+    if files.mass is not None:
+        return _without_weight(zero, _weighed(before, files.mass, matrix), matrix)
+    if on_zero is None:
+        return zero
+    direct = on_zero(before)
+    if matrix.direct is not None:
+        return _without_weight(zero, direct, matrix)
+    own = [direct[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in matrix.components]
+    return _without_weight(zero, np.array(own), matrix)
 
 
-def _weightless(zero: GaugeZero, recordings: list[Recording], mass: Path, matrix: BalanceMatrix) -> GaugeZero:
-    """Take the model's weight out of a zero that was read with the model on the balance."""
+def _weighed(recordings: list[Recording], mass: Path, matrix: BalanceMatrix) -> Array:
+    """Weight of a weighing at the attitudes of recordings, their mean, in the order of direct-read loads."""
     lacking = [recording.name for recording in recordings if "pitch" not in recording]
     if lacking:
         raise FitError(
@@ -254,7 +270,13 @@ def _weightless(zero: GaugeZero, recordings: list[Recording], mass: Path, matrix
             "or take wind-off recordings as --tare instead of --mass"
         )
     weights = [_weight(recording, mass, matrix)[0] for recording in recordings]
-    weight = np.mean([np.nanmean(table, axis=0) for table in weights], axis=0)
+    return np.asarray(np.mean([np.nanmean(table, axis=0) for table in weights], axis=0))
+
+
+def _without_weight(zero: GaugeZero, weight: Array, matrix: BalanceMatrix) -> GaugeZero:
+    """Take the model's weight out of a zero that was read with the model on the balance."""
+    if not weight.any():
+        return zero
     native: Array = weight if matrix.direct is None else np.linalg.solve(matrix.direct, weight).astype(np.float64)
     outputs = matrix.outputs(native[None, :])[0]
     return replace(zero, values=zero.values - outputs, source=f"{zero.source}, less the weight")
