@@ -43,6 +43,6 @@ def six_figure(data: SixFigure, label: str) -> str:
             ax.plot(data.time[::thin], values[::thin], color=colour, linewidth=width, linestyle=dashes, label=what)
         ax.set(ylabel=f"{name} [{si_unit(name).replace('*', '·')}]", xlim=(data.time[0], data.time[-1]))
     axes[-1].set(xlabel="time [s]")
-    legend(axes[0], colours, "upper right", columns=3)
+    legend(axes[0], colours, (0.28, 1.02), columns=3)
     text = f"Six components, {label}: load felt, force recovered, force applied"
     return inline(figure, f"six-{label.replace(' ', '-')}", text)
