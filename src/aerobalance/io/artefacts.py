@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Final, NoReturn, TypeVar
+from typing import Annotated, Any, Final, NoReturn, TypedDict, TypeVar, Unpack
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -60,14 +60,29 @@ class Covariance(Loose):
     matrix: list[list[Finite]]
 
 
+class Origin(TypedDict, total=False):
+    """What a result was computed from.
+
+    Attributes
+    ----------
+    inputs
+        Files; their SHA-256 is noted.
+    settings
+        Settings of the computation.
+    warnings
+        What was warned about.
+    """
+
+    inputs: Sequence[Path]
+    settings: Mapping[str, object] | None
+    warnings: Sequence[str]
+
+
 def write_artefact(
     path: Path | str,
     kind: str,
     contents: Mapping[str, object],
-    *,
-    inputs: Sequence[Path] = (),
-    settings: Mapping[str, object] | None = None,
-    warnings: Sequence[str] = (),
+    **origin: Unpack[Origin],
 ) -> None:
     """Write an artefact whole or not at all.
 
@@ -79,12 +94,8 @@ def write_artefact(
         What it holds: dynamics, mass or balance.
     contents
         Its own keys, as plain data.
-    inputs
-        Files the result was computed from; their SHA-256 is noted.
-    settings
-        Settings of the computation.
-    warnings
-        What was warned about.
+    origin
+        What it was computed from.
 
     Raises
     ------
@@ -95,8 +106,8 @@ def write_artefact(
         "kind": kind,
         "schema": SCHEMA,
         **contents,
-        "warnings": list(warnings),
-        "provenance": provenance(inputs, settings=settings),
+        "warnings": list(origin.get("warnings", ())),
+        "provenance": provenance(origin.get("inputs", ()), settings=origin.get("settings")),
     }
     write_json(path, payload)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Unpack
 
 import numpy as np
 from pydantic import Field
@@ -243,9 +243,7 @@ def write_balance(
     matrix: BalanceMatrix,
     *,
     found: Mapping[str, object],
-    inputs: Sequence[Path] = (),
-    settings: Mapping[str, object] | None = None,
-    warnings: Sequence[str] = (),
+    **origin: Unpack[artefacts.Origin],
 ) -> None:
     """Write balance.json.
 
@@ -257,12 +255,8 @@ def write_balance(
         The matrix.
     found
         How the calibration went (`calibration_payload`).
-    inputs
-        Files the result was computed from; their SHA-256 is noted.
-    settings
-        Settings of the computation.
-    warnings
-        What was warned about.
+    origin
+        What it was computed from.
 
     Raises
     ------
@@ -270,7 +264,7 @@ def write_balance(
         The file cannot be written.
     """
     contents = {**found, "matrix": matrix_payload(matrix)}
-    artefacts.write_artefact(path, "balance", contents, inputs=inputs, settings=settings, warnings=warnings)
+    artefacts.write_artefact(path, "balance", contents, **origin)
 
 
 def read_balance(path: Path | str) -> BalanceMatrix:

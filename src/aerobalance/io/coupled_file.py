@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, Unpack
 
 import numpy as np
 from pydantic import Field
@@ -14,19 +14,18 @@ from aerobalance.components import COMPONENTS, si_unit
 from aerobalance.coupled import CoupledDynamics, RigidMass
 from aerobalance.dynamics import Dynamics
 from aerobalance.io.artefacts import (
-    SCHEMA,
     Covariance,
     Finite,
     Loose,
     NotNegative,
+    Origin,
     Positive,
     PositiveValue,
     Value,
     check_unit,
     checked_covariance,
     load,
-    provenance,
-    write_json,
+    write_artefact,
 )
 from aerobalance.io.dynamics_file import FREQUENCY_AGREEMENT, read_dynamics
 from aerobalance.problems import ReadError
@@ -161,9 +160,7 @@ def write_coupled(
     dynamics: CoupledDynamics,
     *,
     details: Mapping[str, object] | None = None,
-    inputs: Sequence[Path] = (),
-    settings: Mapping[str, object] | None = None,
-    warnings: Sequence[str] = (),
+    **origin: Unpack[Origin],
 ) -> None:
     """Write dynamics.json of coupled components.
 
@@ -175,22 +172,16 @@ def write_coupled(
         What it is to hold.
     details
         How the fit went; written under ``fit``.
-    inputs
-        Files the result was computed from; their SHA-256 is noted.
-    settings
-        Settings of the computation.
-    warnings
-        What was warned about.
+    origin
+        What it was computed from.
 
     Raises
     ------
     ValueError
         The file cannot be written.
     """
-    payload = {"kind": KIND, "schema": SCHEMA, **coupled_payload(dynamics)}
-    if details:
-        payload["fit"] = dict(details)
-    write_json(path, {**payload, "warnings": list(warnings), "provenance": provenance(inputs, settings=settings)})
+    fit = {"fit": dict(details)} if details else {}
+    write_artefact(path, KIND, {**coupled_payload(dynamics), **fit}, **origin)
 
 
 def read_coupled(path: Path | str) -> CoupledDynamics:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, Unpack
 
 from pydantic import Field
 
@@ -16,6 +16,7 @@ from aerobalance.io.artefacts import (
     Loose,
     NotNegative,
     NotNegativeValue,
+    Origin,
     Positive,
     PositiveValue,
     Value,
@@ -108,9 +109,7 @@ def write_dynamics(
     dynamics: Mapping[str, Dynamics],
     *,
     details: Mapping[str, Mapping[str, object]] | None = None,
-    inputs: Sequence[Path] = (),
-    settings: Mapping[str, object] | None = None,
-    warnings: Sequence[str] = (),
+    **origin: Unpack[Origin],
 ) -> None:
     """Write dynamics.json.
 
@@ -122,12 +121,8 @@ def write_dynamics(
         Dynamics by component.
     details
         How each fit went, by component.
-    inputs
-        Files the result was computed from; their SHA-256 is noted.
-    settings
-        Settings of the computation.
-    warnings
-        What was warned about.
+    origin
+        What it was computed from.
 
     Raises
     ------
@@ -135,7 +130,7 @@ def write_dynamics(
         The file cannot be written.
     """
     components = {name: dynamics_payload(item, details=(details or {}).get(name)) for name, item in dynamics.items()}
-    write_artefact(path, "dynamics", {"components": components}, inputs=inputs, settings=settings, warnings=warnings)
+    write_artefact(path, "dynamics", {"components": components}, **origin)
 
 
 def read_dynamics(path: Path | str) -> dict[str, Dynamics]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Unpack
 
 import numpy as np
 from pydantic import Field
@@ -14,6 +14,7 @@ from aerobalance.io.artefacts import (
     Covariance,
     Finite,
     Loose,
+    Origin,
     PositiveValue,
     Value,
     check_unit,
@@ -63,10 +64,7 @@ def mass_payload(mass: MovingMass) -> dict[str, object]:
 def write_mass(
     path: Path | str,
     masses: Mapping[str, MovingMass],
-    *,
-    inputs: Sequence[Path] = (),
-    settings: Mapping[str, object] | None = None,
-    warnings: Sequence[str] = (),
+    **origin: Unpack[Origin],
 ) -> None:
     """Write mass.json; the arguments are those of `write_dynamics`.
 
@@ -76,7 +74,7 @@ def write_mass(
         The file cannot be written.
     """
     components = {name: mass_payload(item) for name, item in masses.items()}
-    write_artefact(path, "mass", {"components": components}, inputs=inputs, settings=settings, warnings=warnings)
+    write_artefact(path, "mass", {"components": components}, **origin)
 
 
 def read_mass(path: Path | str) -> dict[str, MovingMass]:

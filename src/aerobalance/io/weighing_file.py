@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, Unpack
 
 import numpy as np
 from pydantic import Field
@@ -119,10 +119,7 @@ def _model_payload(weighing: Weighing) -> dict[str, object]:
 def write_weighing(
     path: Path | str,
     weighing: Weighing,
-    *,
-    inputs: Sequence[Path] = (),
-    settings: Mapping[str, object] | None = None,
-    warnings: Sequence[str] = (),
+    **origin: Unpack[artefacts.Origin],
 ) -> None:
     """Write mass.json; ``components`` in it is what `read_mass` takes, the rest is for `read_weighing`.
 
@@ -132,7 +129,7 @@ def write_weighing(
         The file cannot be written.
     """
     contents = weighing_payload(weighing)
-    artefacts.write_artefact(path, "mass", contents, inputs=inputs, settings=settings, warnings=warnings)
+    artefacts.write_artefact(path, "mass", contents, **origin)
 
 
 def read_weighing(path: Path | str) -> Weighing:
