@@ -38,8 +38,12 @@ def _next_gain(
 ) -> tuple[float, float]:
     """Gain of one sample into K, covariance P carried to the next; innovation variance and relative change of P."""
     d = h.size
-    Ph = P @ h
-    S = R + float(h @ Ph)
+    Ph = np.zeros(d)
+    S = R
+    for i in range(d):
+        for j in range(d):
+            Ph[i] += P[i, j] * h[j]
+        S += h[i] * Ph[i]
     for i in range(d):
         K[i] = Ph[i] / S if here else 0.0
     updated = np.empty((d, d))
@@ -51,7 +55,19 @@ def _next_gain(
             across += updated[i, j] * h[j]
         for j in range(d):
             updated[i, j] += (R * K[i] - across) * K[j]
-    following = np.dot(np.dot(A, updated), columns) + Q
+    # written out: the compiler takes seconds over products of arrays
+    across_A = np.zeros((d, d))
+    following = np.empty((d, d))
+    for i in range(d):
+        for m in range(d):
+            for j in range(d):
+                across_A[i, j] += A[i, m] * updated[m, j]
+    for i in range(d):
+        for j in range(d):
+            following[i, j] = Q[i, j]
+        for m in range(d):
+            for j in range(d):
+                following[i, j] += across_A[i, m] * columns[m, j]
     for i in range(d):
         for j in range(i):
             following[i, j] = 0.5 * (following[i, j] + following[j, i])
@@ -61,7 +77,9 @@ def _next_gain(
         for j in range(d):
             scale = np.sqrt(following[i, i] * following[j, j]) + 1e-300
             change = max(change, abs(following[i, j] - P[i, j]) / scale)
-    P[:] = following
+    for i in range(d):
+        for j in range(d):
+            P[i, j] = following[i, j]
     return S, change
 
 
@@ -69,7 +87,8 @@ def _next_gain(
 def _next_state(value: float, here: bool, columns: Floats, h: Floats, K: Floats, x: Floats, updated: Floats) -> float:
     """Carry one series' state over one sample; its innovation, 0 where the reading is missing."""
     d = h.size
-    updated[:] = x
+    for i in range(d):  # not updated[:] = x, which the compiler takes seconds over
+        updated[i] = x[i]
     v = 0.0
     if here:
         v = value
@@ -260,9 +279,11 @@ def advance(
     updated, work, shown = np.empty(h.size), np.empty(series), np.empty(series)
     for n in range(first, stop):
         here = present[n]
-        gain_row[n] = P[wanted]
+        for i in range(steady_K.size):  # row by row copies cost the compiler seconds
+            gain_row[n, i] = P[wanted, i]
         if counters[FROZEN] and here:
-            gain_K[n] = steady_K
+            for i in range(steady_K.size):
+                gain_K[n, i] = steady_K[i]
             S = steady_S[0]
         else:
             S, change = _next_gain(here, A, columns, Q, h, R, P, gain_K[n], wanted + 1)
@@ -272,7 +293,8 @@ def advance(
             if change > FAST_CHANGE or not here:
                 counters[FAST] = n
             counters[FROZEN] = here and change < tolerance
-            steady_K[:] = gain_K[n]
+            for i in range(steady_K.size):
+                steady_K[i] = gain_K[n, i]
             steady_S[0] = S
             if here and (counters[AGE] >= counters[EXPECTED] or counters[FROZEN]):
                 counters[EXPECTED] = 2 * counters[AGE]
@@ -417,8 +439,17 @@ def innovate(first: int, stop: int, A: Floats, h: Floats, present: Flags, values
 def driven(transition: Floats, hold: Floats, ramp: Floats, x: Floats, force: Floats, last: Floats) -> Floats:
     """First state after each value of a force that is a straight line between values; x and last are carried on."""
     load = np.empty(force.size)
+    d = x.size
+    before = np.empty(d)
     for i in range(force.size):
-        x[:] = transition @ x + hold * last[0] + ramp * (force[i] - last[0])
+        # written out: the compiler takes seconds over a product of arrays
+        for j in range(d):
+            before[j] = x[j]
+        for j in range(d):
+            total = hold[j] * last[0] + ramp[j] * (force[i] - last[0])
+            for m in range(d):
+                total += transition[j, m] * before[m]
+            x[j] = total
         last[0] = force[i]
         load[i] = x[0]
     return load

@@ -9,6 +9,7 @@ import pytest
 from aerobalance.acquire.simulated import RigSettings, SimulatedSource
 from aerobalance.acquire.source import Chosen, SourceEndedError
 from aerobalance.problems import FitError
+from aerobalance.published import CABLE_CUT
 from aerobalance.rigs import CableCut, Sensor, VibrationRig
 
 
@@ -142,3 +143,26 @@ def test_chosen_channels_in_their_order_and_unknown_ones_refused() -> None:
         source.read(1.0)
     with pytest.raises(FitError, match="no channel 'RM'; it has AF"):
         Chosen(SimulatedSource(RigSettings()), ["RM"])
+
+
+@pytest.mark.parametrize("block", [0.02, 0.3])
+def test_a_new_cable_takes_up_its_force_in_a_second(block) -> None:
+    source = SimulatedSource(RigSettings(rig="cable_cut", noise=0.0, speed=math.inf, cut_at=0.0, block=block))
+    with pytest.raises(ValueError, match="hangs already"):
+        source.control("hang", 1)
+    source.start()
+    parts = [source.read(1.0).samples[:, 0]]
+    while sum(map(len, parts)) < 16_000:
+        parts.append(source.read(1.0).samples[:, 0])
+    begin = sum(map(len, parts))
+    assert "within 1 s" in source.control("hang", 1)
+    while sum(map(len, parts)) < begin + 12_000:
+        parts.append(source.read(1.0).samples[:, 0])
+    load = np.concatenate(parts)[begin : begin + 12_000]
+    # the cut of 10 s before has rung down to 1020 N exp(-2.33 * 10) = 8e-8 N; the force of a ramp of a second is the
+    # integral of the step response over it, and what it leaves ringing
+    dynamics = CABLE_CUT.dynamics
+    t = np.arange(12_000) / 1600
+    ramp = dynamics.step_response(t, duration=1.0)
+    assert load == pytest.approx(-CABLE_CUT.excitation.value * ramp, abs=1e-6)
+    assert load[-1] == pytest.approx(-CABLE_CUT.excitation.value, abs=1e-3)

@@ -24,7 +24,7 @@ from aerobalance.problems import FitError, ReadError
 KEPT: Final = 256 * 2**20
 """Bytes that wait for a recorder that has fallen behind, before blocks are lost."""
 
-KEPT_FOR_VIEWERS: Final = 2 * 2**20
+KEPT_FOR_VIEWERS: Final = 8 * 2**20
 """Bytes that wait for a viewer."""
 
 _BLOCK: Final = b"B"
@@ -270,7 +270,10 @@ def run_source(setup: str, folder: str, address: Address, control: Connection[An
         with contextlib.suppress(OSError):
             control.send(said)
 
-    control.send(server.hello)
+    try:
+        control.send(server.hello)
+    except OSError:  # the starter is gone already
+        return
     reason = _serve(source, server, control, stopped, say)
     server.finish(reason, hurry=bool(stopped) or reason == _STOPPED)
     say(Said("ended", reason))

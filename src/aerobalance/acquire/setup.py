@@ -169,7 +169,8 @@ class Record(_Strict):
 class SetChannel(_Strict):
     """Table ``[channels.NAME]``: a channel by the name that the program understands.
 
-    Its value is ``sign * (scale * reading + offset)`` in `unit`; without a unit, that of the source.
+    Its value is ``sign * (scale * reading + offset)`` in `unit`; without a unit, that of the source. Percentages of a
+    load refer to `half_range`, half of its range in `unit`.
     """
 
     input: Annotated[str, Field(min_length=1, max_length=100)] | None = None
@@ -182,6 +183,7 @@ class SetChannel(_Strict):
     relative_uncertainty: NotBelow = 0.0
     coupling: Coupling = "kinematic"
     corner: NotBelow = 0.0
+    half_range: Above | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> SetChannel:

@@ -28,6 +28,9 @@ LARGEST_FREQUENCY: Final = 0.45
 LARGEST_DRIVE: Final = 500.0
 """Largest amplitude of the drive [N]."""
 
+HANGING: Final = 1.0
+"""Time within which a new cable takes up its force [s]."""
+
 SIX_FREQUENCIES: Final = {"NF": 68.0, "PM": 91.0, "SF": 57.0, "YM": 83.0, "RM": 112.0}
 """Natural frequencies of the five components of the rig with six that are not printed [Hz]; assumed."""
 
@@ -135,7 +138,8 @@ class SimulatedSource:
     """A rig that is simulated while it is recorded.
 
     A new frequency holds from the next block on, without a jump of phase; a new amplitude is reached on a straight
-    line within that block; the cable is cut at the first sample of the next block, or at the time given.
+    line within that block; the cable is cut at the first sample of the next block, or at the time given. A new cable
+    is hung up on call: its force grows on a straight line within `HANGING`.
 
     Parameters
     ----------
@@ -151,13 +155,13 @@ class SimulatedSource:
         shaken = settings.rig == "vibration"
         printed = VIBRATION_RIG if shaken else CABLE_CUT
         self.rate = settings.rate or (25_000.0 if settings.rig == "six" else printed.rate.value)
-        self.dynamics = _dynamics(settings.rig)
+        self.dynamics = rig_dynamics(settings.rig)
         names = [dynamics.component for dynamics in self.dynamics]
         axes = ("", "_y", "_z") if settings.rig == "six" else ("",)
         names += [f"{end}_acceleration{axis}" for end in ("ground", "live") for axis in axes]
         self.names = (*names, "pitch") if settings.rig != "six" else tuple(names)
         self.channels = tuple(SourceChannel(name, QUANTITIES[name]) for name in self.names)
-        self.controls = ("frequency", "amplitude") if shaken else ("cut",)
+        self.controls = ("frequency", "amplitude") if shaken else ("cut", "hang")
         self.seed = secrets.randbits(63) if settings.seed is None else settings.seed
         self.description = f"simulated rig: {settings.rig}, {self.rate:g} Hz, seed {self.seed}"
         self._noise = np.random.default_rng(self.seed)
@@ -172,6 +176,8 @@ class SimulatedSource:
         self._cable = 0.0
         if not shaken:
             self._cable = -CABLE_CUT.excitation.value if settings.cable_force is None else settings.cable_force
+        self._full_cable = self._cable
+        self._hang_tick: float = -math.inf
         self._cut_tick = math.inf if settings.cut_at is None else round(settings.cut_at * self.rate)
         self._drive = _Drive(settings.frequency, 0.0, wanted=(settings.frequency, settings.amplitude))
         self._check(settings.frequency, settings.amplitude)
@@ -186,7 +192,7 @@ class SimulatedSource:
         self._stopped = True
 
     def control(self, name: str, value: float) -> str:
-        """Set ``frequency`` [Hz] or ``amplitude`` [N] of the drive, or ``cut`` the cable (any value).
+        """Set ``frequency`` [Hz] or ``amplitude`` [N] of the drive; ``cut`` the cable, ``hang`` a new one (any value).
 
         Raises
         ------
@@ -198,6 +204,11 @@ class SimulatedSource:
         if name == "cut":
             self._cut_tick = min(self._cut_tick, self._tick)
             return "cable cut"
+        if name == "hang":
+            if self._cable or self._cut_tick >= self._tick:
+                raise ValueError("the cable hangs already; cut it first")
+            self._cut_tick, self._hang_tick = math.inf, self._tick
+            return f"new cable, {abs(self._full_cable):g} N within {HANGING:g} s"
         frequency, amplitude = self._drive.wanted
         wanted = (value, amplitude) if name == "frequency" else (frequency, value)
         self._check(*wanted)
@@ -213,9 +224,11 @@ class SimulatedSource:
         tick, rows = self._tick, self._rows
         samples = np.empty((rows, len(self.names)))
         done = 0
-        if tick < self._cut_tick < tick + rows:
-            done = int(self._cut_tick) - tick
-            self._simulate(samples[:done])
+        hung = self._hang_tick + round(HANGING * self.rate)
+        for change in sorted({self._cut_tick, hung}):
+            if tick + done < change < tick + rows:
+                self._simulate(samples[done : int(change) - tick])
+                done = int(change) - tick
         self._simulate(samples[done:])
         samples += self._deviation * self._noise.standard_normal(samples.shape)
         for column, name in enumerate(self.names):
@@ -242,7 +255,6 @@ class SimulatedSource:
     def _simulate(self, samples: Array) -> None:
         """Fill in exact readings from the present tick on, and move on."""
         rows = samples.shape[0]
-        self._cable = 0.0 if self._tick >= self._cut_tick else self._cable
         t = np.arange(rows + 1) / self.rate
         if self.settings.rig == "vibration":
             self._shake(samples, t)
@@ -268,20 +280,33 @@ class SimulatedSource:
 
     def _pull(self, samples: Array, t: Array) -> None:
         samples[:] = 0.0
+        cable, slope = self._cable_force()
         for column, (dynamics, shaken) in enumerate(zip(self.dynamics, self._modes, strict=True)):
-            shaken.push = self._cable / dynamics.mass
-            y, velocity, shaken.state = shaken.move(t, omega=0.0, begin=0j, change=0j)
+            shaken.push = cable / dynamics.mass
+            # a "sine" of frequency 0 is a straight line
+            y, velocity, shaken.state = shaken.move(t, omega=0.0, begin=0j, change=1j * slope / dynamics.mass)
             samples[:, column] = (dynamics.stiffness * y)[:-1]
             live = _LIVE.get(dynamics.component, "")
             if live in self.names:
-                forces = self._cable - dynamics.stiffness * y - dynamics.damping * velocity
+                forces = cable + slope * t - dynamics.stiffness * y - dynamics.damping * velocity
                 samples[:, self.names.index(live)] = (forces / dynamics.mass)[:-1]
+        self._cable = cable + slope * float(t[-1])
+
+    def _cable_force(self) -> tuple[float, float]:
+        """Force of the cable at the present tick [N], and its change [N/s] up to the next change of either."""
+        if self._tick >= self._cut_tick:
+            return 0.0, 0.0
+        since = (self._tick - self._hang_tick) / self.rate
+        if since >= HANGING - 0.5 / self.rate:
+            return self._full_cable, 0.0
+        return self._full_cable * since / HANGING, self._full_cable / HANGING
 
 
 _LIVE: Final = {"AF": "live_acceleration", "SF": "live_acceleration_y", "NF": "live_acceleration_z"}
 
 
-def _dynamics(rig: RigName) -> tuple[Dynamics, ...]:
+def rig_dynamics(rig: RigName) -> tuple[Dynamics, ...]:
+    """Return the dynamics of the components that a rig has."""
     if rig == "vibration":
         return (VIBRATION_RIG.dynamics,)
     if rig == "cable_cut":

@@ -82,3 +82,38 @@ def record(
     with Console(stderr=True).status("starting ...") as status:
         account = command.record(out, setup=setup, wishes=wishes, replace=replace, show=status.update)
     show(lambda: account, as_json, doing="recording")
+
+
+@app.command(epilog=example("monitor --setup test.toml"))
+def monitor(
+    setup: Annotated[
+        Path | None, typer.Option("--setup", help="Test set-up (TOML); the simulated cable cut when not given.")
+    ] = None,
+    port: Annotated[
+        int, typer.Option("--port", help="Port of the page; 0 for any free one.", min=0, max=65535)
+    ] = 8765,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page in the browser.")] = False,
+    host: Annotated[
+        str, typer.Option("--host", help="Address to listen on; other than this computer's own it needs --token.")
+    ] = "127.0.0.1",
+    token: Annotated[
+        str | None, typer.Option("--token", help="What viewers have to know, 16 characters or more.")
+    ] = None,
+    certificate: Annotated[Path | None, typer.Option("--certificate", help="Certificate for TLS.")] = None,
+    key: Annotated[Path | None, typer.Option("--key", help="Key of the certificate.")] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option("--folder", help="Project folder; that of the set-up, or the present one, if not given."),
+    ] = None,
+) -> None:
+    """Open the operator's page: live load and force, records and their reports; Ctrl-C ends it."""
+    from aerobalance.monitor import command
+
+    command.monitor(
+        setup,
+        reach=command.Reach(host, port, token, certificate, key),
+        folder=folder,
+        browser=not no_browser,
+        say=typer.echo,
+        warn=lambda text: typer.echo(f"warning: {text}", err=True),
+    )

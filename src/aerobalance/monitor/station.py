@@ -1,0 +1,457 @@
+"""The station: one source, at most one record of it, the zeros, the tasks; what the page's buttons act on."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from aerobalance.acquire.recorder import Progress, Tell
+from aerobalance.acquire.session import Recorder, Session
+from aerobalance.acquire.setup import Setup, Simulated, save_setup, setup_text
+from aerobalance.monitor.folder import Folder
+from aerobalance.monitor.jobs import Outcome, Task
+from aerobalance.monitor.messages import Answer, News, SetZeros, TakeZeros, Watch, Watching, Zeros
+from aerobalance.monitor.setups import check_set_up, setup_of_record
+from aerobalance.monitor.sweep import Sweep
+from aerobalance.monitor.workers import Engine, Jobs
+from aerobalance.problems import FitError, ReadError
+
+POLLED: Final = 0.1
+"""Time between looks at source and recorder [s]."""
+
+PATIENCE: Final = 0.5
+"""Time that ending waits for what is under way [s]."""
+
+MESSAGES: Final = 50
+"""Messages that are kept."""
+
+
+@dataclass(slots=True)
+class Source:
+    """How the source stands: ``starting``, ``running``, ``ended`` or ``failed``."""
+
+    state: str = "starting"
+    text: str = ""
+    number: int = 0
+
+
+class Station:
+    """Everything behind the page.
+
+    Parameters
+    ----------
+    setup
+        The test set-up to begin with.
+    folder
+        The project folder.
+    setup_file
+        Where the set-up was read from, or None.
+    heard
+        Takes what the engine has found, in a thread of its own.
+    changed
+        Called when the state has changed, in some thread.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        folder: Folder,
+        *,
+        setup_file: Path | None,
+        heard: Callable[[Watching | News], None],
+        changed: Callable[[], None],
+    ) -> None:
+        self.setup, self.folder, self.setup_file = setup, folder, setup_file
+        self._heard, self.changed = heard, changed
+        self._lock = threading.RLock()
+        self._closed = False
+        self._numbers = itertools.count(1)
+        self.source = Source()
+        self.session: Session | None = None
+        self.recorder: Recorder | None = None
+        self.progress: Progress | None = None
+        self.zeros: dict[str, float] = {}
+        self.controls: dict[str, float] = {}
+        self.watching: Watching | None = None
+        self.messages: deque[dict[str, Any]] = deque(maxlen=MESSAGES)
+        self._message_numbers = itertools.count(1)
+        self.tasks: dict[int, dict[str, Any]] = {}
+        self.marker: Callable[[str, str], None] = lambda *_: None
+        self.listed_version = 0
+        self.sweep: dict[str, Any] | None = None
+        self.engine = Engine(self._answer)
+        self.jobs = Jobs(self._task)
+        threading.Thread(target=self._watch_over, daemon=True).start()
+
+    # ---- source
+
+    def open(self, setup: Setup | None = None) -> None:
+        """Start the source of a set-up in the place of the one before.
+
+        Raises
+        ------
+        ValueError
+            A record is under way.
+        """
+        with self._lock:
+            if self.recording:
+                raise ValueError("a record is under way; stop it before the source is changed")
+            setup = setup or self.setup
+            self.setup = setup
+            if self.session is not None:
+                self.session.close()
+                self.session = None
+            number = next(self._numbers)
+            self.source = Source("starting", "the source is starting", number)
+            self.zeros, self.recorder, self.progress, self.watching = {}, None, None, None
+            self.changed()
+            try:
+                self.session = Session(setup, self.folder.path)
+            except (FitError, ReadError, ValueError, OSError) as problem:
+                self.source = Source("failed", str(problem), number)
+                self.say(f"the source cannot be used: {problem}", kind="error")
+                return
+            self.controls = _first_controls(setup)
+            watch = Watch(number, self.session.address, setup_text(setup), str(self.folder.path), {})
+            self.engine.remember(watch)
+            self.engine.order(watch)
+            self.session.start()
+            self.source = Source("running", self.session.hello.description, number)
+            self.changed()
+
+    def control(self, name: str, value: float) -> None:
+        """Set a control of the source.
+
+        Raises
+        ------
+        ValueError
+            The source has no such control.
+        """
+        with self._lock:
+            session = self._running()
+            if name not in session.hello.controls:
+                raise ValueError(f"this source has no control {name[:40]!r}")
+            session.control(name, value)
+            self.controls[name] = value
+
+    def _running(self) -> Session:
+        if self.session is None or self.source.state != "running":
+            raise ValueError(f"there is no source running: {self.source.text}")
+        return self.session
+
+    # ---- records
+
+    @property
+    def recording(self) -> bool:
+        """Whether a record is under way."""
+        return self.recorder is not None and self.progress is not None and not self.progress.over
+
+    def record(self, name: str, *, notes: str, seconds: float | None) -> None:
+        """Begin a record.
+
+        Raises
+        ------
+        FitError, ValueError
+            It cannot be begun; the message says why.
+        """
+        with self._lock:
+            session = self._running()
+            if self.recording:
+                raise ValueError("a record is under way already")
+            path = self.folder.new_recording(name)
+            setup = setup_of_record(self.setup, session.hello.channels, zeros=self.zeros, notes=notes, seconds=seconds)
+            recorder = session.record(path, setup=setup)
+            try:
+                self.progress = recorder.ready()
+            except ValueError:
+                recorder.stop(timeout=0.5)
+                raise
+            self.recorder = recorder
+            self._mark(f"record {path.name} begins", kind="start")
+            self.changed()
+
+    def stop(self) -> Progress | None:
+        """End the record; its file is closed when this returns."""
+        with self._lock:
+            if self.recorder is None or not self.recording:
+                raise ValueError("no record is under way")
+            self.progress = self.recorder.stop("stopped by the operator")
+            self._ended(self.progress)
+            return self.progress
+
+    def mark(self, text: str) -> None:
+        """Put an event on the charts and into the record."""
+        with self._lock:
+            self._mark(text or "mark")
+            if self.recorder is not None and self.recording:
+                self.recorder.tell(Tell("note", text or "mark"))
+
+    def call(self) -> None:
+        """Begin the record now, whatever its trigger waits for."""
+        with self._lock:
+            if self.recorder is None or not self.recording:
+                raise ValueError("no record is waiting for its trigger")
+            self.recorder.tell(Tell("call", "button"))
+
+    def begin_sweep(self) -> None:
+        """Begin a stepped-sine run.
+
+        Raises
+        ------
+        FitError, ValueError
+            The source has no drive, or cannot be recorded.
+        """
+        with self._lock:
+            Sweep(self)
+
+    def _mark(self, text: str, *, kind: str = "mark") -> None:
+        self.marker(text, kind)
+        self.changed()
+
+    def _ended(self, progress: Progress) -> None:
+        bad = progress.full or progress.state == "failed" or "gone without a word" in progress.reason
+        name = Path(progress.path).name
+        text = f"record {name} ended: {progress.reason}; {progress.seconds:.2f} s, {progress.blocks} blocks"
+        if progress.gaps:
+            text += f", {progress.gaps} gap(s), {progress.lost} samples lost"
+        self.say(text, kind="error" if bad else "done")
+        self._mark(f"record {name} ends", kind="end")
+        self.listed_version += 1
+        self.changed()
+
+    # ---- zeros
+
+    def zero(self) -> None:
+        """Take off what the loads read now, the weight apart."""
+        self._running()
+        if self.recording:
+            raise ValueError("a record is under way; its zero stays as it is until it has ended")
+        self.engine.order(TakeZeros())
+
+    def clear_zero(self) -> None:
+        """Show the loads as they are read."""
+        if self.recording:
+            raise ValueError("a record is under way; its zero stays as it is until it has ended")
+        self._set_zeros({})
+
+    def _set_zeros(self, zeros: dict[str, float]) -> None:
+        with self._lock:
+            self.zeros = zeros
+            if self.session is not None:
+                folder = str(self.folder.path)
+                watch = Watch(self.source.number, self.session.address, setup_text(self.setup), folder, zeros)
+                self.engine.remember(watch)
+            self.engine.order(SetZeros(zeros))
+        listed = ", ".join(f"{name} {value:.4g}" for name, value in zeros.items())
+        self._mark(f"zero: {listed}" if zeros else "zero taken back", kind="zero")
+
+    # ---- set-up
+
+    def apply(self, setup: Setup, *, name: str | None) -> None:
+        """Use another set-up, and save it under a name where one is given.
+
+        Raises
+        ------
+        ValueError
+            A record is under way, a file of the set-up is outside the folder, or it cannot be saved.
+        """
+        with self._lock:
+            if self.recording:
+                raise ValueError("a record is under way; stop it before the set-up is changed")
+            self.check_files(setup)
+            if name is not None:
+                path = self.folder.file(name if name.endswith(".toml") else f"{name}.toml")
+                if path.exists():
+                    check_set_up(path)
+                save_setup(path, setup)
+                self.setup_file = path
+            self.open(setup)
+
+    def use_dynamics(self, recording: str) -> None:
+        """Work out the live force with the dynamics that were identified from a recording.
+
+        Raises
+        ------
+        ValueError
+            A record is under way, or nothing was identified from it.
+        """
+        name = f"{Path(recording).stem}-dynamics.json"
+        if not self.folder.file(name).is_file():
+            raise ValueError(f"there is no {name}: identify {recording[:80]} first")
+        files = self.setup.files.model_copy(update={"dynamics": name})
+        self.apply(self.setup.model_copy(update={"files": files}), name=None)
+        self.say(f"the live force is worked out with {name}", kind="done")
+
+    def check_files(self, setup: Setup) -> None:
+        """Refuse files outside the project folder.
+
+        Raises
+        ------
+        ReadError
+            One is; the message names its key.
+        """
+        wanted = {f"files.{key}": value for key, value in setup.files.model_dump(exclude_none=True).items()}
+        source = setup.source.model_dump(exclude_none=True)
+        wanted |= {f"source.{key}": source[key] for key in ("file", "map") if key in source}
+        for key, value in wanted.items():
+            try:
+                self.folder.check(Path(value))
+            except ValueError as problem:
+                raise ReadError("set-up", key, str(problem)) from None
+
+    # ---- tasks
+
+    def run(self, verb: str, recording: str, settings: dict[str, str]) -> int:
+        """Do something with a recording; return the number of the task.
+
+        Raises
+        ------
+        ValueError
+            There is no such recording, or something is missing.
+        """
+        path = self.folder.recording(recording)
+        if self.recording and self.progress is not None and Path(self.progress.path) == path and verb != "info":
+            raise ValueError(f"{recording} is still being written; stop the record first")
+        chosen = dict(settings)
+        if "dynamics" in chosen:
+            chosen["dynamics"] = str(self.folder.file(chosen["dynamics"]))
+        elif verb == "force":
+            chosen["dynamics"] = str(self._dynamics_for(path))
+        if verb == "force" and self.setup.files.balance is not None and path.suffix in (".h5", ".hdf5"):
+            chosen["balance"] = str(self.folder.path / self.setup.files.balance)
+        task = self.jobs.add(verb, str(path), chosen)
+        with self._lock:
+            self.tasks[task.number] = {"number": task.number, "verb": verb, "recording": path.name, "state": "waiting"}
+            for old in sorted(self.tasks)[:-20]:
+                del self.tasks[old]
+        self.changed()
+        return task.number
+
+    def _dynamics_for(self, path: Path) -> Path:
+        """The dynamics identified from the recording itself, or else those of the set-up."""
+        own = path.with_name(f"{path.stem}-dynamics.json")
+        if own.is_file():
+            return own
+        given = self.setup.files.dynamics
+        if given is not None:
+            return self.folder.path / given
+        raise ValueError(f"identify {path.name} first, or name dynamics in the set-up: the force needs them")
+
+    def _task(self, task: Task, outcome: Outcome | None) -> None:
+        with self._lock:
+            entry = self.tasks.get(task.number)
+            if entry is None:
+                return
+            entry["began"] = entry.get("began", time.time())
+            if outcome is None:
+                entry["state"] = "running"
+            else:
+                entry |= {
+                    "state": "done" if outcome.done else "failed",
+                    "text": outcome.text,
+                    "report": outcome.report,
+                    "files": list(outcome.files),
+                    "account": outcome.account,
+                }
+                self.listed_version += 1
+                if not outcome.done:
+                    self.say(f"{task.verb} of {Path(task.recording).name}: {outcome.text}", kind="error")
+        self.changed()
+
+    # ---- what is heard, and what is watched over
+
+    def _answer(self, answer: Answer) -> None:
+        if isinstance(answer, Watching):
+            if answer.number == self.source.number:
+                self.watching = answer
+                self._heard(answer)
+                self.changed()
+        elif isinstance(answer, News):
+            self._heard(answer)
+        elif isinstance(answer, Zeros):
+            self._set_zeros(dict(answer.zeros))
+        elif answer.number in (-1, self.source.number):
+            if answer.number != -1 and answer.text.startswith("the source ended"):
+                return  # the source's own word says it better
+            self.say(answer.text, kind="error")
+
+    def _watch_over(self) -> None:
+        while not self._closed:
+            time.sleep(POLLED)
+            with contextlib.suppress(OSError), self._lock:
+                self._look()
+
+    def _look(self) -> None:
+        if self.session is not None:
+            for said in self.session.news():
+                if said.kind == "ended":
+                    gone = "gone without a word" in said.text
+                    self.source = Source("ended", said.text, self.source.number)
+                    self.say(f"the source ended: {said.text}", kind="error" if gone else "done")
+                elif said.kind == "done":
+                    self._mark(said.text, kind="control")
+                    if self.recorder is not None and self.recording:
+                        self.recorder.tell(Tell("note", said.text))
+                elif said.kind == "refused":
+                    self.say(said.text, kind="error")
+                elif said.kind == "failed":
+                    self.source = Source("ended", said.text, self.source.number)
+                    self.say(said.text, kind="error")
+        if self.recorder is not None and self.recording:
+            before = self.progress
+            self.progress = self.recorder.poll()
+            if self.progress.over:
+                self._ended(self.progress)
+            elif self.progress != before:
+                self.changed()
+
+    def say(self, text: str, *, kind: str = "info") -> None:
+        """Show a message to the operator: ``info``, ``done`` or ``error``."""
+        self.messages.append(
+            {"number": next(self._message_numbers), "time": time.time(), "kind": kind, "text": " ".join(text.split())}
+        )
+        self.changed()
+
+    def processes(self) -> dict[str, int | None]:
+        """Numbers of the processes behind the page, for whoever looks after the computer."""
+        running = {"engine": self.engine.process, "jobs": self.jobs.process}
+        if self.session is not None:
+            running["source"] = self.session.process
+        if self.recorder is not None:
+            running["recorder"] = self.recorder.process
+        return {name: process.pid for name, process in running.items() if process is not None}
+
+    def recordings(self) -> list[dict[str, Any]]:
+        """List the recordings of the folder, with the results that are there."""
+        return self.folder.with_results()
+
+    def close(self) -> None:
+        """End everything, the record first: its file is closed."""
+        if self._closed:
+            return
+        self._closed = True
+        self.jobs.close()
+        self.engine.close()
+        # a source that is just starting holds the lock, and has nothing yet that could be lost
+        if self._lock.acquire(timeout=PATIENCE):
+            try:
+                if self.recorder is not None and self.recording:
+                    self.recorder.stop("the page was ended", timeout=1.0)
+                if self.session is not None:
+                    self.session.close()
+            finally:
+                self._lock.release()
+
+
+def _first_controls(setup: Setup) -> dict[str, float]:
+    source = setup.source
+    if isinstance(source, Simulated) and source.rig == "vibration":
+        return {"frequency": source.frequency, "amplitude": source.amplitude}
+    return {}

@@ -1,0 +1,315 @@
+"""From the blocks of a source to what the page shows of them. No clock, no file, no process."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from aerobalance.acquire.continuity import Continuity
+from aerobalance.acquire.source import Block
+from aerobalance.balance import BalanceMatrix
+from aerobalance.components import COMPONENTS, is_gauge, si_unit
+from aerobalance.dynamics import Dynamics
+from aerobalance.io.hdf5_layout import StoredChannel
+from aerobalance.io.units import Conversion, conversion_for
+from aerobalance.monitor.force_line import Columns, ForceLine
+from aerobalance.monitor.messages import LINES, Reading, Update
+from aerobalance.motion import AXES
+from aerobalance.problems import FitError
+from aerobalance.recording import Array, Channel
+from aerobalance.strips import Extremes
+from aerobalance.waterfall import RunningSpectrum
+
+FINEST: Final = 1e-3
+"""Length of the shortest bin of a chart [s]."""
+
+NUMBERS: Final = 0.2
+"""Time that the numbers are drawn up over [s]."""
+
+SPECTRA: Final = 0.5
+"""Time between spectra [s]."""
+
+WARNING: Final = 0.8
+"""Part of a limit from which on a load is shown as high."""
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """What is watched.
+
+    Attributes
+    ----------
+    channels
+        The c channels of the source.
+    rate
+        Sampling rate [Hz].
+    clocked
+        Whether the source's clock is steady.
+    dynamics
+        Dynamics of the components whose force is wanted.
+    half_ranges
+        Half of the range of components, SI.
+    limits
+        Limits of channels, SI.
+    zeros
+        What is taken off the loads and gauge outputs, SI.
+    balance
+        The matrix that makes loads of gauge outputs; None where the channels are loads.
+    """
+
+    channels: tuple[StoredChannel, ...]
+    rate: float
+    clocked: bool
+    dynamics: Mapping[str, Dynamics]
+    half_ranges: Mapping[str, float]
+    limits: Mapping[str, tuple[float, float]]
+    zeros: Mapping[str, float] = field(default_factory=dict)
+    balance: BalanceMatrix | None = None
+
+    @property
+    def width(self) -> int:
+        """Ticks of the shortest bin."""
+        return max(1, int(FINEST * self.rate))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the channels, and of the loads that are made of them after these."""
+        given = tuple(channel.name for channel in self.channels)
+        return (*given, *self.loads)
+
+    @property
+    def loads(self) -> tuple[str, ...]:
+        """Loads that are made of gauge outputs."""
+        if self.balance is None:
+            return ()
+        return COMPONENTS if self.balance.direct is not None else self.balance.components
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units in which the channels are shown."""
+        return (*(_conversion(channel).unit for channel in self.channels), *(si_unit(name) for name in self.loads))
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Components whose force is worked out."""
+        return tuple(name for name in COMPONENTS if name in self.dynamics and name in self.names)
+
+
+class View:
+    """Watches a source.
+
+    Parameters
+    ----------
+    panel
+        What is watched.
+    """
+
+    def __init__(self, panel: Panel) -> None:
+        self.panel = panel
+        names = panel.names
+        self._conversions = [_conversion(channel) for channel in panel.channels]
+        self._gauges = _gauges(panel)
+        self._continuity = Continuity(panel.rate, clocked=panel.clocked)
+        self.lines = {name: _line(panel, name) for name in panel.components}
+        width = max([panel.width, *(line.factor for line in self.lines.values())])
+        self.width = width
+        self._raw = Extremes(len(names), width)
+        self._force = {name: Extremes(2, width, step=line.factor) for name, line in self.lines.items()}
+        self._spectra = {name: RunningSpectrum(2, line.interval) for name, line in self.lines.items()}
+        self._offsets = np.zeros(len(names))
+        self._means: list[Array] = []
+        self.set_zeros(panel.zeros)
+        self._held: list[Array] = []
+        self._held_rows = 0
+        self._estimates: dict[str, list[Array]] = {name: [] for name in self.lines}
+        self._since_spectra = 0
+        self._saturated = dict.fromkeys(names, 0)
+        self.update = Update(0, 0.0)
+
+    def set_zeros(self, zeros: Mapping[str, float]) -> None:
+        """Take off other zeros from now on."""
+        balance, given = self.panel.balance, dict(zeros)
+        if balance is not None and balance.natural_zero is not None:
+            natural = zip(balance.gauges, balance.natural_zero, strict=True)
+            given = {f"r{gauge}": float(value) for gauge, value in natural} | given
+        self._offsets[:] = [given.get(name, 0.0) for name in self.panel.names]
+        self._means = []
+        for line in self.lines.values():
+            line.restart()
+
+    def zeros(self) -> dict[str, float]:
+        """Return the zeros that make the loads of the last second read the weight alone.
+
+        Raises
+        ------
+        ValueError
+            There are no readings yet.
+        """
+        if not self._means:
+            raise ValueError("there are no readings yet to take the zero from")
+        means = np.mean(self._means, axis=0)
+        found = {}
+        for place, name in enumerate(self.panel.names):
+            weight = self.lines[name].weight(means) if name in self.lines else 0.0
+            if name in self.panel.loads:  # its gauges are zeroed, which takes the weight off
+                found[name] = -weight
+            elif (name in COMPONENTS or is_gauge(name)) and np.isfinite(means[place]):
+                found[name] = float(means[place] + self._offsets[place] - weight)
+        return found
+
+    def feed(self, block: Block) -> None:
+        """Take a block; what is new is added to `update`."""
+        watched = self._continuity.follow(block)
+        update = self.update
+        if watched.gap is not None:
+            update.lost += watched.gap.samples
+            text = f"{watched.gap.samples} samples of each channel: {watched.gap.text}"
+            update.remarks.append((watched.gap.tick, watched.gap.kind, text))
+        update.remarks += [(event.tick, event.kind, event.text) for event in watched.events]
+        if watched.block is None:
+            return
+        tick, values = watched.block.tick, self._values(watched.block.samples)
+        update.tick, update.received = watched.block.end, block.received
+        update.raw.append(self._raw.push(tick, values))
+        for name, line in self.lines.items():
+            piece = line.push(tick, values)
+            if piece is None:
+                continue
+            pair = np.column_stack((piece.force, piece.uncertainty))
+            update.forces.setdefault(name, []).append(self._force[name].push(piece.tick, pair))
+            self._estimates[name].append(pair)
+            self._spectra[name].push(np.column_stack((piece.load, piece.force)))
+        self._count(values)
+
+    def take(self) -> Update:
+        """Return what is new since the last call."""
+        update = self.update
+        self.update = Update(update.tick, update.received, lost=update.lost)
+        return update
+
+    def _values(self, samples: Array) -> Array:
+        pairs = zip(self.panel.channels, self._conversions, strict=True)
+        values = np.zeros((samples.shape[0], len(self.panel.names)))
+        for place, (channel, conversion) in enumerate(pairs):
+            values[:, place] = conversion.inside(channel.values(samples[:, place]))
+        values -= self._offsets
+        balance = self.panel.balance
+        if balance is not None:
+            native = balance.loads(np.ascontiguousarray(values[:, self._gauges])).loads
+            values[:, samples.shape[1] :] += native if balance.direct is None else native @ balance.direct.T
+        return values
+
+    def _count(self, values: Array) -> None:
+        """Draw up numbers and spectra where they are due."""
+        self._held.append(values)
+        self._held_rows += values.shape[0]
+        if self._held_rows < NUMBERS * self.panel.rate:
+            return
+        held = np.concatenate(self._held)
+        self._held, self._held_rows = [], 0
+        for place, name in enumerate(self.panel.names):
+            self.update.readings[name] = self._reading(name, held[:, place])
+        self._means = [*self._means[-4:], _means(held)]
+        for name, line in self.lines.items():
+            parts, self._estimates[name] = self._estimates[name], []
+            if parts:
+                pair = np.concatenate(parts)
+                force = pair[:, 0]
+                ends = (float(force.min()), float(force.max()))
+                self.update.estimates[name] = (float(force.mean()), float(pair[:, 1].mean()), *ends)
+            self.update.health[name] = _health(line)
+        self._since_spectra += 1
+        if self._since_spectra * NUMBERS >= SPECTRA:
+            self._since_spectra = 0
+            self._draw_spectra()
+
+    def _reading(self, name: str, values: Array) -> Reading:
+        known = values[np.isfinite(values)]
+        if not known.size:
+            return Reading(math.nan, math.nan, math.nan, None, None, "none")
+        self._saturated[name] += int(Channel("reading", known, "1").saturated.sum()) if known.size > 8 else 0
+        mean, least, largest = float(known.mean()), float(known.min()), float(known.max())
+        half = self.panel.half_ranges.get(name)
+        low, high = self.panel.limits.get(name, (-half, half) if half else (-math.inf, math.inf))
+        percent = None if half is None else 100 * max(-least, largest) / half
+        shares = [largest / high if high > 0 else math.inf if largest > high else 0.0]
+        shares.append(least / low if low < 0 else math.inf if least < low else 0.0)
+        share = max(shares)
+        state = "over" if share >= 1 else "high" if share >= WARNING else "ok"
+        return Reading(mean, least, largest, percent, share if math.isfinite(high - low) else None, state)
+
+    @property
+    def saturated(self) -> Mapping[str, int]:
+        """Readings that rested on the end of their range, by channel."""
+        return self._saturated
+
+    def _draw_spectra(self) -> None:
+        for name, spectrum in self._spectra.items():
+            if spectrum.ready:
+                lines = spectrum.amplitudes()
+                shown = lines.reshape(LINES, -1, 2).max(axis=1).astype(np.float32)
+                self.update.spectra[name] = (float(spectrum.frequency[-1]), shown)
+
+
+def _means(values: Array) -> Array:
+    """Mean of what is known of each channel; NaN where nothing is."""
+    known = np.isfinite(values)
+    count = known.sum(axis=0)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _gauges(panel: Panel) -> list[int]:
+    """Columns of the gauge outputs, in the order of the balance.
+
+    Raises
+    ------
+    FitError
+        One is missing, or is not in mV/V.
+    """
+    if panel.balance is None:
+        return []
+    places = {channel.name: place for place, channel in enumerate(panel.channels)}
+    for name in (f"r{gauge}" for gauge in panel.balance.gauges):
+        if name not in places:
+            raise FitError(f"the balance needs {name}, which is none of the channels {', '.join(places)}")
+        unit = _conversion(panel.channels[places[name]]).unit
+        if unit != "mV/V":
+            raise FitError(f"channel {name} is in {unit}; live loads need it in mV/V, over the excitation")
+    return [places[f"r{gauge}"] for gauge in panel.balance.gauges]
+
+
+def _conversion(channel: StoredChannel) -> Conversion:
+    return conversion_for(channel.name, channel.unit)
+
+
+def _line(panel: Panel, name: str) -> ForceLine:
+    places = {channel: place for place, channel in enumerate(panel.names)}
+    ground = places.get(f"ground_acceleration{AXES.get(name, '')}", places.get("ground_acceleration"))
+    coupling = "kinematic" if ground is None else panel.channels[ground].coupling
+    columns = Columns(places[name], ground, places.get("pitch"), places.get("roll"), coupling)
+    return ForceLine(panel.dynamics[name], rate=panel.rate, columns=columns)
+
+
+def _health(line: ForceLine) -> dict[str, object]:
+    health = line.health
+    told: dict[str, object] = {"lag": line.lag, "rate": 1 / line.interval, "moving": line.moving}
+    if health is None:
+        return told | {"process": "waiting"}
+    low, high = health.resonance_limits
+    return told | {
+        "process": health.process,
+        "explained": health.explained,
+        "drifted": health.drifted,
+        "mean_square": health.mean_square,
+        "mean_square_limit": health.mean_square_limit,
+        "resonance": health.resonance,
+        "resonance_limits": [low, high],
+        "noise": health.noise,
+        "noise_now": health.noise_now,
+        "missing": health.missing,
+    }

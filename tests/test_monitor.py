@@ -1,0 +1,624 @@
+"""What the page shows, against the core; who may use it; and that nothing sent to it does harm."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import threading
+import time
+
+import numpy as np
+import pytest
+from starlette.websockets import WebSocketDisconnect
+
+from aerobalance.acquire.feed import Hello
+from aerobalance.acquire.setup import setup_from, stored_channels
+from aerobalance.acquire.simulated import RigSettings, SimulatedSource
+from aerobalance.acquire.source import Block, SourceChannel
+from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.io.hdf5_file import contents
+from aerobalance.io.hdf5_layout import StoredChannel
+from aerobalance.monitor.access import COOKIE, Door, is_loopback
+from aerobalance.monitor.board import Board, plain
+from aerobalance.monitor.command import Reach, monitor
+from aerobalance.monitor.folder import Folder
+from aerobalance.monitor.form import form_of
+from aerobalance.monitor.messages import News, Watching
+from aerobalance.monitor.panels import panel_of
+from aerobalance.monitor.server import STATIC, Page
+from aerobalance.monitor.setups import rig_setup, setup_of_record
+from aerobalance.monitor.view import Panel, View
+from aerobalance.monitor.viewer import UNSHOWN
+from aerobalance.problems import FitError
+from aerobalance.published import CABLE_CUT, VIBRATION_RIG
+from aerobalance.rigs.calibration_stand import random_balance
+from aerobalance.stream import LiveForce
+
+
+def source_of(rig, **settings):
+    source = SimulatedSource(RigSettings(rig=rig, speed=math.inf, **settings))
+    source.start()
+    return source
+
+
+def view_of(source, **more):
+    channels = stored_channels(setup_from({}), source.channels)
+    dynamics = {item.component: item for item in source.dynamics}
+    return View(Panel(channels, source.rate, True, dynamics, more.pop("half", {}), more.pop("limits", {}), **more))
+
+
+# ---- what is shown
+
+
+def test_the_force_shown_is_the_live_force() -> None:
+    source = source_of("cable_cut", seed=5, cut_at=1.0)
+    view = view_of(source)
+    live = LiveForce(CABLE_CUT.dynamics, interval=1 / 1600, learn_after=None, span=7.5)
+    blocks = [source.read(1.0) for _ in range(100)]
+    first, shown = None, []
+    for block in blocks:
+        view.feed(block)
+        for bins in view.take().forces.get("AF", ()):
+            first = bins.first if first is None else first
+            shown.append(bins.least)
+    shown = np.concatenate(shown)
+    samples = np.concatenate([block.samples for block in blocks])
+    expected = live.push(samples[:, 0], pitch=samples[:, 3])
+    assert view.lines["AF"].factor == view.width == 1
+    assert first == expected.first == 0
+    # one sample a bin, and what is final does not depend on the chunks
+    np.testing.assert_allclose(shown[:, 0], expected.force[: len(shown)], atol=1e-6)
+    np.testing.assert_allclose(shown[:, 1], expected.uncertainty[: len(shown)], atol=1e-6)
+    assert len(shown) > 3000
+    assert abs(float(np.mean(shown[-500:, 0]))) < 5
+
+
+def test_thinned_force_keeps_its_time() -> None:
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    source = source_of("six", seed=seed, cut_at=1.0)
+    view = view_of(source)
+    pieces = []
+    while source._tick < 2 * source.rate:
+        view.feed(source.read(1.0))
+        update = view.take()
+        pieces += [(bins.first, bins.least[:, 0]) for bins in update.forces.get("AF", ())]
+    force = np.concatenate([part for _, part in pieces])
+    time_ = (pieces[0][0] + np.arange(force.size)) * view.width / source.rate
+    line = view.lines["AF"]
+    assert line.factor == int(25_000 / (16 * CABLE_CUT.dynamics.natural_frequency)) == 23
+    cut = time_[np.nanargmax(np.abs(np.diff(force)))]
+    # the jump lies within a sample of the thinned force and a bin, 1 ms each, of the cut
+    assert abs(cut - 1.0) < 3e-3, seed
+    known = np.isfinite(force)
+    assert np.mean(force[known & (time_ > 0.5) & (time_ < 0.97)]) == pytest.approx(-1020, abs=5), seed
+
+
+def test_a_gap_is_told_with_its_length_and_the_force_goes_on() -> None:
+    source = source_of("cable_cut", seed=6)
+    view = view_of(source)
+    blocks = [source.read(1.0) for _ in range(200)]
+    for number, block in enumerate(blocks):
+        if number not in (80, 81, *range(120, 150)):
+            view.feed(block)
+    update = view.take()
+    gaps = [(tick, text) for tick, kind, text in update.remarks if kind == "gap"]
+    assert [tick for tick, _ in gaps] == [80 * 32, 120 * 32]
+    assert gaps[0][1].startswith("64 samples") and gaps[1][1].startswith(f"{30 * 32} samples")
+    assert update.lost == 32 * 32
+    # two blocks (40 ms) are bridged, as the force lags by 76 ms; after thirty it begins anew
+    ends = [bins.first + len(bins.least) for bins in update.forces["AF"]]
+    assert ends[-1] > 200 * 32 - 200
+    assert view.lines["AF"].health.missing == 0  # counted from the new beginning
+    raw = [(bins.first, bins.least) for bins in update.raw]
+    assert np.isnan(raw[80][1][:64, 0]).all() and np.isfinite(raw[80][1][64:, 0]).all()
+
+
+def test_what_was_departed_from_is_learned_anew() -> None:
+    source = source_of("cable_cut", seed=9)
+    view = view_of(source)
+    line = view.lines["AF"]
+    processes = []
+    for number in range(1300):
+        if number == 600:
+            source.control("cut", 1)
+        if number == 700:
+            source.control("hang", 1)  # a ramp of a second: no step, and nothing like what was learned
+        view.feed(source.read(1.0))
+        snapshot = line.due()
+        if snapshot is not None:
+            line.adopt(snapshot.learn(), generation=line.generation)
+        processes.append(line.health.process if line.health else "waiting")
+    assert processes[590] == "learned"
+    assert "fallback" in processes[700:1000]
+    assert processes[-1] == "learned"
+
+
+def test_zero_leaves_the_weight() -> None:
+    source = source_of("vibration", seed=7, noise=0.0, amplitude=0.0)
+    view = view_of(source)
+    with pytest.raises(ValueError, match="no readings yet"):
+        view.zeros()
+    for _ in range(20):
+        view.feed(source.read(1.0))
+    weight = VIBRATION_RIG.mass * STANDARD_GRAVITY
+    assert view.take().readings["AF"].mean == pytest.approx(weight)
+    assert view.zeros()["AF"] == pytest.approx(0.0, abs=1e-9)
+    view.set_zeros({"AF": 2.5})
+    for _ in range(20):
+        view.feed(source.read(1.0))
+    assert view.take().readings["AF"].mean == pytest.approx(weight - 2.5)
+    assert view.zeros()["AF"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_loads_from_gauge_outputs() -> None:
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    balance = random_balance(seed)
+    rng = np.random.default_rng(seed)
+    native = rng.uniform(-0.3, 0.3, (400, 6)) * balance.load_scale
+    zero = rng.uniform(-0.05, 0.05, 6)
+    outputs = balance.outputs(native) + zero
+    channels = tuple(StoredChannel(name=f"r{name}", unit="uV/V") for name in balance.gauges)
+    zeros = {f"r{name}": float(value) for name, value in zip(balance.gauges, zero, strict=True)}
+    view = View(Panel(channels, 1000.0, True, {}, {}, {}, zeros=zeros, balance=balance))
+    view.feed(Block(0, 1e3 * outputs, 0.0))
+    readings = view.take().readings
+    expected = native @ balance.direct.T
+    for place, name in enumerate(COMPONENTS):
+        # the iteration ends at 1e-9 of capacity or below
+        assert readings[name].mean == pytest.approx(expected[:, place].mean(), rel=1e-6, abs=1e-4), seed
+    with pytest.raises(FitError, match="the balance needs"):
+        View(Panel(channels[1:], 1000.0, True, {}, {}, {}, balance=balance))
+
+
+@pytest.mark.parametrize(
+    ("limit", "state"), [((-3000.0, 3000.0), "ok"), ((-1200.0, 50.0), "high"), ((-1000.0, math.inf), "over")]
+)
+def test_alarms_use_the_load_felt(limit, state) -> None:
+    source = source_of("cable_cut", seed=8, noise=0.0)
+    view = view_of(source, half={"AF": 2000.0}, limits={"AF": limit})
+    for _ in range(12):
+        view.feed(source.read(1.0))
+    reading = view.take().readings["AF"]
+    assert reading.state == state
+    assert reading.percent == pytest.approx(100 * 1020 / 2000)
+    assert reading.limit is None or reading.limit == pytest.approx(1020 / -limit[0])
+
+
+def parsed(frame):
+    kind, level, groups, _, sequence, panel, _, newest, oldest, tick = struct.unpack_from("<BBBBIIIddd", frame)
+    at, found = 40, {}
+    for _ in range(groups):
+        place, columns, _, count, first = struct.unpack_from("<BBHId", frame, at)
+        values = np.frombuffer(frame, "<f4", count * columns * 2, at + 16).reshape(count, columns, 2)
+        found[place] = (int(first), values)
+        at += 16 + values.nbytes
+    assert at == len(frame)
+    return (kind, level, sequence, panel, tick), (newest, oldest), found
+
+
+def test_a_slow_viewer_loses_no_peak() -> None:
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    source = source_of("vibration", seed=seed)
+    view, board = view_of(source), Board()
+    names = view.panel.names
+    board.begin(Watching(1, names, ("",) * 4, source.rate, view.width, ("AF",), {}, {}, {}, {}))
+    quick, slow, taken = [0, 0], [0, 0], []
+    samples = []
+    for number in range(60):
+        block = source.read(1.0)
+        samples.append(block.samples)
+        view.feed(block)
+        board.take(News(1, view.take(), {}))
+        frame = board.data_frame(number + 1, 0, quick)
+        if frame is not None:
+            taken.append(parsed(frame)[2][0])
+    head, times, late = parsed(board.data_frame(99, 0, slow))
+    assert head == (1, 0, 99, 1, 60 * 500.0)
+    assert times[0] - times[1] == pytest.approx(1e3 * 60 * 0.02)
+    assert slow == quick
+    np.testing.assert_array_equal(late[0][1], np.concatenate([values for _, values in taken]))
+    whole = np.concatenate(samples).astype(np.float32).reshape(-1, view.width, 4)
+    np.testing.assert_array_equal(late[0][1][:, :, 0], whole.min(axis=1))
+    np.testing.assert_array_equal(late[0][1][:, :, 1], whole.max(axis=1))
+    assert board.data_frame(100, 0, slow) is None
+
+
+def test_plain_data_has_no_nan() -> None:
+    given = {"a": float("nan"), "b": (np.float64(1.5), np.bool_(True), -math.inf), 3: [np.int64(4)]}
+    assert plain(given) == {"a": None, "b": [1.5, True, None], "3": [4]}
+
+
+def hello_of(*channels):
+    return Hello(tuple(SourceChannel(*channel) for channel in channels), 1000.0, True, "a source", ())
+
+
+def test_ranges_limits_and_zeros_are_in_the_units_of_the_channels(tmp_path) -> None:
+    setup = setup_from(
+        {
+            "source": {"kind": "replay", "file": "run.csv"},
+            "channels": {"AF": {"input": "ch1", "unit": "lbf", "sign": -1, "half_range": 100.0, "offset": 1.0}},
+            "limits": {"AF": {"low": -50.0}},
+        }
+    )
+    hello = hello_of(("ch1", "V"))
+    pound = 4.4482216152605  # N, exact by the definition of the pound (0.45359237 kg) and standard gravity
+    panel = panel_of(setup, hello, tmp_path, {})
+    assert panel.half_ranges["AF"] == pytest.approx(100 * pound)
+    assert panel.limits["AF"] == (pytest.approx(-50 * pound), math.inf)
+    assert (panel.dynamics, panel.components, panel.units) == ({}, (), ("N",))
+    zeroed = setup_of_record(setup, hello.channels, zeros={"AF": 10 * pound}, notes="cold", seconds=3.0)
+    # value = sign (scale reading + offset): an offset of 1 + 10 takes 10 lbf off
+    assert zeroed.channels["AF"].offset == pytest.approx(11.0)
+    assert (zeroed.notes, zeroed.record.seconds) == ("cold", 3.0)
+    before, after = (stored_channels(item, hello.channels)[0].values(np.array([5.0])) for item in (setup, zeroed))
+    assert before - after == pytest.approx(10.0)
+
+
+# ---- who may use it
+
+
+@pytest.mark.parametrize(
+    "name", ["../x.h5", "a/b.h5", "..", "", " x", "x\0.h5", "-rf", ".hidden", "a" * 101, "x\n.h5", "C:\\x", "%2e%2e"]
+)
+def test_names_that_lead_out_of_the_folder(tmp_path, name) -> None:
+    folder = Folder(tmp_path)
+    with pytest.raises(ValueError, match="no name for a file"):
+        folder.file(name)
+
+
+def test_links_out_of_the_folder(tmp_path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "secret.h5").write_bytes(b"x")
+    (tmp_path / "in" / "link.h5").symlink_to(tmp_path / "secret.h5")
+    folder = Folder(tmp_path / "in")
+    with pytest.raises(ValueError, match="not below the project folder"):
+        folder.recording("link.h5")
+    assert folder.recordings() == []
+    assert folder.new_recording(" run (2) ").name == "run (2).h5"
+
+
+def test_other_addresses_need_a_token() -> None:
+    assert all(is_loopback(host) for host in ("127.0.0.1", "::1", "localhost", "127.3.2.1"))
+    assert not any(is_loopback(host) for host in ("0.0.0.0", "10.1.2.3", "example.org", "::"))
+    with pytest.raises(ValueError, match="--token"):
+        Door("0.0.0.0", 80)
+    with pytest.raises(ValueError, match="at least 16"):
+        Door("0.0.0.0", 80, token="short")
+
+
+@pytest.mark.parametrize(
+    ("host", "allowed"),
+    [
+        ("127.0.0.1:8765", True), ("localhost:8765", True), ("[::1]:8765", True), ("evil.example:8765", False),
+        ("", False), ("127.0.0.1:9999", False), ("127.0.0.1.evil.example:8765", False), ("127.0.0.1:8765x", False),
+        ("10.0.0.1:8765", False),
+    ],
+)  # fmt: skip
+def test_hosts(host, allowed) -> None:
+    assert Door("127.0.0.1", 8765).host_allowed(host) is allowed
+
+
+def test_wrong_calls(tmp_path) -> None:
+    with pytest.raises(ValueError, match="--token"):
+        monitor(folder=tmp_path, reach=Reach(host="0.0.0.0"), browser=False)
+    with pytest.raises(ValueError, match="go together"):
+        monitor(folder=tmp_path, reach=Reach(certificate=tmp_path / "c.pem"), browser=False)
+    with pytest.raises(ValueError, match="project folder"):
+        monitor(folder=tmp_path / "none", browser=False)
+
+
+# ---- the server
+
+BASE = "http://127.0.0.1:8765"
+LIVE = "ws://127.0.0.1:8765/live"
+
+
+class Running:
+    """A page in this process, with the processes behind it."""
+
+    def __init__(self, folder, rig="cable_cut", **door):
+        from starlette.testclient import TestClient
+
+        self.folder = folder
+        self.page = Page(rig_setup(rig), folder, setup_file=None, door=Door("127.0.0.1", 8765, **door))
+        self.client = TestClient(self.page.app, base_url=BASE, headers={"origin": BASE})
+
+    def __enter__(self):
+        self.client.__enter__()
+        self.wait(lambda state: state["source"]["state"] == "running")
+        return self
+
+    def __exit__(self, *error):
+        self.client.__exit__(*error)
+
+    def post(self, action, **body):
+        return self.client.post(f"/api/{action}", json=body)
+
+    def wait(self, holds, timeout=40.0):
+        limit = time.monotonic() + timeout
+        while time.monotonic() < limit:
+            state = self.client.get("/api/state").json()
+            if holds(state):
+                return state
+            time.sleep(0.05)
+        raise AssertionError(f"not within {timeout} s: {json.dumps(state)[:3000]}")
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory):
+    with Running(tmp_path_factory.mktemp("project")) as page:
+        page.wait(lambda state: state["numbers"].get("estimates"))
+        yield page
+
+
+def test_the_page_comes_from_this_server_alone(running) -> None:
+    for path in (
+        "/",
+        "/static/page.js",
+        "/static/charts.js",
+        "/static/setup.js",
+        "/static/page.css",
+        "/static/icon.svg",
+    ):
+        answer = running.client.get(path)
+        assert answer.status_code == 200
+        policy = answer.headers["content-security-policy"]
+        assert "default-src 'none'" in policy and "unsafe" not in policy and "http" not in policy
+        assert answer.headers["x-content-type-options"] == "nosniff"
+    for file in STATIC.iterdir():
+        text = file.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
+        assert "http://" not in text and "https://" not in text.replace('"https:" ? "wss"', ""), file
+        assert " style=" not in text and "eval(" not in text, file
+
+
+@pytest.mark.parametrize(
+    "origin", [None, "http://evil.example", "null", "https://127.0.0.1:8765", "http://127.0.0.1:8766"]
+)
+def test_requests_of_other_pages(running, origin) -> None:
+    headers = {} if origin is None else {"origin": origin}
+    running.client.headers.pop("origin")
+    try:
+        assert running.client.post("/api/mark", json={}, headers=headers).status_code == 403
+        with pytest.raises(WebSocketDisconnect) as refused, running.client.websocket_connect(LIVE, headers=headers):
+            pass
+        assert (refused.value.code, refused.value.reason) == (1008, "this is not asked by the page of this server")
+    finally:
+        running.client.headers["origin"] = BASE
+
+
+def test_other_hosts_and_methods(running) -> None:
+    assert running.client.get("/", headers={"host": "evil.example"}).status_code == 400
+    assert running.client.get("/api/state", headers={"sec-fetch-site": "cross-site"}).status_code == 403
+    assert running.client.delete("/api/mark").status_code == 405
+    assert running.post("nothing").status_code == 404
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/report/..%2f..%2fetc%2fpasswd",
+        "/report/%2e%2e",
+        "/static/../server.py",
+        "/static/%2e%2e/server.py",
+        "/file/..%5cx.h5",
+        "/file/none.h5",
+        "/file/x.py",
+    ],
+)
+def test_files_outside(running, path) -> None:
+    assert running.client.get(path).status_code == 404
+
+
+def test_token() -> None:
+    from starlette.testclient import TestClient
+
+    page = Page(
+        rig_setup("cable_cut"), STATIC, setup_file=None, door=Door("127.0.0.1", 8765, token="a-secret-of-some-length")
+    )
+    client = TestClient(page.app, base_url=BASE, headers={"origin": BASE}, follow_redirects=False)
+    assert client.get("/").status_code == 401
+    assert client.get("/?token=wrong").status_code == 401
+    assert client.post("/api/mark?token=a-secret-of-some-length", json={}).status_code == 401
+    with pytest.raises(WebSocketDisconnect), client.websocket_connect(LIVE):
+        pass
+    answer = client.get("/?token=a-secret-of-some-length")
+    assert answer.status_code == 303
+    assert "HttpOnly" in answer.headers["set-cookie"] and "SameSite=Strict" in answer.headers["set-cookie"]
+    client.cookies.set(COOKIE, "a-secret-of-some-length")
+    assert client.get("/").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("given", "where", "text"),
+    [
+        ({"record": {"seconds": -1}}, "record.seconds", "greater than 0"),
+        ({"record": {"trigger": "level"}}, "record", "needs channel and level"),
+        ({"source": {"kind": "nothing"}}, "source.kind", "known"),
+        ({"source": {"kind": "replay"}}, "source.file", "missing"),
+        ({"source": {"kind": "replay", "file": "/etc/passwd"}}, "source.file", "not below the project folder"),
+        ({"files": {"dynamics": "../other.json"}}, "files.dynamics", "not below the project folder"),
+        ({"limits": {"AF": {"low": 2, "high": 1}}}, "limits.AF", "low must be below high"),
+        ({"channels": {"AF": {"unit": "furlong"}}}, "", "channels.AF.unit"),
+        ({"colour": "red"}, "colour", ""),
+    ],
+)
+def test_faults_of_a_set_up_are_told_with_their_field(running, given, where, text) -> None:
+    before = running.client.get("/api/state").json()["source"]["number"]
+    answer = running.post("setup", setup=given)
+    assert answer.status_code == 422
+    assert answer.json()["where"] == where
+    assert text in answer.json()["error"]
+    assert running.client.get("/api/state").json()["source"]["number"] == before
+
+
+def test_a_set_up_replaces_no_other_file(running) -> None:
+    (running.folder / "other.toml").write_text("[project]\nname = 1\n", encoding="utf-8")
+    answer = running.post("setup", setup={"source": {"kind": "simulated"}}, name="other")
+    assert answer.status_code == 409
+    assert "is no test set-up" in answer.json()["error"]
+    assert "project" in (running.folder / "other.toml").read_text(encoding="utf-8")
+
+
+def test_form_lists_every_field() -> None:
+    form = form_of(rig_setup("vibration"), None)
+    fields = [field for key in ("files", "record", "channel", "limit") for field in form[key]]
+    fields += [field for kind in form["sources"].values() for field in kind]
+    for field in fields:
+        assert field["label"] != field["path"], f"{field['path']} has no label"
+    assert setup_from(
+        {key: value for key, value in form["values"].items() if key != "kind"}
+        | {"source": {**form["values"]["source"], "kind": form["values"]["kind"]}}
+    ) == rig_setup("vibration")
+
+
+def test_record_with_zero_mark_and_set_up(running) -> None:
+    assert running.post("zero").status_code == 200
+    running.wait(lambda state: state["zeros"].get("AF"))
+    zero = running.client.get("/api/state").json()["zeros"]["AF"]
+    assert zero == pytest.approx(-1020, abs=5)  # 10 N of noise over 1 s is 0.3 N
+    assert running.post("record", name="../x").status_code == 409
+    assert running.post("record", name="one", notes="the first").status_code == 200
+    assert running.post("record", name="two").status_code == 409
+    assert running.post("zero").status_code == 409
+    running.wait(lambda state: state["record"].get("blocks", 0) >= 3)
+    assert running.post("mark", text="a mark").status_code == 200
+    assert running.post("stop").status_code == 200
+    assert running.post("record", name="one").status_code == 409  # never written over
+    kept = contents(running.folder / "one.h5")
+    assert kept.state == "ended"
+    assert "the first" in kept.setup and "offset" in kept.setup
+    assert kept.channels[0].offset == pytest.approx(-zero)
+    assert running.post("job", verb="info", recording="one.h5").status_code == 200
+    state = running.wait(lambda state: state["tasks"] and state["tasks"][-1]["state"] in ("done", "failed"))
+    task = running.client.get(f"/api/task/{state['tasks'][-1]['number']}").json()
+    assert task["state"] == "done", task
+    assert abs(task["account"]["channels"]["AF"]["mean"]) < 5
+    assert [item["name"] for item in running.client.get("/api/recordings").json()] == ["one.h5"]
+    assert running.post("clear_zero").status_code == 200
+
+
+def test_two_viewers_one_of_them_asleep(running) -> None:
+    with running.client.websocket_connect(LIVE) as asleep, running.client.websocket_connect(LIVE) as awake:
+        got, numbers = 0, 0
+        limit = time.monotonic() + 20
+        while got < 30 and time.monotonic() < limit:
+            message = awake.receive()
+            if message.get("bytes"):
+                got += 1
+                awake.send_json({"shown": struct.unpack_from("<I", message["bytes"], 4)[0]})
+            else:
+                numbers += json.loads(message["text"])["type"] == "numbers"
+        assert got == 30 and numbers > 0
+        frames = 0
+        asleep.send_json({"ping": 1})
+        while True:
+            message = asleep.receive()
+            if message.get("bytes"):
+                frames += 1
+            elif json.loads(message["text"])["type"] == "pong":
+                break
+        assert 0 < frames <= UNSHOWN
+        asleep.send_json({"shown": UNSHOWN, "level": 0})
+        while not (message := asleep.receive()).get("bytes") or message["bytes"][0] != 1:
+            pass
+        # all that it has missed, in one frame
+        _, _, found = parsed(message["bytes"])
+        assert len(found[0][1]) > 100
+
+
+def test_fuzzed_requests_and_frames(running) -> None:
+    seed = np.random.SeedSequence().entropy
+    rng = np.random.default_rng(seed)
+    before = {path.name for path in running.folder.parent.iterdir()}
+    pieces = [
+        b"{",
+        b"}",
+        b'"name"',
+        b":",
+        b"[",
+        b"1e999",
+        b"null",
+        b"\xff\xfe",
+        b"../",
+        b'"setup"',
+        b",",
+        b"\0",
+        b"[" * 300,
+        b'"AF"',
+        b"-1",
+        b"NaN",
+    ]
+
+    def rubbish():
+        return b"".join(pieces[k] for k in rng.integers(0, len(pieces), rng.integers(1, 12)))
+
+    actions = [
+        "record",
+        "mark",
+        "control",
+        "job",
+        "setup",
+        "check",
+        "rig",
+        "trigger",
+        "restart" * 9,
+        "%00",
+        "zero" + "/" * 5,
+    ]
+    for _ in range(150):
+        action = actions[rng.integers(0, len(actions))]
+        answer = running.client.post(f"/api/{action}", content=rubbish())
+        assert answer.status_code in (400, 404, 405, 409, 413, 422), (seed, action, answer.text)
+    assert running.client.post("/api/mark", content=b"x" * 1_100_000).status_code == 413
+    with running.client.websocket_connect(LIVE) as socket:
+        for _ in range(100):
+            data = rubbish()
+            socket.send_bytes(data) if rng.random() < 0.5 else socket.send_text(data.decode("latin-1"))
+        for odd in (
+            {"shown": 10**9},
+            {"shown": -1},
+            {"level": 99},
+            {"level": True},
+            {"component": "x" * 3000},
+            {"ping": "a"},
+            [],
+        ):
+            socket.send_json(odd)
+        socket.send_json({"ping": 7})
+        while True:
+            message = socket.receive()
+            if (
+                message.get("text")
+                and json.loads(message["text"])["type"] == "pong"
+                and json.loads(message["text"])["ping"] == 7
+            ):
+                break
+    assert running.client.get("/api/state").json()["source"]["state"] == "running"
+    assert {path.name for path in running.folder.parent.iterdir()} == before
+
+
+def test_what_is_killed_is_told(running) -> None:
+    station = running.page.station
+    station.engine.process.kill()
+    running.wait(lambda state: any("started again" in item["text"] for item in state["messages"]))
+    running.wait(lambda state: state["source"]["state"] == "running")
+    # the charts go on in a new process
+    begun = running.page.board.data_version
+    running.wait(lambda _: running.page.board.data_version > begun + 5)
+    assert running.post("record", name="killed").status_code == 200
+    running.wait(lambda state: state["record"].get("blocks", 0) >= 2)
+    station.recorder.process.kill()
+    state = running.wait(lambda state: state["record"]["state"] == "ended")
+    assert "without a word" in state["record"]["reason"]
+    assert any(item["kind"] == "error" and "killed" in item["text"] for item in state["messages"])
+    assert contents(running.folder / "killed.h5").blocks.size >= 2
+    station.session.process.kill()
+    state = running.wait(lambda state: state["source"]["state"] == "ended")
+    assert "without a word" in state["source"]["text"]
+    assert running.post("control", name="cut").status_code == 409
+    assert running.post("restart").status_code == 200
+    running.wait(lambda state: state["source"]["state"] == "running")
+    assert running.post("control", name="hang").status_code == 200  # refused by the rig: the cable hangs
+    running.wait(lambda state: any("hangs already" in item["text"] for item in state["messages"]))
+    assert threading.active_count() < 40

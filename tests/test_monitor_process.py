@@ -1,0 +1,244 @@
+"""The page as a program of its own: it ends at once when told to, and what is killed leaves whole files."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+import warnings
+from pathlib import Path
+
+import pytest
+import websockets
+
+from aerobalance.io import read
+from aerobalance.io.hdf5_file import contents
+from aerobalance.problems import DoubtWarning
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="children are found in /proc")
+
+PROGRAM = """
+from pathlib import Path
+from aerobalance.monitor.command import Reach, monitor
+monitor(folder=Path({folder!r}), reach=Reach(port=0), browser=False, say=lambda text: print(text, flush=True))
+"""
+
+
+def children(pid):
+    """Processes that a process has started, and those that they have."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            with contextlib.suppress(OSError, IndexError):
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+                if int(fields[1]) == pid and fields[0] != "Z":
+                    found += [int(entry.name), *children(int(entry.name))]
+    return found
+
+
+def alive(pid):
+    with contextlib.suppress(OSError, IndexError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+class Program:
+    """A page in a process of its own."""
+
+    def __init__(self, folder):
+        code = PROGRAM.format(folder=str(folder))
+        self.folder = folder
+        self.process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+        line = self.process.stdout.readline()
+        self.base = line.split()[4].rstrip("/;")
+        self.known = []
+
+    def __enter__(self):
+        self.wait(lambda state: state["numbers"].get("estimates"))
+        self.known = children(self.process.pid)
+        return self
+
+    def __exit__(self, *_):
+        for pid in {*self.known, *children(self.process.pid)}:
+            with contextlib.suppress(OSError):
+                os.kill(pid, signal.SIGKILL)
+        self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
+
+    def state(self):
+        with urllib.request.urlopen(f"{self.base}/api/state", timeout=10) as answer:
+            return json.load(answer)
+
+    def wait(self, holds, timeout=60.0):
+        limit = time.monotonic() + timeout
+        while time.monotonic() < limit:
+            state = self.state()
+            if holds(state):
+                return state
+            time.sleep(0.05)
+        raise AssertionError(f"not within {timeout} s: {state}")
+
+    def post(self, action, **body):
+        headers = {"origin": self.base, "content-type": "application/json"}
+        request = urllib.request.Request(f"{self.base}/api/{action}", json.dumps(body).encode(), headers)
+        with urllib.request.urlopen(request, timeout=10) as answer:
+            return json.load(answer)
+
+    def record(self, name):
+        self.post("record", name=name)
+        self.wait(lambda state: state["record"].get("blocks", 0) >= 3)
+        self.known = children(self.process.pid)
+        return self.folder / f"{name}.h5"
+
+
+@pytest.fixture
+def program(tmp_path):
+    with Program(tmp_path) as running:
+        yield running
+
+
+def gone(pids, within):
+    limit = time.monotonic() + within
+    while time.monotonic() < limit and any(alive(pid) for pid in pids):
+        time.sleep(0.05)
+    return [pid for pid in pids if alive(pid)]
+
+
+def test_told_to_end_with_viewers_and_a_record(program) -> None:
+    file = program.record("one")
+    known = program.known
+    assert len(known) >= 3  # source, recorder, engine, and what else there is
+
+    async def watched():
+        live = program.base.replace("http", "ws") + "/live"
+        async with (
+            websockets.connect(live, origin=program.base) as one,
+            websockets.connect(live, origin=program.base) as other,
+        ):
+            for _ in range(5):
+                await one.recv()
+            await other.recv()
+            begin = time.monotonic()
+            program.process.send_signal(signal.SIGTERM)
+            status = await asyncio.to_thread(program.process.wait, 10)
+            return status, time.monotonic() - begin
+
+    status, took = asyncio.run(watched())
+    assert status == 0
+    assert took < 2.0
+    assert gone(known, 0.5) == []
+    kept = contents(file)
+    assert (kept.state, kept.reason) == ("ended", "the page was ended")
+    assert read(file).samples > 0
+
+
+def test_killed_without_a_word(program) -> None:
+    file = program.record("one")
+    known = program.known
+    blocks = program.state()["record"]["blocks"]
+    program.process.kill()
+    program.process.wait()
+    # source and recorder see that they are alone, close the file and end
+    assert gone(known, 15.0) == []
+    kept = contents(file)
+    assert (kept.state, kept.reason) == ("ended", "the program that started the record is gone")
+    assert kept.blocks.size >= blocks
+    assert not read(file).gaps
+
+
+def test_told_to_end_while_it_starts(tmp_path) -> None:
+    program = Program(tmp_path)
+    try:
+        time.sleep(0.3)
+        known = children(program.process.pid)
+        begin = time.monotonic()
+        program.process.send_signal(signal.SIGTERM)
+        assert program.process.wait(10) == 0
+        assert time.monotonic() - begin < 2.0
+        assert gone(known, 1.0) == []
+    finally:
+        program.__exit__()
+
+
+def test_rubbish_at_the_socket(program) -> None:
+    seed = random.SystemRandom().getrandbits(32)
+    rng = random.Random(seed)
+    port = int(program.base.rpartition(":")[2])
+    host = f"Host: 127.0.0.1:{port}\r\nOrigin: {program.base}\r\n".encode()
+    upgrade = b"Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: "
+    heads = (
+        b"",
+        b"GET / HTTP/1.1\r\n" + host,
+        b"POST /api/mark HTTP/1.1\r\n" + host + b"Content-Length: 99999999999\r\n\r\n",
+        b"GET /live HTTP/1.1\r\n" + host + upgrade + b"AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n",
+    )
+    left = []
+    for number in range(80):
+        connection = socket.create_connection(("127.0.0.1", port), timeout=5)
+        with contextlib.suppress(OSError):
+            connection.sendall(heads[number % 4] + rng.randbytes(rng.randint(1, 5000)))
+        if number % 7:
+            connection.close()
+        else:
+            left.append(connection)
+    assert program.state()["source"]["state"] == "running", seed
+    program.post("mark", text="still here")
+
+    async def too_much():
+        async with websockets.connect(program.base.replace("http", "ws") + "/live", origin=program.base) as viewer:
+            await viewer.send("x" * 200_000)
+            with pytest.raises(websockets.ConnectionClosedError):
+                while True:
+                    await asyncio.wait_for(viewer.recv(), 10)
+
+    asyncio.run(too_much())
+    assert program.state()["numbers"]["readings"], seed
+    for connection in left:
+        connection.close()
+
+
+@pytest.mark.long
+def test_killed_at_random_moments(tmp_path) -> None:
+    seed = random.SystemRandom().getrandbits(32)
+    print("seed", seed)  # noqa: T201 - shown where the test fails
+    rng = random.Random(seed)
+    for round_ in range(5):
+        folder = tmp_path / str(round_)
+        folder.mkdir()
+        with Program(folder) as program:
+            for trial in range(5):
+                victim = rng.choice(("recorder", "source", "engine")) if trial < 4 else "page"
+                if program.state()["source"]["state"] != "running":
+                    program.post("restart")
+                    program.wait(lambda state: state["source"]["state"] == "running")
+                program.post("record", name=f"run-{trial}")
+                time.sleep(rng.uniform(0.05, 1.5))
+                file, blocks = folder / f"run-{trial}.h5", program.state()["record"]["blocks"]
+                if victim == "page":
+                    program.known = children(program.process.pid)
+                    program.process.kill()
+                    program.process.wait()
+                    assert gone(program.known, 15.0) == [], (seed, round_, trial)
+                else:
+                    os.kill(program.state()["processes"][victim], signal.SIGKILL)
+                    if victim == "engine":
+                        program.wait(lambda state: any("started again" in item["text"] for item in state["messages"]))
+                        time.sleep(0.5)
+                        program.post("stop")
+                    program.wait(lambda state: state["record"]["state"] == "ended")
+                kept = contents(file)
+                assert kept.blocks.size >= blocks, (seed, round_, trial, victim)
+                if blocks:
+                    with warnings.catch_warnings():
+                        warnings.simplefilter("ignore", DoubtWarning)  # of a record that was broken off
+                        assert read(file).samples > 0
