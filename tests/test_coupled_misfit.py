@@ -1,0 +1,55 @@
+"""Modes that a record has and the coupled dynamics have not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from aerobalance.coupled import CoupledDynamics
+from aerobalance.coupled_force import reconstruct_coupled
+from aerobalance.coupled_misfit import misfits_of_coupled
+from aerobalance.dynamics import Mode
+from aerobalance.recording import Recording
+from aerobalance.rigs import SixComponentRig
+from aerobalance.rigs.six_balance import random_balance
+from aerobalance.rigs.six_signals import Band, broadband
+
+BAND = Band(0, 900)
+
+
+def _record() -> tuple[Recording, CoupledDynamics, np.random.Generator, int]:
+    entropy = int(np.random.SeedSequence().generate_state(1)[0])
+    generator = np.random.default_rng(entropy)
+    balance = random_balance(generator)
+    load = broadband(generator, BAND, rms=0.02 * balance.half_range, period=4.0)
+    simulation = SixComponentRig(balance, applied=load, output="loads").run(2.0, generator)
+    return simulation.recording, balance.dynamics, generator, entropy
+
+
+def test_the_right_dynamics_are_not_doubted() -> None:
+    recording, dynamics, _, entropy = _record()
+    found = reconstruct_coupled(recording, dynamics, bandwidth=BAND.high)
+    assert misfits_of_coupled(recording, dynamics, found) == [], f"seed {entropy}"
+
+
+def test_a_mode_beyond_the_six_is_named() -> None:
+    """A bending mode at 760 Hz rings in NF and PM with a tenth of the load felt."""
+    recording, dynamics, generator, entropy = _record()
+    mode = Mode(760.0, 0.01)
+    first, second = (np.exp(pole / recording.rate) for pole in mode.poles)
+    ringing = lfilter(
+        [1.0], np.real([1.0, -(first + second), first * second]), generator.normal(size=recording.samples)
+    )
+    channels = dict(recording.channels)
+    for name in ("NF", "PM"):
+        channel = recording.channel(name)
+        size = 0.1 * float(np.std(channel.values)) / float(np.std(ringing))
+        channels[name] = replace(channel, values=channel.values + size * ringing)
+    bent = replace(recording, channels=channels)
+    found = reconstruct_coupled(bent, dynamics, bandwidth=BAND.high)
+    told = [text for text in misfits_of_coupled(bent, dynamics, found) if "no mode of the dynamics" in text]
+    frequencies = [float(text.split(" ring at ")[1].split(" Hz")[0]) for text in told]
+    # within 1 % is what is promised of a mode that is left out
+    assert any(abs(frequency / 760 - 1) < 0.01 for frequency in frequencies), f"{told}, seed {entropy}"
