@@ -84,7 +84,7 @@ def test_force_refuses_what_is_for_one_component(
         (["--component", "all", "--modes", "2"], "--modes is for one component"),
         (["--component", "all", "--half-range", "NF=x"], "like NF=2000"),
         (["--component", "all", "--half-range", "NF=2000"], "PM, SF, YM, RM, AF are needed too"),
-        (["--component", "AF"], "--mass is needed"),
+        (["--component", "AF"], "Missing option '--mass'"),
         (["--component", "AF", "--mass", "1", "--half-range", "AF=1"], "goes with --component all"),
     ],
 )

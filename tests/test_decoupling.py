@@ -102,3 +102,26 @@ def test_straight_lines_do_a_sine_no_harm(frequency: float) -> None:
     whole = size * np.sinc(x / np.pi) ** 2  # amplitude of the sine in the lines between the points
     # 4 x^4 / 60 for the lines, 2e-4 for the ripple of the interpolation's window (Kaiser, beta 8: -80 dB)
     assert whole == pytest.approx(1, abs=4 * x**4 / 60 + 2e-4)
+
+
+def test_the_ends_of_a_record_are_as_good_as_its_middle(drawn: tuple[CoupledBalance, int]) -> None:
+    """Sines of 600 Hz cut off anywhere: what is left at the end is a small part of the noise."""
+    balance, entropy = drawn
+    dynamics = balance.dynamics
+    generator = np.random.default_rng(entropy + 2)
+    time = np.arange(20_000) / RATE
+    size = generator.normal(size=6) * 0.1 * balance.half_range
+    phase = generator.uniform(0, 2 * np.pi, 6)
+    response = dynamics.response(np.array([600.0]))[0]
+    turning = np.exp(2j * np.pi * 600 * time)[:, None]
+    felt = np.real(turning * (response @ (size * np.exp(1j * phase))))
+    for place, name in enumerate(dynamics.components):
+        lone = LoneComponent.of(dynamics, name, noise=_noise(balance))
+        own = lone.dynamics.response(np.array([600.0]))[0] * size[place] * np.exp(1j * phase[place])
+        error = lone.reading(felt, interval=1 / RATE) - np.real(turning[:, 0] * own)
+        if lone.dynamics.decay_rate * time[-1] < 17:
+            continue  # the free oscillation of the start is still there
+        # a spline errs by (w h)^4 / 384 = 1e-6 of the sine, at its ends by ten times that (de Boor), and its second
+        # difference with it; the loads of the others come in with what A makes of them
+        largest = float(np.max(np.abs(felt) @ (np.abs(lone.inertia) * (2 * np.pi * 600) ** 2 + 1)))
+        assert np.abs(error[-30:]).max() < 1e-4 * largest, f"{name}, seed {entropy}"

@@ -19,6 +19,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
 from aerobalance.coupled import CoupledDynamics
@@ -27,6 +28,9 @@ from aerobalance.recording import Array
 
 FINE: Final = 4
 """Steps into which a sampling interval is divided where readings drive a balance between samples."""
+
+EDGE: Final = 12
+"""Samples at either end of a record that the window of the band-limited interpolation reaches beyond."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,6 +149,14 @@ def finer(series: Array) -> Array:
     difference, taken off beforehand, gives it back, and what is lost is (w h)^4 / 240.
     """
     first = series[:1]
-    fine = first + resample_poly(series - first, FINE, 1, axis=0, window=("kaiser", 8.0), padtype="line")
-    fine[1:-1] -= np.diff(fine, 2, axis=0) / 12
-    return np.asarray(fine)
+    fine = np.asarray(first + resample_poly(series - first, FINE, 1, axis=0, window=("kaiser", 8.0), padtype="line"))
+    # near the ends the window reaches beyond the record: a spline through the samples there knows better
+    count = series.shape[0]
+    near, part = min(EDGE, count), min(4 * EDGE, count)
+    clock = np.arange(part)
+    fine[: FINE * near] = CubicSpline(clock, series[:part])(np.arange(FINE * near) / FINE)
+    late = np.arange(FINE * (count - near), FINE * count) / FINE - (count - part)
+    fine[FINE * (count - near) :] = CubicSpline(clock, series[count - part :])(np.minimum(late, part - 1))
+    bend = np.diff(fine[: FINE * (count - 1) + 1], 2, axis=0) / 12
+    fine[: FINE * (count - 1) + 1] -= np.concatenate([bend[:1], bend, bend[-1:]])
+    return fine

@@ -175,7 +175,7 @@ def identify_decay(
             f"{len(recs)} recordings were given; one component is identified from one (or --component all)"
         )
     if mass is None:
-        raise ValueError("--mass is needed: a release tells mass over stiffness only")
+        raise ValueError("Missing option '--mass': a release tells mass over stiffness only")
     if half_range:
         raise ValueError("--half-range goes with --component all")
     show(

@@ -1,0 +1,113 @@
+"""The examples, each held against the truth of its simulation.
+
+A tolerance of so many standard uncertainties is one that chance exceeds less than once in 100,000 runs: 5 for a normal
+error; for an uncertainty that is itself judged from what buffeting left, by 20 degrees of freedom or more, that point
+of Student's distribution.
+"""
+
+from __future__ import annotations
+
+import runpy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+JUDGED = float(stats.t(20).isf(5e-6))
+
+
+def _ran(name: str) -> tuple[dict[str, Any], dict[str, Any], int]:
+    """Names of the script, its results on a fresh seed, and the seed."""
+    script = runpy.run_path(str(EXAMPLES / f"{name}.py"))
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    main: Callable[[int], dict[str, Any]] = script["main"]
+    return script, main(seed), seed
+
+
+# in one record of five or so the estimator says that its very end is not explained; the mean leaves the ends out
+@pytest.mark.filterwarnings("ignore:.*depart from what the model:aerobalance.problems.DoubtWarning")
+def test_mean_loads_of_a_vibrating_test() -> None:
+    script, results, seed = _ran("mean_loads")
+    ratio = []
+    for name, (value, u, truth, raw) in results.items():
+        assert abs(value - truth) < 5 * u, f"{name}, seed {seed}"
+        ratio.append(abs(raw - truth) / u)
+    # ringing leaves its part in the plain means; that six of them are small at once is chance
+    assert max(ratio) > 5, f"seed {seed}: {ratio}"
+    assert set(results) == set(script["COMPONENTS"])
+
+
+def test_polar_of_a_continuous_sweep() -> None:
+    script, results, seed = _ran("pitch_sweep")
+    alpha = results.pop("alpha")
+    step = float(alpha[1] - alpha[0])
+    # straight from knot to knot, a polar of curvature c'' is off by c'' h^2 / 8 at most between knots of distance h
+    straight = {"CL": 72 * np.max(np.abs(alpha)), "CD": 14.0, "Cm": 1.0}
+    # buffeting of one-sided density S leaves S / 2T in a mean over the time T; a knot's hat has 2/3 of the time for
+    # one degree, at the sweep's highest rate, 15/8 of its mean. Knots that share their samples, slower ones at the
+    # ends, and a spectrum that is judged from the record change that by less than a factor of two
+    density = 0.01**2 / 200
+    rate = 15 / 8 * (script["LAST"] - script["FIRST"]) / (script["DURATION"] - 2 * script["HOLD"])
+    expected = np.sqrt(density / (2 * 2 / 3 * step / rate))
+    for name, (value, u, truth, _) in results.items():
+        assert (np.abs(value - truth) < JUDGED * u + straight[name] * step**2 / 8).all(), f"{name}, seed {seed}"
+        assert expected / 2 < np.median(u) < 2 * expected, f"{name}, seed {seed}"
+
+
+def test_damping_derivatives_within_a_percent_while_the_sting_shakes() -> None:
+    _, results, seed = _ran("forced_oscillation")
+    assert set(results) == {"PM by pitch", "PM by pitch rate", "YM by yaw", "YM by yaw rate"}
+    for name, (value, u, truth, _) in results.items():
+        assert abs(value - truth) < JUDGED * u, f"{name}, seed {seed}"
+        assert abs(value / truth - 1) < 0.01, f"{name}, seed {seed}"
+
+
+def test_derivatives_of_a_free_oscillation() -> None:
+    script, results, seed = _ran("free_oscillation")
+    for name, (value, u, truth, _) in results.items():
+        assert abs(value - truth) < JUDGED * u, f"{name}, seed {seed}"
+    # closed form: buffeting of one-sided density S on a regressor r leaves the variance S / (2 integral r^2 dt); of a
+    # decay r0^2 exp(-2 a t) cos^2 the integral is r0^2 / 4a. Time lost around the release costs exp(2 a t) of it; and
+    # the uncertainty, judged with some 60 degrees of freedom, is itself known to 10 %.
+    inertia, held = script["INERTIA"], np.radians(3)
+    stiffness, damping = 790 - script["TRUTH"]["PM_theta"], 0.2 - script["TRUTH"]["PM_q"]
+    decay, lost = damping / (2 * inertia), (script["INNER"].start + 10) / script["RATE"]
+    density = script["BUFFETING"] ** 2 / 60
+    left = held**2 / (4 * decay) * np.exp(-2 * decay * lost)
+    least = np.sqrt(density / 2 / left / script["RELEASES"])
+    assert 0.6 * least < results["PM_theta"][1] < 1.8 * least, f"seed {seed}"
+    least /= np.sqrt(stiffness / inertia)
+    assert 0.6 * least < results["PM_q"][1] < 1.8 * least, f"seed {seed}"
+
+
+def test_peak_of_a_parachute_that_opens() -> None:
+    script, results, seed = _ran("parachute")
+    value, u, truth, raw = results["peak"]
+    assert abs(value - truth) < 5 * u, f"seed {seed}"
+    # closed form: white noise through 1/G of one mode up to the bandwidth B, x = B/f0, has B/f_N (1 - 2/3 x^2 + x^4/5)
+    # of its variance; the edge of the band is not sharp
+    ratio = script["BANDWIDTH"] / script["BALANCE"].natural_frequency
+    share = script["BANDWIDTH"] / (script["RATE"] / 2) * (1 - 2 / 3 * ratio**2 + ratio**4 / 5)
+    assert u == pytest.approx(script["NOISE"] * np.sqrt(share), rel=0.3), f"seed {seed}"
+    assert raw - truth > 10 * u, f"seed {seed}"
+    value, _, truth, raw = results["rms of the steady drag"]
+    assert value == pytest.approx(truth, abs=5 * u), f"seed {seed}"
+
+
+def test_plateau_of_a_short_run() -> None:
+    script, results, seed = _ran("short_duration")
+    value, u, truth = results["mean"]
+    assert abs(value - truth) < 6 * u, f"seed {seed}"
+    # 0.05 % of the plateau, as for plateaus after a step
+    assert u < 5e-4 * script["PLATEAU"], f"seed {seed}"
+    assert abs(results["low_pass"] - truth) > 10 * u, f"seed {seed}"
+
+
+@pytest.mark.parametrize("name", ["parachute", "short_duration"])
+def test_a_figure_is_drawn(name: str, tmp_path: Path) -> None:
+    runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"](figure=tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
