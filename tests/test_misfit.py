@@ -120,9 +120,11 @@ def test_a_smooth_load_shows_no_mode_and_no_change(seed):
     assert missing_mode(seen, BARE) is None
     found = own_resonance(seen, BARE)
     assert found is not None
-    change, covariance = found
+    change, covariance, evidence = found
     # asymptotic: six ordinates of seven averages lie within the resonance, so allow six standard deviations
     assert abs(change[0]) < 6 * np.sqrt(covariance[0, 0])
+    # chi-square with two degrees of freedom passes this once in 3 million
+    assert evidence < 30
 
 
 def test_a_changed_spring_is_told_under_a_broadband_load(seed):
@@ -130,9 +132,10 @@ def test_a_changed_spring_is_told_under_a_broadband_load(seed):
     truth = replace(BARE, stiffness=1.08 * BARE.stiffness)
     found = own_resonance(averaged(shaken(truth, generator).channel("AF").values), BARE)
     assert found is not None
-    change, covariance = found
+    change, covariance, evidence = found
     assert change[0] == pytest.approx(np.log(1.08) / 2, abs=6 * np.sqrt(covariance[0, 0]))
     assert change[0] > 5 * np.sqrt(covariance[0, 0])
+    assert evidence > 30
 
 
 def test_noise_alone_tells_nothing(seed):

@@ -37,6 +37,9 @@ FREQUENCIES: Final = 4097
 EXPLAINED_BLOCK: Final = 256
 """Samples over which it is looked whether the readings are explained."""
 
+SLOW: Final = 0.5
+"""Frequency over the natural one below which noise that rises at low frequency has most of its power."""
+
 
 def reconstruct(
     recording: Recording,
@@ -241,7 +244,8 @@ def _tell_of_faint(job: Job, learned: Learned) -> None:
     frequency = np.linspace(0, 0.5 / job.interval, FREQUENCIES)[1:]
     felt = np.abs(job.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
     size = float(np.sqrt(np.mean(felt) / job.interval))
-    if not 0 < size < learned.noise:
+    low = float(np.sum(felt[frequency < SLOW * job.dynamics.natural_frequency]))
+    if not 0 < size < learned.noise or low < float(np.sum(felt)) / 2:
         return
     name, unit = job.dynamics.component, si_unit(job.dynamics.component)
     _doubt(

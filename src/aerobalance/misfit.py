@@ -34,6 +34,12 @@ SAME_MODE: Final = 0.02
 LONGEST: Final = 1 << 17
 """Samples from the start that are looked at: more tell nothing new."""
 
+CHANGED: Final = 30.0
+"""Gain in twice the log-likelihood that another frequency and damping must bring: chance has it once in 3 million.
+
+The curvature at the optimum alone says too much of a resonance that the load hardly excites.
+"""
+
 EXPLAINED: Final = 1.2
 """Residuals of a release over the noise of the readings up to which it is explained."""
 
@@ -192,7 +198,7 @@ def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: f
         size = float(np.sqrt(2 * np.sum(seen.power[near]) * seen.resolution))
     own = own_resonance(seen, dynamics)
     changes: list[tuple[float, float] | None] = [None, None]
-    if own is not None:
+    if own is not None and own[2] > CHANGED:
         for index, name in enumerate(("natural_frequency", "damping_ratio")):
             known = dynamics.uncertainty(name) / getattr(dynamics, name)
             u = float(np.hypot(np.sqrt(own[1][index, index]), known))

@@ -171,14 +171,14 @@ def missing_mode(seen: Averaged, dynamics: Dynamics) -> tuple[Mode, float] | Non
     return None
 
 
-def own_resonance(seen: Averaged, dynamics: Dynamics) -> tuple[Array, Array] | None:
-    """Relative change of natural frequency and damping ratio of the first mode, and their covariance.
+def own_resonance(seen: Averaged, dynamics: Dynamics) -> tuple[Array, Array, float] | None:
+    """Relative change of natural frequency and damping ratio of the first mode, their covariance and the evidence.
 
     Returns
     -------
-    change, covariance
-        Shapes (2,) and (2, 2) [1]; None where the load does not excite the resonance, or is no power of frequency
-        about it.
+    change, covariance, evidence
+        Shapes (2,) and (2, 2) [1], and the gain in twice the log-likelihood; None where the load does not excite the
+        resonance, or is no power of frequency about it.
     """
     band = seen.near(dynamics.natural_frequency)
     place = int(np.argmin(np.abs(seen.frequency - dynamics.natural_frequency)))
@@ -189,8 +189,11 @@ def own_resonance(seen: Averaged, dynamics: Dynamics) -> tuple[Array, Array] | N
         w, ratio = np.exp(point)
         return replace(dynamics, stiffness=dynamics.stiffness * w**2, damping=dynamics.damping * w * ratio)
 
+    plain = _fit(seen, band, lambda _: dynamics, start=np.zeros(0), scale=np.zeros(0))
     found = _fit(seen, band, changed, start=np.zeros(2), scale=np.array([0.3 * dynamics.damping_ratio, 0.2]))
-    return None if found.misfit > MISFIT else (found.point, found.covariance)
+    if found.misfit > MISFIT:
+        return None
+    return found.point, found.covariance, found.twice_log_likelihood - plain.twice_log_likelihood
 
 
 def _peaks(seen: Averaged, dynamics: Dynamics) -> list[float]:
