@@ -1,0 +1,34 @@
+"""The demonstration of six components, from the calibration stand to the page, on one balance."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from aerobalance.cli import main
+
+
+@pytest.mark.slow
+def test_six_components_from_millivolts_to_forces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # one seed: what is random about balances and noise is tested where each part is
+    assert main(["demo", "--six", "--out", str(tmp_path), "--seed", "3", "--json"]) == 0
+    account = json.loads(capsys.readouterr().out)
+    for row in account["components"]:
+        # 0.3 % of half range is what is promised; the ringing is some percent
+        assert row["error_percent"] < 0.3, row
+        assert row["error_percent"] < row["raw_percent"] / 20, row
+        # an rms of correlated errors within a factor of three of what is said of it
+        assert row["error_percent"] < 3 * row["uncertainty_percent"], row
+        assert len(account["steps"][row["component"]]) == 1, row
+    for mode in account["modes"]:
+        assert mode["identified_frequency"] == pytest.approx(mode["natural_frequency"], rel=1e-4)
+    page = (tmp_path / "six.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 2
+    assert "http" not in page
+
+
+def test_two_demonstrations_at_once_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["demo", "--six", "--tables", "--out", str(tmp_path)]) == 2
+    assert "give one of them" in capsys.readouterr().err
