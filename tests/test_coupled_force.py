@@ -11,7 +11,7 @@ from aerobalance.coupled import CoupledDynamics
 from aerobalance.coupled_force import reconstruct_coupled
 from aerobalance.dynamics import Dynamics
 from aerobalance.force import reconstruct
-from aerobalance.problems import FitError
+from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Array, Channel, Recording
 from aerobalance.rigs import SixComponentRig
 from aerobalance.rigs.six_balance import CoupledBalance, random_balance
@@ -181,7 +181,20 @@ def test_a_component_that_is_not_recorded_is_named() -> None:
 
 def test_motion_without_a_mass_is_refused() -> None:
     balance, dynamics, generator, _ = _drawn()
-    rig = SixComponentRig(balance, pitch=lambda time: np.full(time.shape, 0.1), output="loads")
+    rig = SixComponentRig(balance, pitch=lambda time: 0.1 + 0.01 * time, output="loads")
     recording = rig.run(0.1, generator).recording
     with pytest.raises(FitError, match="hold no mass"):
         reconstruct_coupled(recording, replace(dynamics, mass=None))
+
+
+def test_a_weight_that_is_not_known_stays_in_the_forces() -> None:
+    balance, dynamics, generator, entropy = _drawn()
+    rig = SixComponentRig(balance, pitch=lambda time: np.full(time.shape, 0.1), output="loads")
+    recording = rig.run(0.1, generator).recording
+    with pytest.warns(DoubtWarning, match="weight at the steady attitude"):
+        found = reconstruct_coupled(recording, replace(dynamics, mass=None))
+    weight = balance.mass.weight(0.1)[0]
+    for place, estimate in enumerate(found.values()):
+        # the mean of 2500 readings of noise 1e-4 of half range, five times its scatter
+        limit = 5 * balance.noise * balance.half_range[place] / 50
+        assert abs(estimate.values.mean() - weight[place]) < limit, f"seed {entropy}"

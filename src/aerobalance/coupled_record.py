@@ -6,6 +6,7 @@ the others (`aerobalance.decoupling`).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -23,7 +24,7 @@ from aerobalance.estimate import FEWEST_SAMPLES, Job, Through
 from aerobalance.motion import GroundMotion, Unknown
 from aerobalance.noise import white_noise
 from aerobalance.platform_motion import PlatformMotion
-from aerobalance.problems import FitError
+from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Array, Channel, Recording
 from aerobalance.sensing import corrected
 
@@ -245,6 +246,13 @@ def net_load(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
         There is motion, and the mass is not known.
     """
     if not platform.specific_force.any():
+        return np.zeros((platform.specific_force.shape[0], len(dynamics.components)))
+    if dynamics.mass is None and not np.ptp(platform.specific_force, axis=0).any():
+        warnings.warn(
+            "the dynamics hold no mass: the weight at the steady attitude of the record stays in the forces",
+            DoubtWarning,
+            stacklevel=4,
+        )
         return np.zeros((platform.specific_force.shape[0], len(dynamics.components)))
     if dynamics.mass is None:
         raise FitError(

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 from test_estimator import generator
 
-from aerobalance.coupled import CoupledDynamics
 from aerobalance.coupled_force import reconstruct_coupled
 from aerobalance.recording import Array
 from aerobalance.rigs import SixComponentRig
@@ -61,10 +60,10 @@ def test_gusts_through_all_resonances(record) -> None:
             if bound[place] < 2e-3 * balance.half_range[place]:
                 share = max(share, rms / balance.half_range[place])
             covered.append(float(np.mean(np.abs(error) < 1.96 * inner(estimate.uncertainty))))
-        diagonal = CoupledDynamics(
-            balance.dynamics.components,
-            np.diag(np.diag(balance.dynamics.inertia)),
-            np.diag(np.abs(np.diag(balance.dynamics.damping))),
+        diagonal = replace(
+            balance.dynamics,
+            inertia=np.diag(np.diag(balance.dynamics.inertia)),
+            damping=np.diag(np.abs(np.diag(balance.dynamics.damping))),
         )
         apart = reconstruct_coupled(simulation.recording, diagonal, bandwidth=band.high)
         alone += [
