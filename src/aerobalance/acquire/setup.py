@@ -58,7 +58,7 @@ from aerobalance.io.safe_write import replacing
 from aerobalance.io.toml_text import toml_text
 from aerobalance.io.units import conversion_for
 from aerobalance.problems import FitError, ReadError
-from aerobalance.recording import QUANTITIES, Coupling
+from aerobalance.recording import Coupling, unit_inside
 
 LARGEST_SETUP: Final = 1_000_000
 """Largest set-up file that is read [bytes]."""
@@ -244,7 +244,7 @@ def _check_channel(name: str, channel: SetChannel) -> None:
             conversion_for(name, channel.unit)
         except ValueError as error:
             raise ValueError(f"channels.{name}.unit: {error}") from None
-    if channel.coupling != "kinematic" and QUANTITIES.get(name) != "m/s^2":
+    if channel.coupling != "kinematic" and unit_inside(name) != "m/s^2":
         raise ValueError(f"channels.{name}: coupling is for accelerations, such as ground_acceleration")
 
 
