@@ -51,7 +51,7 @@ class Operator:
 
     def report(self, text):
         """Wait for a report whose name ends so, and return its words."""
-        self.until(f"document.getElementById('result-title').textContent.includes({text!r})", 120.0)
+        self.until(f"document.getElementById('result-title').textContent.includes({text!r})", 300.0)
         frame = self.view.frame_locator("#report")
         frame.locator("h1").wait_for(timeout=20_000)
         return frame.locator("main").inner_text()

@@ -33,8 +33,11 @@ DOUBTFUL, UNFIT = 0.005, 0.05
 DRIFT: Final = 0.005
 """Change of a zero within a series, over capacity, that is doubted."""
 
-DRIFT_IN_NOISE: Final = 8.0
-"""Range of zero readings, over the standard deviation of one, that noise does not reach."""
+DRIFT_IN_NOISE: Final = 10.0
+"""Range of zero readings, over the standard deviation of one, that noise does not reach.
+
+Noise itself does not reach 8; a fit with nearly as many terms as points leaves neighbours closer than their noise.
+"""
 
 
 def check_schedule(schedule: Schedule) -> None:
