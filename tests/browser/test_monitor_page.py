@@ -35,7 +35,7 @@ class Operator:
         self.view.on("request", lambda request: self.asked.append(request.url))
         self.view.goto(base)
 
-    def until(self, expression, timeout=60.0):
+    def until(self, expression, timeout=120.0):
         """Wait for something to hold; the page's policy keeps Playwright's own way of waiting out."""
         limit = time.monotonic() + timeout
         while time.monotonic() < limit:
@@ -53,7 +53,7 @@ class Operator:
         """Wait for a report whose name ends so, and return its words."""
         self.until(f"document.getElementById('result-title').textContent.includes({text!r})", 300.0)
         frame = self.view.frame_locator("#report")
-        frame.locator("h1").wait_for(timeout=20_000)
+        frame.locator("h1").wait_for(timeout=60_000)
         return frame.locator("main").inner_text()
 
 
