@@ -99,12 +99,10 @@ class LoneJob(Job):
         """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, (samples,)."""
         return np.asarray((item.slope @ _mass_matrix(self.coupled).T)[:, self.lone.place])
 
-    def motion_errors(self, slope: Callable[[Unknown], Array]) -> list[Contribution]:
-        """What holds along the ground's motion and is not known, by what a unit of it does to the force."""
-        return [
-            Systematic(item.name, item.source, (item.name,), slope(item)[:, None], np.array([[item.uncertainty**2]]))
-            for item in self.platform.unknowns
-        ]
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """What holds along the ground's motion and is not known exactly."""
+        return self.platform.unknowns
 
     def reading_errors(self, values: Array, through: Through) -> list[Contribution]:
         """Gain of every channel that has a part in the component, and the zero of its own."""

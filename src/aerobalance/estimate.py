@@ -200,11 +200,16 @@ class Job:
         """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, shape (n,)."""
         return self.dynamics.mass * item.slope
 
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """What holds along the ground's motion and is not known exactly."""
+        return self.motion.unknowns
+
     def motion_errors(self, slope: Callable[[Unknown], Array]) -> list[Contribution]:
         """What holds along the ground's motion and is not known, by what a unit of it does to the force, (n,)."""
         return [
             Systematic(item.name, item.source, (item.name,), slope(item)[:, None], np.array([[item.uncertainty**2]]))
-            for item in self.motion.unknowns
+            for item in self.unknowns
         ]
 
     def reading_errors(self, values: Array, through: Through) -> list[Contribution]:
