@@ -12,6 +12,7 @@ References
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
@@ -22,6 +23,7 @@ from scipy.signal import fftconvolve
 
 from aerobalance.hum import columns_of_lines
 from aerobalance.prior import Learned, Reading, confirmed, generalised_least_squares, learn, log_likelihood
+from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Array
 from aerobalance.shaping import ShapingFilter
 from aerobalance.smoother import Filter
@@ -143,6 +145,13 @@ def find_steps(reading: Reading) -> tuple[list[Step], Learned]:
         steps, learned = found
         sound = _without_echoes(steps, reading)
         if len(sound) < len(steps):
+            warnings.warn(
+                f"{reading.dynamics.component} rings after a step as its dynamics do not: what they leave over is no "
+                "steps and stays in the force, and smaller steps of the record are not looked for any more; identify "
+                "the dynamics again",
+                DoubtWarning,
+                stacklevel=2,
+            )
             return sound, learn(reading, columns=columns_of(sound, reading))
     return sorted(steps, key=lambda step: step.instant), learned
 
