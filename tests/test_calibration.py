@@ -15,8 +15,8 @@ from aerobalance.balance import BalanceMatrix
 from aerobalance.calibration.fit import Calibration, calibrate
 from aerobalance.calibration.quality import assess
 from aerobalance.calibration.regression import regress
+from aerobalance.channel import Array
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, SimulatedCalibration, random_balance
 from aerobalance.schedule import Schedule
 from aerobalance.terms import codes, terms_of

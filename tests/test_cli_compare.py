@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from aerobalance import tables
+from aerobalance.channel import Channel
 from aerobalance.cli import main
 from aerobalance.commands.compare import compare
 from aerobalance.dynamics import Mode
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.published import CABLE_CUT, TABLE_1, TABLE_2
-from aerobalance.recording import Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor, band_noise
 from aerobalance.rivals import RIVALS, THIS, TUNED
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from aerobalance.balance import BalanceMatrix
+from aerobalance.channel import Array
 from aerobalance.cli import main
 from aerobalance.io.balance_file import read_balance
 from aerobalance.io.schedule import write_balfit_schedule
-from aerobalance.recording import Array
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 
 GRAVITY = 9.80665

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from aerobalance import noise_floor
+from aerobalance.channel import Channel
 from aerobalance.force import noise_of as noise_of_record
 from aerobalance.force import reconstruct
 from aerobalance.noise_spectrum import Hump, NoiseSpectrum
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.stream import LiveForce
 from test_noise_spectrum import RATE, T128, WHITE, fresh, noise_of
 

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aerobalance.channel import Array, Channel
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.coupled_force import reconstruct_coupled
 from aerobalance.dynamics import Dynamics
 from aerobalance.force import reconstruct
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs import SixComponentRig
 from aerobalance.rigs.six_balance import CoupledBalance, random_balance
 from aerobalance.rigs.six_components import Release, SixSimulation

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aerobalance.channel import Array
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.decoupling import LoneComponent, finer
-from aerobalance.recording import Array
 from aerobalance.rigs.six_balance import CoupledBalance, random_balance
 
 RATE = 25_000.0

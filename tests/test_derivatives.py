@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from aerobalance.channel import Array
 from aerobalance.contributions import Contribution, Noise, Systematic
 from aerobalance.derivatives import covariance_of, regress
 from aerobalance.estimate import ForceEstimate
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 SAMPLES = 1200
 TIME = np.arange(SAMPLES) / SAMPLES

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from aerobalance.channel import QUANTITIES, Channel
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import ForceEstimate
@@ -10,7 +11,7 @@ from aerobalance.force import reconstruct
 from aerobalance.inverses import BAND_ORDER
 from aerobalance.motion import GroundMotion
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import QUANTITIES, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

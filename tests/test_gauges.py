@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from aerobalance.channel import Channel
 from aerobalance.components import is_gauge
 from aerobalance.gauges import gauge_outputs
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Channel, Recording
+from aerobalance.recording import Recording
 
 RATE = 1000.0
 

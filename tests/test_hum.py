@@ -5,11 +5,12 @@ import warnings
 import numpy as np
 import pytest
 
+from aerobalance.channel import Channel
 from aerobalance.dynamics import Dynamics
 from aerobalance.force import reconstruct, without_hum
 from aerobalance.hum import columns_of_lines, hum_lines, reading_of_lines
 from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Channel, Recording
+from aerobalance.recording import Recording
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0

@@ -8,11 +8,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2
 
+from aerobalance.channel import Channel
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.identification.decay import identify_decay
 from aerobalance.identification.extrema import extrema_fit
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

@@ -8,6 +8,7 @@ import pytest
 from scipy.linalg import eigh, expm
 from scipy.stats import chi2, norm
 
+from aerobalance.channel import Array, Channel
 from aerobalance.commands.identify_coupled import identify_decays
 from aerobalance.components import COMPONENTS, si_unit
 from aerobalance.coupled import CoupledDynamics, RigidMass
@@ -24,7 +25,7 @@ from aerobalance.identification.releases import identify_releases
 from aerobalance.io import write_recording
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 
 RATE = 2500.0
 SECONDS = 0.6

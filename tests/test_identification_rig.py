@@ -10,13 +10,14 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, filtfilt
 from scipy.stats import chi2
 
+from aerobalance.channel import Channel
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.force import reconstruct
 from aerobalance.identification import identify_rig
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.published import CABLE_CUT, VIBRATION_RIG
-from aerobalance.recording import Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, RandomDrive, Sensor, SteppedSine, Sweep, VibrationRig
 from aerobalance.rigs.drives import band_noise
 

@@ -10,9 +10,10 @@ import pytest
 
 from aerobalance.balance import BalanceMatrix, TemperatureEffect
 from aerobalance.calibration.fit import calibrate
+from aerobalance.channel import Array, Channel
 from aerobalance.loads import LoadsFelt, loads_felt, static_uncertainty, wind_off_loads, with_loads
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from aerobalance.zeros import GaugeZero, gauge_table, gauge_zero
 

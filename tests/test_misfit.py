@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aerobalance.channel import Array, Channel
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.identification.decay import identify_decay
 from aerobalance.misfit import Misfit, misfit_of
 from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.resonance import REACH, Averaged, missing_mode, own_resonance, smeared
 from aerobalance.rigs import CableCut, Sensor
 

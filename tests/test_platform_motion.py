@@ -6,6 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
+from aerobalance.channel import AXES_BY_NAME, Channel
 from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
 from aerobalance.coupled import VECTORS, RigidMass
 from aerobalance.ground_fit import GroundFit
@@ -13,7 +14,7 @@ from aerobalance.ground_sensors import ground_sensors
 from aerobalance.motion import GroundMotion
 from aerobalance.platform_motion import PlatformMotion
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import AXES_BY_NAME, Channel, Recording
+from aerobalance.recording import Recording
 
 RATE = 1000.0
 STEP = 1e-3

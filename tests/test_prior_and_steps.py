@@ -5,10 +5,11 @@ import pytest
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 from scipy.stats import multivariate_normal
 
+from aerobalance.channel import Channel
 from aerobalance.dynamics import Dynamics
 from aerobalance.force import reconstruct
 from aerobalance.prior import Learned, Reading, confirmed, generalised_least_squares, learn, log_likelihood
-from aerobalance.recording import Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor
 from aerobalance.shaping import EDGE, ShapingFilter
 from aerobalance.smoother import FORCE, Filter

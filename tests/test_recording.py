@@ -5,8 +5,9 @@ import warnings
 import numpy as np
 import pytest
 
+from aerobalance.channel import Channel
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Channel, Loads, Recording
+from aerobalance.recording import Loads, Recording
 
 
 def on(stamps, values=None):

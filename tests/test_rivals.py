@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
+from aerobalance.channel import Channel
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
 from aerobalance.fir_inverse import (
@@ -16,7 +17,7 @@ from aerobalance.fir_inverse import (
     undo,
 )
 from aerobalance.problems import FitError
-from aerobalance.recording import Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor, band_noise
 from aerobalance.rivals import (
     LOW_PASS_ORDER,

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from aerobalance.anti_alias import AntiAlias
+from aerobalance.channel import QUANTITIES, Channel, CrossAxis
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
 from aerobalance.force import reconstruct
 from aerobalance.motion import GroundMotion
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import QUANTITIES, Channel, CrossAxis, Recording
+from aerobalance.recording import Recording
 from aerobalance.sensing import LEAST_GAIN, corrected
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from aerobalance.channel import QUANTITIES, Channel
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.contributions import Noise, Systematic
 from aerobalance.dynamics import Dynamics
@@ -15,7 +16,7 @@ from aerobalance.monte_carlo import drawn_dynamics, drawn_numbers, monte_carlo
 from aerobalance.motion import GroundMotion
 from aerobalance.prior import Learned
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import QUANTITIES, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.smoothing import Estimator, Smoothed
 from aerobalance.uncertainty import advice, budget, scalars, spectrum
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from aerobalance.channel import Channel
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.problems import FitError
-from aerobalance.recording import Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.weighing import MovingMass, points_from_recordings, weigh
 
 G = STANDARD_GRAVITY

@@ -15,10 +15,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS
 from aerobalance.coupled import VECTORS
 from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Array
 
 WIND_NAMES: Final[Mapping[str, str]] = {"NF": "L", "SF": "Y", "AF": "D", "PM": "PM", "YM": "YM", "RM": "RM"}
 """Names of the components in wind axes: lift, side force, drag, and the moments about the wind's axes."""

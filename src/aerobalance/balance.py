@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance import _term_kernels as kernels
+from aerobalance.channel import Array
 from aerobalance.forms import BalanceType, Geometry, to_direct
-from aerobalance.recording import Array
 from aerobalance.terms import KINDS, MODELS, Term, codes
 
 Way = Literal["iterative", "non-iterative"]

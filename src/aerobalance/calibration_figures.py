@@ -10,8 +10,8 @@ import numpy as np
 
 from aerobalance.calibration.fit import Calibration
 from aerobalance.calibration.quality import BIDIRECTIONAL, Quality
+from aerobalance.channel import Array
 from aerobalance.page import PLACE_HOLDERS, empty_figure, inline
-from aerobalance.recording import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

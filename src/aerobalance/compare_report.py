@@ -9,11 +9,12 @@ from typing import Any, Final
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from aerobalance.channel import Array
 from aerobalance.components import si_unit
 from aerobalance.dynamics import Dynamics
 from aerobalance.io.artefacts import provenance
 from aerobalance.page import PLACE_HOLDERS, empty_figure, inline, legend, write_page
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.rivals import THIS, RivalEstimate
 from aerobalance.scores import END_SHARE, Truth
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics, Mode
-from aerobalance.recording import Array
 
 VECTORS: Final = {
     "NF": (0, 0, 1),

@@ -11,13 +11,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.coupled_record import CoupledRecord, bridged, load_felt
 from aerobalance.estimate import ForceEstimate
 from aerobalance.force import Method, estimated
 from aerobalance.hum import Hum
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 
 PASSES: Final = 2
 """Most times that gaps are filled anew by what the forces found make the balance read."""

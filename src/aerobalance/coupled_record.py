@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
+from aerobalance.channel import Array, Channel
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.contributions import Contribution, Systematic
 from aerobalance.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
@@ -25,7 +26,7 @@ from aerobalance.motion import GroundMotion, Unknown
 from aerobalance.noise import white_noise
 from aerobalance.platform_motion import PlatformMotion
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.sensing import corrected
 
 AROUND: Final = 200

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
+from aerobalance.channel import Array
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.dynamics import Dynamics, Mode
-from aerobalance.recording import Array
 
 FINE: Final = 4
 """Steps into which a sampling interval is divided where readings drive a balance between samples."""

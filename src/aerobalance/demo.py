@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from aerobalance import __version__
+from aerobalance.channel import Array, Channel
 from aerobalance.commands import force, identify, weighing
 from aerobalance.commands.shared import seed_for
 from aerobalance.comparison import (
@@ -35,7 +36,7 @@ from aerobalance.io.artefacts import provenance
 from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.io.safe_write import replacing
 from aerobalance.published import CABLE_CUT, SECOND_FREQUENCY, VIBRATION_RIG, PublishedBalance
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.report import (
     LineFigure,
     ResonanceFigure,

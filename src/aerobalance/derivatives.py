@@ -19,10 +19,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aerobalance.channel import Array
 from aerobalance.contributions import Contribution, Systematic
 from aerobalance.estimate import ForceEstimate
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 TAPERS: Final = 12
 """Fewest tapers that a spectrum is averaged over: it is then known to 1 / sqrt(12), or 29 %, on its own."""

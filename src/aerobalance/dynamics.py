@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS
-from aerobalance.recording import Array
 
 PARAMETERS: Final = ("mass", "stiffness", "damping", "delay")
 """Order of the first rows and columns of `Dynamics.covariance`."""

@@ -8,13 +8,14 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.contributions import Contribution, Systematic, total_deviation
 from aerobalance.dynamics import Dynamics
 from aerobalance.hum import Line
 from aerobalance.motion import AXES, GroundMotion, Unknown, load_from_ground
 from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.prior import Learned, Reading
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.sensing import corrected
 from aerobalance.steps import Step
 

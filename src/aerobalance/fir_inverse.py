@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import convolve
 
+from aerobalance.channel import Array
 from aerobalance.noise import white_noise
 from aerobalance.problems import FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 
 ORDER: Final = 30
 """Order of the filter: 31 coefficients, half of them before the sample that is corrected."""

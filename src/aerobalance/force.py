@@ -12,6 +12,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY, si_unit
 from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import FEWEST_SAMPLES, ForceEstimate, Job
@@ -23,7 +24,7 @@ from aerobalance.noise_record import noise_spectrum_of
 from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.prior import Learned, Reading
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.smoothing import Estimator, Smoothed, taken_apart
 
 Method = Literal["smoother", "paper"]

@@ -9,11 +9,12 @@ from typing import Any, Final
 import numpy as np
 from scipy.signal import welch
 
+from aerobalance.channel import Array
 from aerobalance.components import si_unit
 from aerobalance.estimate import ForceEstimate
 from aerobalance.io.artefacts import provenance
 from aerobalance.page import PLACE_HOLDERS, empty_figure, inline, legend, write_page
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.uncertainty import budget, segment_length, spectrum
 
 COVERAGE_FACTOR: Final = 1.96

@@ -8,8 +8,8 @@ from typing import Final, Literal
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS
-from aerobalance.recording import Array
 
 BalanceType = Literal["force", "moment", "direct", "unknown"]
 Form = Literal["direct", "force", "moment"]

@@ -10,9 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array, Channel
 from aerobalance.components import is_gauge
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 
 NEAR_ZERO: Final = 0.1
 """Part of its median below which an excitation counts as switched off."""

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.ground_fit import GroundFit
 from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Array
 
 SURE: Final = 6.0
 """Standard deviations from which a difference is no chance: once in 1e9 for white noise."""

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from aerobalance.channel import Array
 from aerobalance.ground_sensors import GroundSensor, least_squares, told_apart
-from aerobalance.recording import Array
 from aerobalance.sensing import filtered
 
 STEEPNESS: Final = 16

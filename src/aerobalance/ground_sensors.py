@@ -14,12 +14,13 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import AXES_BY_NAME, Array, Channel, is_ground_acceleration
 from aerobalance.components import COMPONENTS, MOMENTS
 from aerobalance.coupled import VECTORS
 from aerobalance.motion import bridged
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import AXES_BY_NAME, Array, Channel, Recording, is_ground_acceleration
+from aerobalance.recording import Recording
 from aerobalance.sensing import divided, filtered, high_pass
 
 Kind = Literal["acceleration", "turn", "rate"]

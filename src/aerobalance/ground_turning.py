@@ -14,10 +14,10 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal.windows import hann
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS
 from aerobalance.ground_fit import GroundFit
 from aerobalance.ground_sensors import DIRECTIONS
-from aerobalance.recording import Array
 
 TURNS: Final = tuple(COMPONENTS.index(name) for name in MOMENTS)
 """Places of the turns in the order of the components."""

@@ -13,7 +13,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 
 Hum = Literal["mains", "keep"] | tuple[float, ...]
 """Lines to take for hum: those of the mains that are found, none, or those near given frequencies [Hz]."""

@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.contributions import Noise
 from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import ForceEstimate, Job
 from aerobalance.noise import white_noise
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 DIFFERENCE_BANDWIDTH: Final = 0.3183
 """Frequency, over the sampling rate, at which the three-point second difference is 3 dB low."""

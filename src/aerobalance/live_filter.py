@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from aerobalance import _live_kernels as kernels
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 from aerobalance.smoother import FORCE, GAIN_TOLERANCE, StateSpace
 
 HISTORY: Final = 16

@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 
 from aerobalance import _live_kernels as kernels
+from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
 from aerobalance.motion import FINE, gravity_share
-from aerobalance.recording import Array
 from aerobalance.shaping import ShapingFilter
 from aerobalance.smoother import FORCE, StateSpace
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import gamma
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.live_filter import strange_square
 from aerobalance.noise import white_noise
 from aerobalance.prior import Learned, Reading
-from aerobalance.recording import Array
 from aerobalance.shaping import ShapingFilter
 from aerobalance.spectrum import Spectrum
 from aerobalance.steps import Step, find_steps

@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.live_filter import KnownShape, LiveFilter
-from aerobalance.recording import Array
 from aerobalance.steps import RAMP_EVIDENCE, Step
 
 SHIFT: Final = 0.05

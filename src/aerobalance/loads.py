@@ -16,11 +16,12 @@ from typing import Final
 import numpy as np
 
 from aerobalance.balance import BalanceMatrix
+from aerobalance.channel import Array, Channel
 from aerobalance.components import is_gauge
 from aerobalance.forms import FORM_MOMENTS, FORMS, Form, between_forms
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.zeros import GaugeZero, gauge_table
 
 BEYOND: Final = 0.02

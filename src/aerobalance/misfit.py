@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.components import si_unit
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.estimate import Job
@@ -21,7 +22,7 @@ from aerobalance.identification.onset import first_look
 from aerobalance.identification.ring import fit_ring
 from aerobalance.motion import GroundMotion
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.resonance import Averaged, missing_mode, own_resonance
 from aerobalance.steps import Step, columns_of
 

@@ -22,6 +22,7 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.contributions import Noise, Systematic
 from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import PARAMETERS_NAME, ForceEstimate, Job
@@ -29,7 +30,7 @@ from aerobalance.force import Method, with_motion
 from aerobalance.motion import GroundMotion
 from aerobalance.prior import Learned, Reading
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.smoothing import Estimator
 from aerobalance.steps import Step, shape_of
 from aerobalance.uncertainty import noise_power, scalars

@@ -10,11 +10,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
+from aerobalance.channel import Array, Channel
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.sensing import corrected, divided, high_pass
 
 FINE: Final = 8

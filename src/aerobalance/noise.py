@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import welch
 from scipy.stats import norm
 
-from aerobalance.recording import Array, Channel
+from aerobalance.channel import Array, Channel
 
 BANDS: Final = 32
 """Bands of equal width between zero and the Nyquist frequency in which the level is looked at."""

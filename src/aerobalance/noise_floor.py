@@ -13,10 +13,10 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.noise_record import Ordinates, cost_of, fitted, humps_of, model_of
 from aerobalance.noise_spectrum import ColoredNoise
 from aerobalance.prior import Learned, Reading, learn
-from aerobalance.recording import Array
 
 CERTAIN: Final = 5.0
 """Level in the reading over the noise from which on a broad band is force."""

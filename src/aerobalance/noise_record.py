@@ -22,11 +22,11 @@ from scipy.optimize import minimize
 from scipy.signal.windows import tukey
 from scipy.stats import gamma
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.hum import columns_of_lines, hum_lines
 from aerobalance.noise_spectrum import EXPONENTS, Hump, NoiseSpectrum
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array
 
 FEWEST_SAMPLES: Final = 512
 """Shortest record that a spectrum of noise is learned from."""

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import nnls
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 from aerobalance.shaping import ShapingFilter
 
 EXPONENTS: Final = (0.3, 2.0)

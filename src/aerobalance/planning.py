@@ -18,8 +18,8 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
-from aerobalance.recording import Array
 
 GRID: Final = 4097
 """Frequencies over which spectra are integrated."""

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.coupled import RigidMass
 from aerobalance.ground_check import Effect, check_agreement
@@ -16,7 +17,7 @@ from aerobalance.ground_sensors import DIRECTIONS, STRAIGHT, ground_sensors, mot
 from aerobalance.ground_turning import TURNS, Turning
 from aerobalance.motion import AT_REST, Unknown, bridged, gravity_share, tones
 from aerobalance.noise import channel_noise
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.sensing import corrected
 
 GAINS: Final = ("accelerometer gain", "turn sensor gain")

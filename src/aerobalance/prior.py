@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.noise_spectrum import ColoredNoise
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 from aerobalance.shaping import EDGE, ShapingFilter
 from aerobalance.smoother import LOAD, Filter, StateSpace
 from aerobalance.spectrum import Periodogram, Spectrum

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.io.safe_write import replacing
 from aerobalance.page import PLACE_HOLDERS, PRINT, STYLE, empty_figure, inline, legend, write_page
-from aerobalance.recording import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

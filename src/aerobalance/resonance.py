@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import minimize
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics, Mode
-from aerobalance.recording import Array
 
 PARTS: Final = 8
 """Parts of the record whose periodograms are averaged; they overlap by half."""

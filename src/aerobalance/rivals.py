@@ -16,13 +16,14 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 from scipy.signal import butter, filtfilt, iirnotch, sosfiltfilt
 
+from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
 from aerobalance.fir_inverse import ORDER, MeasuredResponse, fir_inverse, fit_frequencies, undo
 from aerobalance.force import reconstruct
 from aerobalance.motion import AXES, GroundMotion, gravity_share
 from aerobalance.problems import FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.scores import Truth
 from aerobalance.sensing import corrected
 

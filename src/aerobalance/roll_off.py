@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 from aerobalance.spectrum import Periodogram, Spectrum
 
 STEEPEST_ORDER: Final = 16.0

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.forms import BalanceType, Geometry
-from aerobalance.recording import Array
 
 UNLOADED: Final = 1e-3
 """Load, over capacity, below which a point counts as a zero reading."""

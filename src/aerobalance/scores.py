@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.problems import FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 
 END_SHARE: Final = 0.05
 """Share of a record that is left out of the scores at each end."""

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 from aerobalance.spectrum import FEWEST_ORDINATES, FINENESS, Periodogram, Spectrum, leaked
 
 CHANGE_EVIDENCE: Final = 10.0

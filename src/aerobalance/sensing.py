@@ -16,8 +16,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array, Channel, unit_inside
 from aerobalance.problems import FitError
-from aerobalance.recording import Array, Channel, Recording, unit_inside
+from aerobalance.recording import Recording
 
 LEAST_GAIN: Final = 0.5
 """Gain down to which a motion's magnitude is undone in full; from its square on it is left as it is."""

@@ -25,7 +25,7 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.ndimage import maximum_filter1d
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 
 STATES: Final = 32
 """Most states; a band with edges as sharp as `EDGE` needs 16 to 32, the stronger over the noise the more."""

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from aerobalance import __version__
+from aerobalance.channel import Array
 from aerobalance.commands import calibration, force, weighing
 from aerobalance.commands import loads as loads_command
 from aerobalance.commands.identify_coupled import identify_decays
@@ -27,7 +28,7 @@ from aerobalance.io import read, write_recording
 from aerobalance.io.balfit_file import write_balfit_schedule
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.page import write_page
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs import SixComponentRig
 from aerobalance.rigs.calibration_stand import CalibrationStand
 from aerobalance.rigs.six_balance import CoupledBalance, random_balance

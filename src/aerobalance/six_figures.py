@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from aerobalance.channel import Array
 from aerobalance.components import si_unit
 from aerobalance.page import PLACE_HOLDERS, empty_figure, inline, legend
-from aerobalance.recording import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from aerobalance import _kernels
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
-from aerobalance.recording import Array
 from aerobalance.shaping import ShapingFilter
 
 GAIN_TOLERANCE: Final = 1e-8

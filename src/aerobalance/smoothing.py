@@ -10,11 +10,11 @@ import numpy as np
 from scipy.stats import norm
 
 from aerobalance import _series_kernels
+from aerobalance.channel import Array
 from aerobalance.contributions import Contribution, Noise, Systematic
 from aerobalance.hum import Hum, Line, columns_of_lines, hum_lines
 from aerobalance.noise_floor import Floor, floor_of
 from aerobalance.prior import Learned, Reading, generalised_least_squares
-from aerobalance.recording import Array
 from aerobalance.smoother import FORCE, LOAD, Filter, StateSpace
 from aerobalance.steps import Step, columns_of, find_steps, response_to, shape_of
 

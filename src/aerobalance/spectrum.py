@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
-from aerobalance.recording import Array
 
 LONGEST: Final = 1 << 17
 """Samples of one periodogram; a longer record is averaged over parts of this length."""

@@ -21,10 +21,10 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 from scipy.signal import fftconvolve
 
+from aerobalance.channel import Array
 from aerobalance.hum import columns_of_lines
 from aerobalance.prior import Learned, Reading, confirmed, generalised_least_squares, learn, log_likelihood
 from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Array
 from aerobalance.shaping import ShapingFilter
 from aerobalance.smoother import Filter
 from aerobalance.spectrum import Spectrum

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import norm
 
 from aerobalance import _live_kernels as kernels
+from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import PARAMETERS, Dynamics
 from aerobalance.live_filter import HISTORY, MOST_STEPS, PIECE, SCAN_LAGS, KnownShape, LiveFilter, false_alarm_evidence
@@ -32,7 +33,6 @@ from aerobalance.live_state import (
 from aerobalance.live_steps import place_step, shapes_of
 from aerobalance.prior import Learned, Reading
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 from aerobalance.steps import Step
 
 LAG_PERIODS: Final = 5.0

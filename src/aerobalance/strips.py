@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 
 STEP: Final = 10
 """Bins of one level that make a bin of the next."""

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from aerobalance import __version__
+from aerobalance.channel import Array
 from aerobalance.commands.compare import verdict
 from aerobalance.commands.shared import doubts, seed_for
 from aerobalance.dynamics import Dynamics
@@ -22,7 +23,6 @@ from aerobalance.identification.decay import identify_decay
 from aerobalance.identification.rig import identify_rig
 from aerobalance.page import write_page
 from aerobalance.published import CABLE_CUT, SECOND_FREQUENCY, TABLE_1, TABLE_2, VIBRATION_RIG, PublishedBalance
-from aerobalance.recording import Array
 from aerobalance.rigs import CableCut, Simulation, SteppedSine, Sweep, VibrationRig
 from aerobalance.rivals import RivalEstimate, Settings, estimates
 from aerobalance.scores import Truth

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 
 ROLL_OFF: Final = 0.25
 """Part of the new Nyquist frequency that the filter takes to fall off, on either side of it."""

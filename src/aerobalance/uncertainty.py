@@ -20,9 +20,9 @@ from typing import Final
 import numpy as np
 from scipy.signal import csd, welch
 
+from aerobalance.channel import Array
 from aerobalance.contributions import Noise, Systematic
 from aerobalance.estimate import ForceEstimate
-from aerobalance.recording import Array
 
 SEGMENTS: Final = 8
 """Parts of the record, without overlap, that a spectrum is averaged over."""

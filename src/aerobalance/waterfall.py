@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.signal.windows import hann
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 
 LENGTH: Final = 4096
 """Samples that one spectrum is made from."""

@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 from aerobalance.roll_off import fit_butterworth, fit_matern
 from aerobalance.segments import fit_segments, pruned
 from aerobalance.spectrum import Periodogram, Spectrum

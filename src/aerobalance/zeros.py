@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerobalance.balance import BalanceMatrix
+from aerobalance.channel import Array, Channel
 from aerobalance.components import is_gauge
 from aerobalance.forms import role_of
 from aerobalance.gauges import gauge_outputs
 from aerobalance.problems import FitError
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from test_estimator import SHARP, SOFT, T128, Shape, density, generator, inner, rms_of, smooth_run
 
+from aerobalance.channel import Array, Channel
 from aerobalance.force import noise_of, reconstruct
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 
 RATE = 1600.0
 CORNER = 10.0

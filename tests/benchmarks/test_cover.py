@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from test_estimator import SHARP, SOFT, T128, drawn, generator, inner, smooth_run
 
+from aerobalance.channel import Channel
 from aerobalance.force import reconstruct
-from aerobalance.recording import Channel, Recording
+from aerobalance.recording import Recording
 
 NOISES = (0.5, 2.0, 10.0)
 

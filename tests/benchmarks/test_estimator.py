@@ -10,12 +10,13 @@ import pytest
 from scipy.linalg import solve_toeplitz
 from scipy.signal import czt, fftconvolve
 
+from aerobalance.channel import Array, Channel
 from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import ForceEstimate
 from aerobalance.force import reconstruct
 from aerobalance.identification.decay import identify_decay
 from aerobalance.identification.extrema import extrema_fit
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor, Simulation, band_noise
 
 T128 = CableCut().dynamics

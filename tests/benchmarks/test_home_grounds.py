@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from aerobalance.channel import Array
 from aerobalance.published import CABLE_CUT
-from aerobalance.recording import Array
 from aerobalance.rigs import CableCut, Sensor, band_noise
 from aerobalance.rivals import RIVALS, THIS, TUNED, Settings, estimates
 from aerobalance.scores import Truth

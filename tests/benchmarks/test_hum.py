@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from test_estimator import RUNS, SHARP, SOFT, T128, generator, inner, rms_of, smooth_run
 
+from aerobalance.channel import Array, Channel
 from aerobalance.force import reconstruct
 from aerobalance.hum import hum_lines
 from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 
 RATE = 1600.0
 NOISE = 2.0

@@ -24,9 +24,9 @@ from test_estimator import (
     wiener_bound,
 )
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.prior import Learned, Reading, learn
-from aerobalance.recording import Array
 from aerobalance.rigs import CableCut, Sensor
 from aerobalance.steps import Step
 from aerobalance.stream import LiveForce

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from test_estimator import SHARP, SOFT, T128, generator, inner, rms_of, smooth_run, wiener_bound
 
+from aerobalance.channel import Array, Channel
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.force import reconstruct
 from aerobalance.identification.decay import identify_decay
 from aerobalance.misfit import misfit_of
 from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor, Simulation
 
 HALF_RANGE = 2000.0

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from test_estimator import RIG, SHARP, SOFT, T128, WIDE, generator, smooth_run
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.force import reconstruct
 from aerobalance.monte_carlo import monte_carlo
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor
 from aerobalance.uncertainty import scalars
 

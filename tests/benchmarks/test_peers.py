@@ -16,11 +16,11 @@ import pytest
 from scipy.linalg import expm
 from scipy.signal import butter, sosfiltfilt
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.fir_inverse import ORDER, fit_frequencies
 from aerobalance.force import reconstruct
 from aerobalance.published import CABLE_CUT
-from aerobalance.recording import Array
 from aerobalance.rigs import CableCut, Sensor, Simulation, band_noise
 
 T128 = CABLE_CUT.dynamics

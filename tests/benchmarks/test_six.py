@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from test_estimator import generator
 
+from aerobalance.channel import Array
 from aerobalance.coupled_force import reconstruct_coupled
-from aerobalance.recording import Array
 from aerobalance.rigs import SixComponentRig
 from aerobalance.rigs.six_balance import CoupledBalance, random_balance
 from aerobalance.rigs.six_components import Release, SixSimulation

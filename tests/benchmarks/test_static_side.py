@@ -9,7 +9,7 @@ import numpy as np
 from aerobalance import _term_kernels as kernels
 from aerobalance.balance import BalanceMatrix
 from aerobalance.calibration.fit import calibrate
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, SimulatedCalibration, random_balance
 from aerobalance.terms import codes
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from aerobalance.anti_alias import AntiAlias
+from aerobalance.channel import Channel, CrossAxis
 from aerobalance.commands.recordings import convert
 from aerobalance.io import load_channel_map, read, template, write_recording
 from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.recording import Channel, CrossAxis
 
 TREADMILL = Path(__file__).parents[3] / "shared" / "data" / "treadmill"
 

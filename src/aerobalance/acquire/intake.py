@@ -11,8 +11,8 @@ import numpy as np
 
 from aerobalance.acquire.continuity import Continuity, Event, Gap
 from aerobalance.acquire.source import Block
+from aerobalance.channel import Array
 from aerobalance.io.hdf5_layout import StoredChannel
-from aerobalance.recording import Array
 
 
 class Piece(NamedTuple):

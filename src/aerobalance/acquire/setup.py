@@ -52,13 +52,13 @@ from aerobalance.acquire.intake import (
     channel_columns,
 )
 from aerobalance.acquire.source import Chosen, Source, SourceChannel
+from aerobalance.channel import Coupling, unit_inside
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.messages import first_fault
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.toml_text import toml_text
 from aerobalance.io.units import conversion_for
 from aerobalance.problems import FitError, ReadError
-from aerobalance.recording import Coupling, unit_inside
 
 LARGEST_SETUP: Final = 1_000_000
 """Largest set-up file that is read [bytes]."""

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from aerobalance.acquire.pacing import Pacing
 from aerobalance.acquire.source import Block, SourceChannel, SourceEndedError
+from aerobalance.channel import QUANTITIES, Array
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
 from aerobalance.published import CABLE_CUT, VIBRATION_RIG
-from aerobalance.recording import QUANTITIES, Array
 from aerobalance.rigs import ACCELEROMETER_RANGE, ARMATURE_MASS
 from aerobalance.rigs.oscillator import Oscillator
 

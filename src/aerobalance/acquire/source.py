@@ -9,8 +9,8 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 _HEAD: Final = struct.Struct("<qdqqI")
 

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.stats import norm
 
 from aerobalance.balance import BalanceMatrix
+from aerobalance.channel import Array
 from aerobalance.forms import role_of
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 SIGNIFICANCE: Final = 0.01
 """Probability below which a change is taken as real."""

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array
 from aerobalance.schedule import Schedule
 
 LOADED: Final = 0.01

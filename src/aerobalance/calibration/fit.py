@@ -18,7 +18,7 @@ from aerobalance.calibration.faults import check_residuals, check_schedule
 from aerobalance.calibration.regression import Regression
 from aerobalance.calibration.scaled import ScaledPoints
 from aerobalance.calibration.selection import Unidentified, identifiable, select
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 from aerobalance.schedule import Schedule
 from aerobalance.terms import Model, Term, terms_of
 

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from aerobalance.calibration.fit import Calibration
 from aerobalance.calibration.regression import without_intercepts
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 
 BIDIRECTIONAL: Final = 0.005
 """Relative difference of the sensitivities to + and - loads from which a bridge is bidirectional (AIAA R-091)."""

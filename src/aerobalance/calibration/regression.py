@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from statsmodels.regression.linear_model import OLS
 from statsmodels.stats.outliers_influence import OLSInfluence
 
+from aerobalance.channel import Array
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 LEAST_FREEDOM: Final = 1
 """Fewest points beyond the number of unknowns."""

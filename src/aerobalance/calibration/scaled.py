@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from aerobalance import _term_kernels as kernels
 from aerobalance.balance import BalanceMatrix, TemperatureEffect, Way
 from aerobalance.calibration.regression import Regression, regress
+from aerobalance.channel import Array
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 from aerobalance.schedule import Schedule
 from aerobalance.terms import Term, codes
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.calibration.regression import inflation, without_intercepts
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 from aerobalance.terms import Term
 
 OWN_SHARE_NEEDED: Final = 0.05

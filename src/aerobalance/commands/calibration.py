@@ -15,6 +15,7 @@ from aerobalance.calibration.drift import compare_calibrations
 from aerobalance.calibration.fit import Calibration
 from aerobalance.calibration.fit import calibrate as fit_matrix
 from aerobalance.calibration.quality import Quality, assess
+from aerobalance.channel import Array
 from aerobalance.commands.loads import read_matrix
 from aerobalance.commands.shared import Account, check_out, doubts, table_text
 from aerobalance.forms import Geometry
@@ -24,7 +25,6 @@ from aerobalance.io.balfit_matrix import is_balfit_matrix
 from aerobalance.io.schedule import read_schedule
 from aerobalance.io.text_table import read_text
 from aerobalance.io.units import conversion
-from aerobalance.recording import Array
 from aerobalance.terms import Model
 
 

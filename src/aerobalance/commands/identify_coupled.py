@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of, table_text
 from aerobalance.commands.weighing import mass_file
 from aerobalance.components import COMPONENTS, MOMENTS, si_unit
@@ -18,7 +19,6 @@ from aerobalance.io.coupled_file import coupled_payload, write_coupled
 from aerobalance.io.mass_file import read_mass
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.problems import ReadError
-from aerobalance.recording import Array
 from aerobalance.weighing.result import Weighing
 
 

@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.coupled_force import reconstruct_coupled
@@ -22,7 +23,7 @@ from aerobalance.misfit import misfit_of
 from aerobalance.motion import gravity_share
 from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.problems import FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 
 
 class Settings(NamedTuple):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from aerobalance.balance import TOLERANCE, BalanceMatrix
+from aerobalance.channel import Array
 from aerobalance.commands.known import Known
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of
 from aerobalance.components import COMPONENTS
@@ -21,7 +22,7 @@ from aerobalance.io.balfit_matrix import is_balfit_matrix, read_balfit_matrix, w
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_loads, with_loads
 from aerobalance.problems import DoubtWarning, FitError, ReadError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.weighing import LoadPoints, points_from_recordings
 from aerobalance.zeros import GaugeZero, gauge_zero
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from aerobalance.channel import Channel
 from aerobalance.commands.loads import convert_matrix, is_matrix
 from aerobalance.commands.shared import Account, check_out, doubts, raw_recording
 from aerobalance.io import (
@@ -19,7 +20,6 @@ from aerobalance.io import (
 from aerobalance.io.safe_write import replacing
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Channel
 
 
 def info(path: Path, *, channel_map: Path | None = None) -> Account:

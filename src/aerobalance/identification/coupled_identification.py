@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.components import si_unit
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.dynamics import Mode
@@ -14,7 +15,6 @@ from aerobalance.identification.free_motion import Complex
 from aerobalance.identification.mass_matrix import RigidMassFit
 from aerobalance.identification.release_advice import ReleaseAdvice, combination_text
 from aerobalance.identification.release_model import Kind
-from aerobalance.recording import Array
 
 APPLIED: Final = 0.1
 """Rms of the load for which the force error is predicted, over half of range."""

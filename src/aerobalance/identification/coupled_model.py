@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS
 from aerobalance.coupled import CoupledDynamics, RigidMass
-from aerobalance.recording import Array
 
 _LOWER = np.tril_indices(6)
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from aerobalance.channel import Array, Channel
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.identification.amplitude import AmplitudeDependence, amplitude_dependence, bent_where_plain
 from aerobalance.identification.onset import first_look
@@ -29,7 +30,7 @@ from aerobalance.identification.ring import (
 )
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 
 FEWEST_PERIODS: Final = 2.0
 """Periods of ringing that a decay must show above the noise."""

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.stats import chi2 as chi_square
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.identification.spectra import Complex
 from aerobalance.problems import FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 
 WINDOWS: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 """Lengths of the sliding window that are tried in the search for held frequencies [s]."""

@@ -10,10 +10,11 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import extremum_ratio, stiffness_from_damped_frequency
 from aerobalance.identification.decay import DecayFit
 from aerobalance.problems import FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 
 CLEAR: Final = 5.0
 """Extrema are used while they stand this many times above the noise."""

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.identification.response import FIRST, TRANSIENTS, Parameters, Problem
 from aerobalance.identification.spectra import Complex, Spectra
-from aerobalance.recording import Array
 
 GROUPED: Final = 8
 """Neighbouring frequencies that are taken together in the search of a start."""

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 
 Complex = NDArray[np.complex128]
 

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2 as chi_square
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array
 
 DOUBTFUL_DAMPING: Final = 0.1
 """Relative standard uncertainty of the damping above which it is called hardly identifiable."""

@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.identification.maximum_likelihood import Estimate, first_weights, gain_over, maximise, rough_mode
 from aerobalance.identification.response import Parameters, Problem, point
 from aerobalance.identification.spectra import Complex, Spectra
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 EVIDENCE: Final = 25.0
 """Log-likelihood that a further mode must gain.

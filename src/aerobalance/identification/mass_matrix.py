@@ -13,10 +13,10 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS
 from aerobalance.coupled import VECTORS, CoupledDynamics, RigidMass
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 LEAST_PROBABILITY: Final = 0.001
 """Probability of a departure by chance below which it is taken as real."""

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Mode
 from aerobalance.identification.first_guess import first_guess, incoherent_noise
 from aerobalance.identification.response import (
@@ -23,7 +24,6 @@ from aerobalance.identification.response import (
 )
 from aerobalance.identification.spectra import Complex
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 HIGHEST: Final = 50
 """Largest natural frequency that is tried, over the highest frequency used."""

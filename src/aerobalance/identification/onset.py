@@ -8,8 +8,8 @@ from typing import Final, Literal
 import numpy as np
 from scipy.signal import find_peaks
 
+from aerobalance.channel import Array
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 Shape = Literal["release", "ramp", "free"]
 

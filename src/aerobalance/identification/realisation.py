@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.identification.free_motion import Complex, FreeMotion
-from aerobalance.recording import Array
 
 BLOCK_ROWS: Final = (24, 48)
 """Rows of readings stacked in the Hankel matrix, tried in turn."""

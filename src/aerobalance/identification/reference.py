@@ -12,9 +12,9 @@ from typing import Literal
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.identification.dwells import Dwell, amplitudes
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 Phase = Literal["relative", "absolute"]
 

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.identification.force_error import error_of, motion_power
 from aerobalance.identification.free_motion import FreeMotion
@@ -16,7 +17,6 @@ from aerobalance.identification.release_fit import ReleaseFit, whitener_of
 from aerobalance.identification.release_model import Piece, linearise, of_matrices
 from aerobalance.identification.release_record import ReleaseRecord
 from aerobalance.identification.release_stages import Units
-from aerobalance.recording import Array
 
 STILL: Final = 100.0
 """Energy of a motion over the noise of one reading below which it is not seen."""

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cho_factor, solve_triangular
 
+from aerobalance.channel import Array
 from aerobalance.identification.free_motion import FreeMotion
 from aerobalance.identification.release_model import Linear, Piece, damped, linearise, of_matrices
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 MOST_STEPS: Final = 60
 """Gauss-Newton steps after which the fit is given up."""

@@ -12,8 +12,8 @@ from typing import Final, Literal
 import numpy as np
 from scipy.linalg import lapack, qr, solve_triangular
 
+from aerobalance.channel import Array
 from aerobalance.identification.free_motion import Coefficients, Complex, FreeMotion
-from aerobalance.recording import Array
 
 Kind = Literal["release", "ramp", "free"]
 

@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 
 FEWEST: Final = 64
 """Readings of all components that a recording of a release must have at least."""

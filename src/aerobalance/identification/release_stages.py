@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.identification.free_motion import FreeMotion
 from aerobalance.identification.realisation import Guess, first_guess, fit_state
 from aerobalance.identification.release_fit import (
@@ -23,7 +24,6 @@ from aerobalance.identification.release_fit import (
 from aerobalance.identification.release_model import Kind, Linear, Piece
 from aerobalance.identification.release_record import ROUNDING, ReleaseRecord
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 
 GUARDS: Final = (0.0, 0.002, 0.005, 0.01, 0.02)
 """Times after the onset from which the loads are tried as decaying freely [s]."""

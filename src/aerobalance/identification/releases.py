@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.identification.coupled_identification import (
@@ -37,7 +38,7 @@ from aerobalance.identification.release_fit import ReleaseFit, settle
 from aerobalance.identification.release_record import ReleaseRecord, release_record
 from aerobalance.identification.release_stages import Units, fit_releases
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 
 
 def identify_releases(

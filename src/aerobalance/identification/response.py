@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.identification.spectra import Complex, Spectra
-from aerobalance.recording import Array
 
 FIRST: Final = 4
 """Parameters that one mode has: log mass, log angular frequency, loss b w0 / k = 2 zeta, delay in units of 1 / w0."""

@@ -18,6 +18,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.identification.further_modes import one_more_mode, with_further_modes
 from aerobalance.identification.live_check import LiveCheck, live_check
@@ -25,7 +26,7 @@ from aerobalance.identification.maximum_likelihood import HIGHEST, Estimate, max
 from aerobalance.identification.response import Problem
 from aerobalance.identification.spectra import excited, transform
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 
 DOUBTFUL_DAMPING: Final = 0.1
 """Relative standard uncertainty of the damping above which it is called hardly identifiable."""

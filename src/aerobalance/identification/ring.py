@@ -18,9 +18,9 @@ import numpy as np
 from scipy.linalg import lstsq
 from scipy.optimize import least_squares
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.identification.onset import Look, Shape
-from aerobalance.recording import Array
 
 FALSE_ALARM: Final = 1e-6
 """Probability that white noise shows a line somewhere in the spectrum of the residuals."""

@@ -12,9 +12,10 @@ from scipy.fft import rfft, rfftfreq
 from scipy.signal import detrend
 from scipy.signal.windows import hann
 
+from aerobalance.channel import Array, Channel
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 
 Complex = NDArray[np.complex128]
 

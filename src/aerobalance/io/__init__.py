@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from aerobalance.channel import Array, Channel
 from aerobalance.components import is_gauge, si_unit
 from aerobalance.io import csv_file, hdf5_file, tdms_file
 from aerobalance.io.channel_map import ChannelMap, load_channel_map, mapped_recording
@@ -25,7 +26,7 @@ from aerobalance.io.table import Column, Table, recording_from, table_from
 from aerobalance.io.text_table import Layout
 from aerobalance.io.units import conversion, conversion_for, edge_unit
 from aerobalance.problems import ReadError
-from aerobalance.recording import Array, Channel, Force, Recording
+from aerobalance.recording import Force, Recording
 
 if TYPE_CHECKING:
     from aerobalance.loads import LoadsFelt

@@ -13,10 +13,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from aerobalance import __version__
+from aerobalance.channel import Array
 from aerobalance.io.messages import first_fault
 from aerobalance.io.safe_write import replacing
 from aerobalance.problems import ReadError
-from aerobalance.recording import Array
 
 SCHEMA: Final = 1
 """Version of the structure of the artefacts."""

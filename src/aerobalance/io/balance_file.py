@@ -10,11 +10,11 @@ import numpy as np
 from pydantic import Field
 
 from aerobalance.balance import BalanceMatrix, TemperatureEffect
+from aerobalance.channel import Array
 from aerobalance.forms import Geometry
 from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative, Positive
 from aerobalance.problems import ReadError
-from aerobalance.recording import Array
 from aerobalance.terms import by_label
 
 if TYPE_CHECKING:  # the fit brings a statistics library that only calibrating needs, and that is slow to import

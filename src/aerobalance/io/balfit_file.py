@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.forms import BalanceType
 from aerobalance.io.balfit_symbols import Columns, columns_of
 from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, settle_capacities
@@ -20,7 +21,6 @@ from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_table import number_in, separator_of, split_line
 from aerobalance.io.units import Conversion, conversion
 from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.recording import Array
 from aerobalance.schedule import Schedule
 
 NAME: Final = "BALFIT load schedule"

@@ -14,11 +14,11 @@ from typing import Final
 import numpy as np
 
 from aerobalance.balance import BalanceMatrix
+from aerobalance.channel import Array
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_table import read_text
 from aerobalance.io.units import conversion
 from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.recording import Array
 from aerobalance.terms import Term, by_label
 
 FILE_TYPE: Final = "DATA_REDUCTION_MATRIX_IN_AMES_FORMAT"

@@ -12,6 +12,16 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
 from aerobalance.anti_alias import HIGHEST_ORDER, AntiAlias, Kind
+from aerobalance.channel import (
+    AXES_BY_NAME,
+    DIRECTIONS,
+    Array,
+    Channel,
+    Coupling,
+    CrossAxis,
+    is_ground_acceleration,
+    unit_inside,
+)
 from aerobalance.components import is_gauge
 from aerobalance.io.clocks import of_one_length, on_one_clock
 from aerobalance.io.columns import RawColumn, RawColumns
@@ -20,17 +30,7 @@ from aerobalance.io.table import Column, check_time, on_clock
 from aerobalance.io.text_table import SEPARATORS, Layout
 from aerobalance.io.units import Conversion, conversion, conversion_for
 from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.recording import (
-    AXES_BY_NAME,
-    DIRECTIONS,
-    Array,
-    Channel,
-    Coupling,
-    CrossAxis,
-    Recording,
-    is_ground_acceleration,
-    unit_inside,
-)
+from aerobalance.recording import Recording
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Position = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.anti_alias import AntiAlias
+from aerobalance.channel import Array, Coupling, CrossAxis
 from aerobalance.io.units import readable
 from aerobalance.problems import ReadError
-from aerobalance.recording import Array, Coupling, CrossAxis
 
 _SQUARE: Final = re.compile(r"(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 _ROUND: Final = re.compile(r"(?P<name>.*?)\s*\((?P<unit>.*)\)\s*")
@@ -69,7 +69,7 @@ class Heading:
 
 @dataclass(frozen=True, slots=True)
 class Sensing:
-    """How a column was measured, where the file itself says it; as in `aerobalance.recording.Channel`.
+    """How a column was measured, where the file itself says it; as in `aerobalance.channel.Channel`.
 
     Attributes
     ----------

@@ -10,6 +10,7 @@ from typing import Annotated, Final, Literal, Unpack
 import numpy as np
 from pydantic import Field
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, si_unit
 from aerobalance.coupled import CoupledDynamics, RigidMass
 from aerobalance.dynamics import Dynamics
@@ -29,7 +30,6 @@ from aerobalance.io.artefacts import (
 )
 from aerobalance.io.dynamics_file import FREQUENCY_AGREEMENT, read_dynamics
 from aerobalance.problems import ReadError
-from aerobalance.recording import Array
 
 KIND: Final = "coupled dynamics"
 """What the file calls itself; dynamics.json of components each for itself is of kind ``dynamics``."""

@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.io.columns import Heading, RawColumns, split_label
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.table import Table, table_from
 from aerobalance.io.text_table import Layout, guess_encoding, read_labels, read_text_columns
-from aerobalance.recording import Array
 
 NAME: Final = "CSV text"
 """What to call the format in messages."""

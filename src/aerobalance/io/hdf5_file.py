@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.anti_alias import AntiAlias, Kind
+from aerobalance.channel import Array, Channel, Coupling, CrossAxis, unit_inside
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, Sensing, split_label
 from aerobalance.io.hdf5_layout import (
     BLOCK,
@@ -32,7 +33,6 @@ from aerobalance.io.hdf5_layout import (
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_table import LARGEST, Layout
 from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.recording import Array, Channel, Coupling, CrossAxis, unit_inside
 
 if TYPE_CHECKING:
     import h5py

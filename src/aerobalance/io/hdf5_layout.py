@@ -35,7 +35,7 @@ import numpy as np
 
 from aerobalance import __version__
 from aerobalance.anti_alias import AntiAlias
-from aerobalance.recording import Array, Coupling, CrossAxis
+from aerobalance.channel import Array, Coupling, CrossAxis
 
 if TYPE_CHECKING:
     import h5py
@@ -107,11 +107,11 @@ class StoredChannel:
     relative_uncertainty
         Standard uncertainty of the gain, relative [1].
     coupling, corner
-        What an accelerometer reads, as in `aerobalance.recording.Channel`.
+        What an accelerometer reads, as in `aerobalance.channel.Channel`.
     zero_uncertainty
         Standard uncertainty of the zero [unit].
     filter, cross_axis
-        What is still in the readings, as in `aerobalance.recording.Channel`.
+        What is still in the readings, as in `aerobalance.channel.Channel`.
     place, axis, place_uncertainty
         Where an accelerometer sits and which way it reads, as there.
     """

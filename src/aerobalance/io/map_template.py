@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from aerobalance.channel import QUANTITIES
 from aerobalance.components import is_gauge
 from aerobalance.io.columns import Heading
 from aerobalance.io.units import readable
-from aerobalance.recording import QUANTITIES
 
 
 def map_text(file: Path, headings: Sequence[Heading], *, text: bool = True) -> str:

@@ -8,12 +8,12 @@ from typing import overload
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, is_gauge
 from aerobalance.io import column_names, is_text, read, read_table
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.table import Table
 from aerobalance.problems import FitError, ReadError
-from aerobalance.recording import Array
 from aerobalance.weighing import LoadPoints, StaticPoints, points_from_recordings
 
 Names = tuple[str, ...]

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.io.columns import RawColumn, RawColumns
 from aerobalance.io.load_columns import (
     Capacities,
@@ -21,7 +22,6 @@ from aerobalance.io.load_columns import (
 from aerobalance.io.text_table import read_text_columns
 from aerobalance.io.units import conversion
 from aerobalance.problems import ReadError
-from aerobalance.recording import Array
 from aerobalance.schedule import Schedule
 
 NAME: Final = "plain table of loads and outputs"

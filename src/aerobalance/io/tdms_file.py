@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 import numpy as np
 
+from aerobalance.channel import QUANTITIES, Array
 from aerobalance.components import is_gauge
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
 from aerobalance.io.text_table import LARGEST, Layout
 from aerobalance.io.units import conversion, readable
 from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.recording import QUANTITIES, Array
 
 if TYPE_CHECKING:
     from nptdms import TdmsChannel, TdmsFile

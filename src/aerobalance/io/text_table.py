@@ -15,9 +15,9 @@ from typing import Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.io.columns import RawColumn, RawColumns, split_label
 from aerobalance.problems import ReadError
-from aerobalance.recording import Array
 
 MISSING: Final = (
     *("", "nan", "na", "n/a", "#n/a", "null", "none", "<na>", "-nan"),

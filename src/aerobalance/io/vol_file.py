@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.forms import BalanceType, Geometry
 from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, load_key, settle_capacities
 from aerobalance.io.units import conversion
@@ -29,7 +30,6 @@ from aerobalance.io.vol_columns import (
     stated_capacities,
 )
 from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Array
 from aerobalance.schedule import Schedule
 
 NAME: Final = "voltage calibration file (.vol)"

@@ -9,12 +9,12 @@ from typing import Annotated, Final, Unpack
 import numpy as np
 from pydantic import Field
 
+from aerobalance.channel import Array
 from aerobalance.components import si_unit
 from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative
 from aerobalance.io.mass_file import MassFile, mass_payload, read_mass
 from aerobalance.problems import ReadError
-from aerobalance.recording import Array
 from aerobalance.weighing import Agreement, Weighing, WeightModel
 
 UNITS: Final[Mapping[str, str]] = {"mass": "kg", "moment": "kg*m", "misalignment": "rad"}

@@ -7,13 +7,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
 from aerobalance.live_state import Health, Learning, Snapshot
 from aerobalance.motion import AT_REST, gravity_share
 from aerobalance.noise import white_noise
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 from aerobalance.stream import LiveForce
 from aerobalance.thinning import Thinner
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from aerobalance.acquire.feed import Hello
 from aerobalance.acquire.setup import SOURCES, Files, Record, SetChannel, SetLimit, Setup, setup_text
-from aerobalance.recording import QUANTITIES
+from aerobalance.channel import QUANTITIES
 
 LABELS: Final[Mapping[str, tuple[str, str, str]]] = {
     "name": ("Name of the test", "", ""),

@@ -12,6 +12,7 @@ import numpy as np
 from aerobalance.acquire.continuity import Continuity
 from aerobalance.acquire.source import Block
 from aerobalance.balance import BalanceMatrix
+from aerobalance.channel import Array, Channel
 from aerobalance.components import COMPONENTS, is_gauge, si_unit
 from aerobalance.dynamics import Dynamics
 from aerobalance.io.hdf5_layout import StoredChannel
@@ -20,7 +21,6 @@ from aerobalance.monitor.force_line import Columns, ForceLine
 from aerobalance.monitor.messages import LINES, Reading, Update
 from aerobalance.motion import AXES
 from aerobalance.problems import FitError
-from aerobalance.recording import Array, Channel
 from aerobalance.strips import Extremes
 from aerobalance.waterfall import RunningSpectrum
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
 from aerobalance.published import CABLE_CUT
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs.drives import Signal
 from aerobalance.rigs.oscillator import Input, Oscillator
 from aerobalance.rigs.sensors import Sensor, Simulation, accelerometer, integration_grid, read_channels

@@ -8,8 +8,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from aerobalance.balance import BalanceMatrix, TemperatureEffect
+from aerobalance.channel import Array
 from aerobalance.forms import Geometry
-from aerobalance.recording import Array
 from aerobalance.schedule import Schedule
 from aerobalance.terms import terms_of
 

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
+from aerobalance.channel import Array
 from aerobalance.published import VIBRATION_RIG
-from aerobalance.recording import Array
 
 Signal = Callable[[Array], Array]
 """A quantity over time: takes times [s] of shape (n,), returns values of shape (n,)."""

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from aerobalance.channel import Array
 from aerobalance.dynamics import Mode
-from aerobalance.recording import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

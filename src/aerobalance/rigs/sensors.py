@@ -10,8 +10,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
+from aerobalance.channel import QUANTITIES, Array, Channel
 from aerobalance.components import STANDARD_GRAVITY
-from aerobalance.recording import QUANTITIES, Array, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs.drives import Signal
 
 ACCELEROMETER_RANGE: Final = 50 * STANDARD_GRAVITY

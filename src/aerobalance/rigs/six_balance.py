@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 
 from aerobalance.balance import BalanceMatrix
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
 from aerobalance.coupled import CoupledDynamics, RigidMass
-from aerobalance.recording import Array
 from aerobalance.rigs.calibration_stand import SIZES
 from aerobalance.terms import terms_of
 

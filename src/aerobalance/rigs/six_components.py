@@ -16,9 +16,10 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS
 from aerobalance.dynamics import Mode
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs.drives import Signal
 from aerobalance.rigs.oscillator import Input, Oscillator
 from aerobalance.rigs.sensors import Sensor, integration_grid, read_channels

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS
-from aerobalance.recording import Array
 
 SixSignal = Callable[[Array], Array]
 """Quantities over time: takes times [s] of shape (n,), returns values of shape (n, 6) in the order of `COMPONENTS`."""

@@ -8,10 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.channel import Array, Channel
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
 from aerobalance.published import VIBRATION_RIG
-from aerobalance.recording import Array, Channel, Recording
+from aerobalance.recording import Recording
 from aerobalance.rigs.drives import Drive, Signal
 from aerobalance.rigs.oscillator import Input, Oscillator
 from aerobalance.rigs.sensors import Sensor, Simulation, accelerometer, integration_grid, read_channels

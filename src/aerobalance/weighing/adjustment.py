@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from aerobalance.channel import Array
 from aerobalance.components import MOMENTS
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 from aerobalance.weighing.model import WeightModel
 
 LARGEST_UNCERTAINTY: Final = 0.2

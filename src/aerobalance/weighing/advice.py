@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 from aerobalance.weighing.adjustment import (
     Adjustment,
     Readings,

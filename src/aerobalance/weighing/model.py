@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
-from aerobalance.recording import Array
 
 AXES: Final[Mapping[str, str]] = {"AF": "aft", "SF": "right", "NF": "up"}
 """Direction that each force component measures, positive."""

@@ -8,9 +8,10 @@ from typing import Final, NamedTuple, overload
 
 import numpy as np
 
+from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS
 from aerobalance.problems import FitError
-from aerobalance.recording import Array, Recording
+from aerobalance.recording import Recording
 
 
 class StaticPoints(NamedTuple):

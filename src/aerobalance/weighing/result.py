@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aerobalance.recording import Array
+from aerobalance.channel import Array
 from aerobalance.weighing.model import DIRECTIONS, WeightModel, weight_direction
 from aerobalance.weighing.single import MovingMass
 

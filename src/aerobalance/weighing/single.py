@@ -23,9 +23,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.problems import FitError
-from aerobalance.recording import Array
 from aerobalance.weighing.model import AXES
 
 ROLL_NEEDED: Final = np.radians(1.0)

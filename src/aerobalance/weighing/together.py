@@ -20,9 +20,9 @@ from typing import Final
 import numpy as np
 from scipy import stats
 
+from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Array
 from aerobalance.weighing.adjustment import Adjustment, Readings, adjust
 from aerobalance.weighing.advice import unidentified, what_would_help
 from aerobalance.weighing.model import AXES, DIRECTIONS, LEVERS, WeightModel, weight_direction
