@@ -42,6 +42,9 @@ DEPARTURE: Final = 0.2
 FEWEST_ORDINATES: Final = 64
 """Independent ordinates from which on a floor is looked at."""
 
+SEEN: Final = 3.0
+"""Gain in log-likelihood that a floor must bring over white noise alone before it is spoken of."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Floor:
@@ -112,6 +115,8 @@ def floor_of(reading: Reading, learned: Learned, *, left: Array) -> Floor | None
     step = float(frequency[1] - frequency[0])
     first = max(edge, float(spectrum.edges[rising[0] - 1]))
     beyond = frequency > first
+    if _gain_expected(shown[beyond] / white) * reading.values.size / (2 * frequency.size) < SEEN:
+        return None
     last = float(spectrum.edges[np.flatnonzero(spectrum.levels)[-1]])
     in_reading, as_force = (
         float(np.sqrt(2 * step * np.sum(part[beyond]))) for part in (shown, spectrum.density(frequency))
@@ -121,6 +126,14 @@ def floor_of(reading: Reading, learned: Learned, *, left: Array) -> Floor | None
     if color is None and reading.noise is not None:
         return None  # more white noise than was given for the channel, throughout or for a while, looks like that
     return Floor(first, last, in_reading, as_force, color)
+
+
+def _gain_expected(ratio: Array) -> float:
+    """Log-likelihood that ordinates with this power over the noise are expected to gain by it, summed over them.
+
+    Every ordinate of noise of power 1 + r has the mean of r - log(1 + r).
+    """
+    return float(np.sum(ratio - np.log1p(ratio)))
 
 
 def departure_of(reading: Reading) -> float | None:
