@@ -206,7 +206,7 @@ def test_uncertainty_of_single_components_is_carried_over():
     [
         ({"components": ("PM", "NF")}, "in this order"),
         ({"components": ()}, "in this order"),
-        ({"inertia": np.eye(3)}, r"inertia must have shape \(2, 2\)"),
+        ({"inertia": np.eye(3)}, r"damping must have shape \(3, 3\)"),
         ({"damping": np.full((2, 2), np.nan)}, "damping must have shape"),
         ({"damping": -1e-4 * np.eye(2)}, "grows or never ends"),
         ({"inertia": np.diag([-1e-6, 1e-6])}, "grows or never ends"),

@@ -296,3 +296,35 @@ def test_parameters_of_several_modes_have_names_and_slopes():
 def test_modes_are_validated(values, said):
     with pytest.raises(ValueError, match=said):
         Mode(*values)
+
+
+def in_step() -> Dynamics:
+    """Two modes whose swings are not in phase."""
+    return Dynamics("AF", 20.0, 2e7, 900.0).with_modes(Mode(240.0, 0.02, 0.06, 3e-5))
+
+
+def test_modes_that_show_their_rate_begin_with_the_load_at_rest():
+    balance = in_step()
+    first, further = balance.modes
+    assert first.share + further.share == pytest.approx(1)
+    # what the load is at once after a step, and far above the modes: nothing of first order in time or 1 / s
+    assert first.rate_share * first.natural_frequency**2 + further.rate_share * 240.0**2 == pytest.approx(0, abs=1e-12)
+    high = np.array([1e5, 2e5])
+    assert np.abs(balance.response(high[1:]) / balance.response(high[:1]))[0] == pytest.approx(0.25, rel=1e-3)
+
+
+def test_modes_that_show_their_rate_agree_in_time_and_frequency():
+    balance, interval = in_step(), 1e-5
+    time = np.arange(100_000) * interval
+    ramp = np.minimum(time / 0.004, 1.0)  # linear between samples, as `load_felt` takes it
+    expected = balance.step_response(time, duration=0.004)
+    np.testing.assert_allclose(balance.load_felt(ramp, interval=interval), expected, atol=1e-10)
+    late = balance.step_response(time - 0.1)
+    assert late == pytest.approx(1 - balance.free_decay(time - 0.1), abs=1e-14)
+    # the transform of the impulse response, a step's rate, by the trapezoidal rule
+    frequency = np.array([30.0, 157.0, 243.0])
+    rate = np.gradient(balance.step_response(time), interval)
+    turning = np.exp(-2j * np.pi * frequency[:, None] * time)
+    found = np.trapezoid(rate * turning, dx=interval, axis=1)
+    # (w h)^2 / 6 of the gradient is 4e-5 at 243 Hz; what rings on after 1 s is exp(-22)
+    np.testing.assert_allclose(found, balance.response(frequency), rtol=2e-4)

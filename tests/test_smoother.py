@@ -209,3 +209,17 @@ def test_noise_of_the_input_excites_all_modes_alike():
     transfer = balance.response(np.abs(frequency))
     power = 7.0 * np.trapezoid(np.abs(transfer) ** 2, frequency)  # of white noise through Eq. (8), all modes
     assert system.initial[LOAD, LOAD] == pytest.approx(power, rel=1e-4)
+
+
+def test_modes_that_show_their_rate_are_driven_as_their_closed_form_says():
+    balance = T128.with_modes(Mode(110.0, 0.03, 0.2, 4e-4), Mode(260.0, 0.4, -0.05, 1e-4))
+    nearly_constant = ShapingFilter(np.array([[-1e-9]]), np.array([0.0]))
+    system = StateSpace.of_balance(balance, nearly_constant, interval=INTERVAL, noise=1.0)
+    state = np.zeros(system.transition.shape[0])
+    state[FORCE] = 1.0
+    loads = []
+    for _ in range(200):
+        loads.append(state[LOAD])
+        state = system.transition @ state
+    # 1e-9 of the force is lost a second; the exponential of a few milliseconds at 260 Hz is exact to rounding
+    np.testing.assert_allclose(loads, balance.step_response(np.arange(200) * INTERVAL), atol=1e-9)

@@ -3,6 +3,10 @@ r"""Several components that ring together: F = X + D X' + A X'' with matrices fo
 X are the loads felt and F the loads applied, both in the order of the components. A = M K^-1 and D = C K^-1 carry the
 mass, damping and stiffness matrices of Eq. (8) of [Gorbushin2020]_ written for several components, so that F is
 Eq. (17) with matrices in place of M/k and b/k. A diagonal A and D is the paper's way, each component for itself.
+
+Where the model or the sting bends there are more modes than components: the loads Y in springs that no channel shows
+are coordinates as well, [F; 0] = [X; Y] + D [X; Y]' + A [X; Y]''. Whatever way the force has into them is undone by
+other coordinates T Y + S X, so nothing is lost by the zero.
 """
 
 from __future__ import annotations
@@ -138,17 +142,22 @@ def _directions() -> Array:
     return turn
 
 
+def hidden_names(count: int) -> tuple[str, ...]:
+    """What hidden coordinates are called."""
+    return tuple(f"hidden {number}" for number in range(1, count + 1))
+
+
 class ModalForm(NamedTuple):
-    """Free motion of coupled components as 2 n modes z' = pole z + weight @ net load, loads felt = sum shape z.
+    """Free motion of coupled components as 2 N modes z' = pole z + weight @ net load, loads felt = sum shape z.
 
     Attributes
     ----------
     poles
-        Shape (2 n,) [rad/s], in conjugate pairs where they oscillate.
+        Shape (2 N,) [rad/s], in conjugate pairs where they oscillate.
     shapes
-        Loads felt by mode, shape (n, 2 n).
+        Loads felt by mode, shape (n, 2 N).
     weights
-        What each mode takes of the net load, shape (2 n, n).
+        What each mode takes of the net load, shape (2 N, n).
     """
 
     poles: NDArray[np.complex128]
@@ -165,11 +174,12 @@ class CoupledDynamics:
     components
         Which components, n of them, in the order of `COMPONENTS`.
     inertia
-        A = M K^-1, shape (n, n); the unit of row i over that of column j [s^2].
+        A = M K^-1, shape (N, N); the unit of row i over that of column j [s^2]. The N - n rows and columns behind
+        those of the components are of hidden coordinates, whose unit is free.
     damping
-        D = C K^-1, shape (n, n); the unit of row i over that of column j [s].
+        D = C K^-1, shape (N, N); the unit of row i over that of column j [s].
     covariance
-        Covariance of `parameters`, shape (2 n^2, 2 n^2); all zero where not given.
+        Covariance of `parameters`, shape (2 N^2, 2 N^2); all zero where not given.
     mass
         What the ground's motion and gravity act on; None where it is not known.
     """
@@ -183,7 +193,7 @@ class CoupledDynamics:
     def __post_init__(self) -> None:
         if not self.components or tuple(c for c in COMPONENTS if c in self.components) != tuple(self.components):
             raise ValueError(f"components must be some of {', '.join(COMPONENTS)}, in this order and each once")
-        n = len(self.components)
+        n = max(len(self.components), len(self.inertia))
         for name in ("inertia", "damping"):
             value = getattr(self, name)
             if value.shape != (n, n) or not np.isfinite(value).all():
@@ -201,7 +211,7 @@ class CoupledDynamics:
     def of_components(cls, parts: Sequence[Dynamics]) -> CoupledDynamics:
         """Components that do not ring together, one mode each: the paper's way, with diagonal matrices."""
         if any(part.further_modes for part in parts):
-            raise ValueError("components with further modes do not fit into matrices of their own size")
+            raise ValueError("components with further modes of their own cannot be put into one set of matrices")
         parts = sorted(parts, key=lambda part: COMPONENTS.index(part.component))
         n = len(parts)
         covariance = np.zeros((2 * n * n, 2 * n * n))
@@ -236,33 +246,43 @@ class CoupledDynamics:
         return cls(COMPONENTS, mass.matrix @ flexibility, damping @ flexibility, mass=mass)
 
     @property
+    def hidden(self) -> int:
+        """Number of hidden coordinates: modes beyond one for each component."""
+        return len(self.inertia) - len(self.components)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the N rows of the matrices: the components, then hidden 1, hidden 2 and so on."""
+        return (*self.components, *hidden_names(self.hidden))
+
+    @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the rows of `covariance`: the inertia row by row, then the damping."""
-        names = self.components
+        names = self.coordinates
         return tuple(f"{kind} {row}/{column}" for kind in ("inertia", "damping") for row in names for column in names)
 
     @property
     def _generator(self) -> Array:
-        """Matrix of the free motion of X and X', shape (2 n, 2 n)."""
-        n = len(self.components)
-        whole = np.zeros((2 * n, 2 * n))
-        whole[:n, n:] = np.eye(n)
-        whole[n:, :n] = -np.linalg.inv(self.inertia)
-        whole[n:, n:] = -np.linalg.solve(self.inertia, self.damping)
+        """Matrix of the free motion of the coordinates and their rates, shape (2 N, 2 N)."""
+        size = len(self.inertia)
+        whole = np.zeros((2 * size, 2 * size))
+        whole[:size, size:] = np.eye(size)
+        whole[size:, :size] = -np.linalg.inv(self.inertia)
+        whole[size:, size:] = -np.linalg.solve(self.inertia, self.damping)
         return whole
 
     @property
     def modal_form(self) -> ModalForm:
         """The free motion, mode by mode."""
-        n = len(self.components)
+        n, size = len(self.components), len(self.inertia)
         poles, shapes = np.linalg.eig(self._generator)
-        drive = np.vstack([np.zeros((n, n)), np.linalg.inv(self.inertia)]).astype(np.complex128)
+        drive = np.vstack([np.zeros((size, n)), np.linalg.inv(self.inertia)[:, :n]]).astype(np.complex128)
         weights = np.linalg.solve(shapes, drive).astype(np.complex128)
         return ModalForm(poles.astype(np.complex128), shapes[:n].astype(np.complex128), weights)
 
     @property
     def poles(self) -> NDArray[np.complex128]:
-        """Poles of the free motion, shape (2 n,), by size [rad/s]."""
+        """Poles of the free motion, shape (2 N,), by size [rad/s]."""
         poles = np.linalg.eigvals(self._generator).astype(np.complex128)
         return np.asarray(poles[np.lexsort((poles.imag, np.round(np.abs(poles), 9)))])
 
@@ -272,14 +292,25 @@ class CoupledDynamics:
         up = [pole for pole in self.poles if pole.imag > 0]
         return tuple(Mode(float(np.abs(pole)) / (2 * np.pi), float(-pole.real / np.abs(pole))) for pole in up)
 
+    def equation(self, s: ArrayLike) -> NDArray[np.complex128]:
+        """1 + D s + A s^2 of all coordinates, hidden ones too, at s of shape (m,) [rad/s]; shape (m, N, N)."""
+        s = np.asarray(s, dtype=np.complex128)[:, None, None]
+        return np.asarray(np.eye(len(self.inertia)) + s * self.damping + s**2 * self.inertia)
+
     def inverse_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
-        """F over X at frequencies of shape (m,) [Hz]: 1 + D s + A s^2, shape (m, n, n)."""
-        s = 2j * np.pi * np.asarray(frequency, dtype=np.float64)[:, None, None]
-        return np.asarray(np.eye(len(self.components)) + s * self.damping + s**2 * self.inertia)
+        """F over X at frequencies of shape (m,) [Hz], shape (m, n, n): 1 + D s + A s^2 without hidden coordinates."""
+        n = len(self.components)
+        whole = self.equation(2j * np.pi * np.asarray(frequency, dtype=np.float64))
+        seen = whole[:, :n, :n]
+        if not self.hidden:
+            return seen
+        return np.asarray(seen - whole[:, :n, n:] @ np.linalg.solve(whole[:, n:, n:], whole[:, n:, :n]))
 
     def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
         """Loads felt over loads applied at frequencies of shape (m,) [Hz], shape (m, n, n)."""
-        return np.asarray(np.linalg.inv(self.inverse_response(frequency)))
+        n = len(self.components)
+        whole = self.equation(2j * np.pi * np.asarray(frequency, dtype=np.float64))
+        return np.asarray(np.linalg.inv(whole)[:, :n, :n])
 
     def load_felt(self, net: Array, *, interval: float) -> Array:
         """Loads felt under loads that are linear between samples and were held before the first; both (samples, n)."""

@@ -7,7 +7,7 @@ the others (`aerobalance.decoupling`).
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -24,6 +24,7 @@ from aerobalance.decoupling import FINE, LoneComponent, finer
 from aerobalance.estimate import FEWEST_SAMPLES, Job, Through
 from aerobalance.motion import GroundMotion, Unknown
 from aerobalance.noise import white_noise
+from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.platform_motion import PlatformMotion
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
@@ -72,20 +73,21 @@ class LoneJob(Job):
 
     def parameter_errors(self, values: Array, again: Callable[[Job], Array], through: Through) -> Systematic:
         """What a wrong element of inertia, damping or mass does to the force."""
-        n, place = len(self.coupled.components), self.lone.place
-        row = np.arange(place * n, place * n + n)
-        rows = np.concatenate([row, n * n + row])
+        rows = self.lone.rows(self.coupled)
+        name, mass = "inertia, damping and mass", self.coupled.mass
+        if not self.coupled.covariance.any() and (mass is None or not mass.covariance.any()):
+            return Systematic(name, "dynamics", (), np.zeros((values.size, 0)), np.zeros((0, 0)))
         slopes = through(self.lone.parameter_slopes(self.loads, interval=self.interval))
         covariance = self.coupled.covariance[np.ix_(rows, rows)]
         names = [self.coupled.parameters[number] for number in rows]
-        mass = self.coupled.mass
         if mass is not None and mass.covariance.any() and self.platform.specific_force.any():
-            felt = [self._read(-self.platform.specific_force @ part.T) for part in mass_slopes(mass)]
+            own = [COMPONENTS.index(component) for component in self.coupled.components]
+            felt = [self._read(-self.platform.specific_force @ part[own].T) for part in mass_slopes(mass)]
             slopes = np.column_stack([slopes, -through(np.column_stack(felt))])
-            zero = np.zeros((2 * n, len(felt)))
+            zero = np.zeros((rows.size, len(felt)))
             covariance = np.block([[covariance, zero], [zero.T, mass.covariance]])
             names += list(MASS_PARAMETERS)
-        return Systematic("inertia, damping and mass", "dynamics", tuple(names), slopes, covariance)
+        return Systematic(name, "dynamics", tuple(names), slopes, covariance)
 
     def _read(self, net: Array) -> Array:
         """What the lone balance reads when loads act on the moving mass of the coupled one, both (samples, ...)."""
@@ -139,6 +141,8 @@ class CoupledRecord:
         The components' channels.
     loads
         Their readings, shape (samples, n); NaN where missing or at a limit.
+    noise
+        Covariance of the noise of a reading, shape (n, n) [N^2, N^2*m, N^2*m^2].
     from_ground
         Loads felt under gravity and the ground's motion alone, on the clock, shape (samples, n).
     lones
@@ -150,6 +154,7 @@ class CoupledRecord:
     platform: PlatformMotion
     channels: tuple[Channel, ...]
     loads: Array
+    noise: Array
     from_ground: Array
     lones: tuple[LoneComponent, ...]
 
@@ -174,18 +179,20 @@ class CoupledRecord:
         channels = _channels(recording, dynamics)
         platform = PlatformMotion.of(recording, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
         loads = np.column_stack([np.where(channel.at_limit, np.nan, channel.values) for channel in channels])
-        interval = 1 / recording.rate
-        from_ground = load_felt(dynamics, net_load(platform, dynamics), interval=interval)
-        noise = _noise_covariance(channels, bridged(loads))
-        lones = tuple(LoneComponent.of(dynamics, name, noise=noise) for name in dynamics.components)
-        return cls(
-            recording,
-            dynamics,
-            platform,
-            channels,
-            loads,
-            later(from_ground, platform.delay, interval=interval),
-            lones,
+        noise = noise_covariance(channels, bridged(loads))
+        nothing = np.zeros_like(loads)
+        return cls(recording, dynamics, platform, channels, loads, noise, nothing, ()).taken_with(dynamics)
+
+    def taken_with(self, dynamics: CoupledDynamics, *, noise: Array | None = None) -> CoupledRecord:
+        """The same record with other dynamics of its components, or with another covariance of their noise."""
+        noise = self.noise if noise is None else noise
+        from_ground = load_felt(dynamics, net_load(self.platform, dynamics), interval=self.interval)
+        return replace(
+            self,
+            dynamics=dynamics,
+            noise=noise,
+            from_ground=later(from_ground, self.platform.delay, interval=self.interval),
+            lones=tuple(LoneComponent.of(dynamics, name, noise=noise) for name in dynamics.components),
         )
 
     @property
@@ -198,7 +205,7 @@ class CoupledRecord:
         """True where a component's force needs the readings of another."""
         return not all(lone.alone for lone in self.lones)
 
-    def jobs(self, filled: Array) -> dict[str, LoneJob]:
+    def jobs(self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None) -> dict[str, LoneJob]:
         """The components taken apart, by name.
 
         Parameters
@@ -206,10 +213,15 @@ class CoupledRecord:
         filled
             The readings with something in the place of those that are missing, shape (samples, n). A component's
             reading stays missing where one that has a part in it is.
+        noises
+            Spectra of the noise of the components taken apart, where they are known.
         """
-        return {lone.component: self._job(lone, filled) for lone in self.lones}
+        spectra = {} if noises is None else noises
+        return {name: self.job(name, filled, noise=spectra.get(name)) for name in self.dynamics.components}
 
-    def _job(self, lone: LoneComponent, filled: Array) -> LoneJob:
+    def job(self, component: str, filled: Array, *, noise: NoiseSpectrum | None = None) -> LoneJob:
+        """One component taken apart; the arguments are those of `jobs`."""
+        lone = self.lones[self.dynamics.components.index(component)]
         channel = self.channels[lone.place]
         own = _aligned(filled, self.channels, to=channel, interval=self.interval)
         ground = later(self.from_ground, -channel.delay, interval=self.interval)
@@ -226,6 +238,7 @@ class CoupledRecord:
             loads=own,
             channels=self.channels,
             platform=self.platform,
+            noise=noise,
         )
 
 
@@ -250,7 +263,7 @@ def net_load(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
         warnings.warn(
             "the dynamics hold no mass: the weight at the steady attitude of the record stays in the forces",
             DoubtWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
         return np.zeros((platform.specific_force.shape[0], len(dynamics.components)))
     if dynamics.mass is None:
@@ -298,7 +311,7 @@ def _channels(recording: Recording, dynamics: CoupledDynamics) -> tuple[Channel,
     return channels
 
 
-def _noise_covariance(channels: Sequence[Channel], filled: Array) -> Array:
+def noise_covariance(channels: Sequence[Channel], filled: Array) -> Array:
     """Covariance of the noise of a reading, shape (n, n): a balance matrix mixes the noise of the gauges.
 
     What the channels have in common is judged from the upper half of the spectrum, where no load is left.

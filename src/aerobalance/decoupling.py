@@ -1,4 +1,4 @@
-r"""Coupled components taken apart: six readings of which each is that of a balance with one component.
+r"""Coupled components taken apart: readings of which each is that of a balance with one component.
 
 Row i of F = X + D X' + A X'' gives F_i with noise of the spectrum N_i = r R r*, r_j = delta_ij + D_ij s + A_ij s^2,
 and R the covariance of the channels' noise. It is a polynomial of second degree in the square of the frequency, so it
@@ -10,14 +10,20 @@ What that balance would read,
 
 is found from the readings without any derivative of them, and contains nothing of the other components' forces. All
 that is done with one component is done with z_i; where row i of D and A has no other components, z_i is X_i.
+
+With hidden coordinates row i is q F_i = sum_j p_ij X_j (`aerobalance.elimination`). N_i is that of p over q, its
+stable factor has one mode more than there are hidden coordinates, and G_i = q over that factor is a balance with these
+modes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
@@ -25,12 +31,51 @@ from scipy.signal import resample_poly
 from aerobalance.channel import Array
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.dynamics import Dynamics, Mode
+from aerobalance.elimination import Eliminated, modes_of, shares_of, stable_factor
 
 FINE: Final = 4
 """Steps into which a sampling interval is divided where readings drive a balance between samples."""
 
 EDGE: Final = 12
 """Samples at either end of a record that the window of the band-limited interpolation reaches beyond."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fractions:
+    """A weighted sum of series, and of what they are behind modes: value and rate of each.
+
+    Attributes
+    ----------
+    direct
+        Weight of each of c series, shape (c,).
+    modes
+        The m modes.
+    by_value, by_rate
+        What each series drives a mode with to show as value and as rate, shape (m, c) and the same [s].
+    """
+
+    direct: Array
+    modes: tuple[Mode, ...]
+    by_value: Array
+    by_rate: Array
+
+    @classmethod
+    def of(cls, polynomials: Array, modes: Sequence[Mode]) -> Fractions:
+        """Polynomials in s, shape (c, k) with rising powers, over the product of the modes."""
+        direct, values, rates = shares_of(polynomials, modes)
+        return cls(direct, tuple(modes), values.T, rates.T)
+
+    def through(self, series: Array, *, interval: float) -> Array:
+        """What becomes of series of shape (samples, c), held before the first sample; shape (samples,)."""
+        found = series @ self.direct
+        if not self.modes:
+            return np.asarray(found)
+        driving = series @ np.vstack([self.by_value, self.by_rate]).T
+        fine, step = finer(driving), interval / FINE
+        for place, mode in enumerate(self.modes):
+            value, rate = fine[:, place], fine[:, len(self.modes) + place]
+            found = found + mode.driven(value, interval=step)[0][::FINE] + mode.driven(rate, interval=step)[1][::FINE]
+        return np.asarray(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,20 +86,25 @@ class LoneComponent:
     ----------
     place
         Row of the component.
-    component
-        Its name.
-    damping, inertia
-        Row of D [s] and of A [s^2], in units of the component over those of the columns, shape (n,).
-    own_damping, own_inertia
-        d [s] and a [s^2].
+    dynamics
+        That balance, its stiffness taken as 1.
+    row
+        What its reading is of the loads felt, over the product of its modes: powers of s, shape (n, 2 e + 3).
+    hidden
+        Loads in hidden springs by the loads felt, shape (e, n, 2 e + 1), over the product of `still`.
+    still
+        Motions in which no component shows anything, e of them.
+    carried
+        What the reading is of a term more in the equation of the component itself and of every hidden coordinate,
+        over the product of its modes, shape (1 + e, 2 e + 1).
     """
 
     place: int
-    component: str
-    damping: Array
-    inertia: Array
-    own_damping: float
-    own_inertia: float
+    dynamics: Dynamics
+    row: Array
+    hidden: Array
+    still: tuple[Mode, ...]
+    carried: Array
 
     @classmethod
     def of(cls, dynamics: CoupledDynamics, component: str, *, noise: Array) -> LoneComponent:
@@ -68,36 +118,36 @@ class LoneComponent:
             Which of them.
         noise
             Covariance of the noise of a reading, shape (n, n) [N^2, N^2*m, N^2*m^2]; the ratios are what matters.
+
+        Raises
+        ------
+        ValueError
+            A hidden coordinate moves without end while no component shows anything.
         """
         place = dynamics.components.index(component)
-        D, A = dynamics.damping[place], dynamics.inertia[place]
-        lone = cls(place, component, D, A, float(D[place]), float(A[place]))
-        if lone.alone:
-            return lone
-        own = noise[place, place]
-        a = float(np.sqrt(A @ noise @ A / own))
-        d = float(np.sqrt(max(2 * (a - A @ noise[place] / own) + D @ noise @ D / own, 0.0)))
-        return replace(lone, own_damping=d, own_inertia=a)
+        free = Eliminated.of(dynamics)
+        row, common = free.forces[place], free.common
+        still = modes_of(polynomial.polyroots(common).astype(np.complex128)) if dynamics.hidden else ()
+        if still or np.delete(row, place, axis=0).any():
+            own = _balance(component, stable_factor(_spectrum(row, noise) / noise[place, place]), common)
+        else:
+            own = Dynamics(component, mass=float(row[place, 2]), stiffness=1.0, damping=float(row[place, 1]))
+        return cls(place, own, row, free.hidden, still, np.vstack([common, -free.carried[place]]))
+
+    @property
+    def component(self) -> str:
+        """Its name."""
+        return self.dynamics.component
 
     @property
     def partners(self) -> NDArray[np.bool_]:
         """True for the component itself and for those that have a part in its reading, shape (n,)."""
-        own = np.arange(self.damping.size) == self.place
-        return np.asarray(own | (self.damping != 0) | (self.inertia != 0))
+        return np.asarray(self.row.any(axis=1))
 
     @property
     def alone(self) -> bool:
-        """True where no other component has a part in its reading."""
-        return int(np.count_nonzero(self.partners)) == 1
-
-    @property
-    def dynamics(self) -> Dynamics:
-        """The balance of one component, its stiffness taken as 1."""
-        return Dynamics(self.component, mass=self.own_inertia, stiffness=1.0, damping=self.own_damping)
-
-    @property
-    def _mode(self) -> Mode:
-        return self.dynamics.modes[0]
+        """True where its reading is that of its own channel."""
+        return int(np.count_nonzero(self.partners)) == 1 and not self.still
 
     def reading(self, loads: Array, *, interval: float) -> Array:
         """What that balance reads when the coupled one reads these loads, shape (samples,).
@@ -113,33 +163,58 @@ class LoneComponent:
         """
         if self.alone:
             return loads[:, self.place].copy()
-        own = np.zeros(self.damping.size)
-        own[self.place] = 1.0
-        direct = self.inertia / self.own_inertia
-        by_rate = self.damping - direct * self.own_damping
-        return self._driven(loads, direct=direct, by_rate=by_rate, by_value=own - direct, interval=interval)
+        return self.fractions.through(loads, interval=interval)
+
+    @property
+    def fractions(self) -> Fractions:
+        """How its reading comes from the loads felt."""
+        return Fractions.of(self.row, self.dynamics.modes)
+
+    def rows(self, dynamics: CoupledDynamics) -> NDArray[np.intp]:
+        """Which of the parameters of the coupled dynamics have a part in the reading: the columns of the slopes."""
+        size = len(dynamics.inertia)
+        own = [self.place, *range(len(dynamics.components), size)]
+        element = np.arange(2 * size * size).reshape(2, size, size)
+        return np.asarray(element[:, own].ravel())
 
     def parameter_slopes(self, loads: Array, *, interval: float) -> Array:
-        """Change of `reading` with each element of the row of A, then of D, shape (samples, 2 n)."""
-        n = self.damping.size
-        zero, one = np.zeros(n), np.eye(n)
-        slopes = []
-        for load in one:
-            direct = load / self.own_inertia
-            slopes.append((direct, -direct * self.own_damping, -direct))
-        slopes += [(zero, load, zero) for load in one]
-        columns = [
-            self._driven(loads, direct=direct, by_rate=by_rate, by_value=by_value, interval=interval)
-            for direct, by_rate, by_value in slopes
-        ]
+        """Change of `reading` with each element of `rows`: of A, equation by equation, then of D; (samples, k)."""
+        coordinates = [*loads.T, *(self._inside(loads, place, interval=interval) for place in range(len(self.still)))]
+        columns: list[Array] = []
+        for power in (2, 1):
+            for error in self.carried:
+                numerator = np.concatenate([np.zeros(power), error, np.zeros(2 - power)])
+                fractions = Fractions.of(numerator[None, : self.row.shape[1]], self.dynamics.modes)
+                columns += [fractions.through(series[:, None], interval=interval) for series in coordinates]
         return np.column_stack(columns)
 
-    def _driven(self, loads: Array, *, direct: Array, by_rate: Array, by_value: Array, interval: float) -> Array:
-        """Weighted sum of loads and of what they are behind 1 / (1 + d s + a s^2), value and rate."""
-        fine, step = finer(loads @ np.column_stack([by_value, by_rate])), interval / FINE
-        value = self._mode.driven(fine[:, 0], interval=step)[0] if by_value.any() else np.zeros(fine.shape[0])
-        rate = self._mode.driven(fine[:, 1], interval=step)[1] if by_rate.any() else np.zeros(fine.shape[0])
-        return np.asarray(loads @ direct + (value + rate)[::FINE])
+    def _inside(self, loads: Array, place: int, *, interval: float) -> Array:
+        """Load in a hidden spring, shape (samples,)."""
+        return Fractions.of(self.hidden[place], self.still).through(loads, interval=interval)
+
+
+def _spectrum(row: Array, noise: Array) -> Array:
+    """Coefficients of s^0, s^2, ... of what noise becomes through a row of polynomials."""
+    signs = (-1.0) ** np.arange(row.shape[1])
+    found = np.zeros(2 * row.shape[1] - 1)
+    for one in range(len(row)):
+        for other in range(len(row)):
+            if noise[one, other]:
+                found += noise[one, other] * np.convolve(row[one], row[other] * signs)
+    return found[::2]
+
+
+def _balance(component: str, modes: Sequence[Mode], common: Array) -> Dynamics:
+    """The balance of one component whose response is a polynomial over the product of modes."""
+    _, shares, rates = shares_of(common, modes)
+    first, *_ = modes
+    w0 = first.angular_frequency
+    further = [
+        Mode(mode.natural_frequency, mode.damping_ratio, float(share), float(rate))
+        for mode, share, rate in list(zip(modes, shares, rates, strict=True))[1:]
+    ]
+    single = Dynamics(component, mass=w0**-2, stiffness=1.0, damping=2 * first.damping_ratio / w0)
+    return single.with_modes(*further)
 
 
 def finer(series: Array) -> Array:

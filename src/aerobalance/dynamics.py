@@ -40,19 +40,24 @@ class Mode:
         Damping ratio zeta [1].
     share
         Share of a steady load that the mode carries, r / w^2 [1]; of either sign.
+    rate_share
+        What the mode shows of its rate beside, [s]: share + rate_share s over N. Zero but in one of several
+        components (`aerobalance.decoupling`), where the modes' swings are not in phase.
     """
 
     natural_frequency: float
     damping_ratio: float
     share: float = 1.0
+    rate_share: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0 < self.natural_frequency < np.inf:
             raise ValueError(f"natural_frequency must be positive and finite, not {self.natural_frequency}")
         if not 0 <= self.damping_ratio < np.inf:
             raise ValueError(f"damping_ratio must be zero or more and finite, not {self.damping_ratio}")
-        if not np.isfinite(self.share):
-            raise ValueError(f"share must be finite, not {self.share}")
+        for name in ("share", "rate_share"):
+            if not np.isfinite(getattr(self, name)):
+                raise ValueError(f"{name} must be finite, not {getattr(self, name)}")
 
     @property
     def angular_frequency(self) -> float:
@@ -77,6 +82,12 @@ class Mode:
         t = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
         p, q = self.poles
         return np.asarray(np.real((p * np.exp(q * t) - q * np.exp(p * t)) / (p - q)))
+
+    def free_decay_rate(self, time: ArrayLike) -> Array:
+        """Rate of `free_decay` [1/s]."""
+        t = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
+        p, q = self.poles
+        return np.asarray(np.real(p * q * (np.exp(q * t) - np.exp(p * t)) / (p - q)))
 
     def integrated_step(self, time: Array) -> Array:
         """Integral of the response to a step of 1 at time 0, from 0 to time [s]."""
@@ -164,7 +175,10 @@ class Dynamics:
     def modes(self) -> tuple[Mode, ...]:
         """All modes, the first one first."""
         share = 1.0 - sum(mode.share for mode in self.further_modes)
-        return (Mode(self.natural_frequency, self.damping_ratio, share), *self.further_modes)
+        # a force changes the load's rate, not the load, at once: the rates that the modes show at first cancel
+        at_once = sum(mode.rate_share * mode.natural_frequency**2 for mode in self.further_modes)
+        rate_share = -at_once / self.natural_frequency**2
+        return (Mode(self.natural_frequency, self.damping_ratio, share, rate_share), *self.further_modes)
 
     def with_modes(self, *further: Mode) -> Dynamics:
         """The same balance with these further modes, taken as known exactly."""
@@ -262,7 +276,8 @@ class Dynamics:
 
         The delay is not included.
         """
-        parts = (mode.share * mode.response(frequency) for mode in self.modes)
+        s = 2j * np.pi * np.asarray(frequency)
+        parts = ((mode.share + mode.rate_share * s) * mode.response(frequency) for mode in self.modes)
         return np.asarray(sum(parts), dtype=np.complex128)
 
     def base_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
@@ -301,7 +316,10 @@ class Dynamics:
         The sine term that (6) leaves out makes the velocity at release zero; with it the extrema of (7) are exact.
         It is 1 before the release.
         """
-        return np.asarray(sum(mode.share * mode.free_decay(time) for mode in self.modes))
+        parts = (
+            mode.share * mode.free_decay(time) + mode.rate_share * mode.free_decay_rate(time) for mode in self.modes
+        )
+        return np.asarray(sum(parts))
 
     def step_response(self, time: ArrayLike, *, duration: float = 0.0) -> Array:
         """Load felt after a force of 1 N is applied at time 0, at once or linearly over a duration.
@@ -316,7 +334,12 @@ class Dynamics:
         t = np.asarray(time, dtype=np.float64)
         if duration <= 0:
             return 1 - self.free_decay(t)
-        risen = (mode.share * (mode.integrated_step(t) - mode.integrated_step(t - duration)) for mode in self.modes)
+        late = t - duration
+        risen = (
+            mode.share * (mode.integrated_step(t) - mode.integrated_step(late))
+            + mode.rate_share * (mode.free_decay(late) - mode.free_decay(t))
+            for mode in self.modes
+        )
         return np.asarray(sum(risen) / duration)
 
     def load_felt(self, net: Array, *, interval: float) -> Array:
@@ -330,7 +353,11 @@ class Dynamics:
         interval
             Time between samples [s].
         """
-        return np.asarray(sum(mode.share * mode.driven(net, interval=interval)[0] for mode in self.modes))
+        whole = np.zeros(net.shape)
+        for mode in self.modes:
+            load, rate = mode.driven(net, interval=interval)
+            whole += mode.share * load + mode.rate_share * rate
+        return whole
 
 
 def extremum_ratio(damping: float, mass: float, period: float, half_periods: ArrayLike) -> Array:

@@ -24,7 +24,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 
 from aerobalance import _kernels
 from aerobalance.channel import Array
-from aerobalance.dynamics import Dynamics
+from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.shaping import ShapingFilter
 
 GAIN_TOLERANCE: Final = 1e-8
@@ -103,14 +103,12 @@ class StateSpace:
         for number, mode in enumerate(further):
             # the first mode is the load less the other ones, so that the load itself stays the first state
             q, rate = FORCE + force.order + 2 * number, FORCE + force.order + 2 * number + 1
-            w, share = mode.angular_frequency, mode.share
+            w = mode.angular_frequency
             A[q, rate] = w
             A[rate, [q, rate, FORCE]] = -w, -2 * mode.damping_ratio * w, w
-            A[LOAD_RATE, [q, rate]] = (
-                share * (w0 - w**2 / w0),
-                share * 2 * w * (first.damping_ratio - mode.damping_ratio * w / w0),
-            )
-            A[LOAD_RATE, FORCE] += share * w**2 / w0
+            by_load, by_rate, by_force = _beside(first, mode)
+            A[LOAD_RATE, [q, rate]] = w0 * by_load, w0 * w * by_rate
+            A[LOAD_RATE, FORCE] += w0 * by_force
             B[rate, 0] = w * np.sqrt(input_density)
         B[LOAD_RATE, 0] = A[LOAD_RATE, FORCE] * np.sqrt(input_density)
         places = balance + np.cumsum([0, *(color.order for color in colors)], dtype=int)
@@ -121,8 +119,10 @@ class StateSpace:
         transition, process_noise = _discretise(A, B @ B.T, interval)
         initial = solve_continuous_lyapunov(A, -B @ B.T)
         initial = (initial + initial.T) / 2
-        swinging = [LOAD, LOAD_RATE, *range(FORCE + force.order, balance)]
-        initial[swinging, swinging] += swing**2
+        initial[[LOAD, LOAD_RATE], [LOAD, LOAD_RATE]] += swing**2
+        for number, mode in enumerate(further):
+            pair = [FORCE + force.order + 2 * number, FORCE + force.order + 2 * number + 1]
+            initial[pair, pair] += (swing * _reach(mode)) ** 2
         return cls(transition, process_noise, initial, noise**2, tuple(int(place) for place in places[:-1]))
 
     @property
@@ -131,6 +131,31 @@ class StateSpace:
         row = np.zeros(self.transition.shape[0])
         row[[LOAD, *self.colors]] = 1.0
         return row
+
+
+def _reach(mode: Mode) -> float:
+    """How far a further mode may swing at first, over what the load may.
+
+    A mode of one component follows the force, so it swings as far as the readings. One of several components may have
+    whatever state makes the load go on as it does from the readings before, in which others have a part.
+    """
+    if not mode.rate_share:
+        return 1.0
+    return 1 / float(np.hypot(mode.share, mode.angular_frequency * mode.rate_share))
+
+
+def _beside(first: Mode, mode: Mode) -> tuple[float, float, float]:
+    r"""What drives the load, over w0^2, where a further mode is beside the first: by its response, rate, and force.
+
+    With 1 + d s + a s^2 of the two, (share + rate_share s) (1 + d0 s + a0 s^2) / (1 + d s + a s^2) is the force's
+    factor g0 + g1 s and (h0 + h1 s) times the mode; all g1 together are zero, as the load does not follow at once.
+    """
+    (d0, a0), (d, a) = (
+        (2 * one.damping_ratio / one.angular_frequency, one.angular_frequency**-2) for one in (first, mode)
+    )
+    g1 = mode.rate_share * a0 / a
+    g0 = (mode.share * a0 + mode.rate_share * d0 - g1 * d) / a
+    return mode.share - g0, mode.share * d0 + mode.rate_share - g0 * d - g1, g0
 
 
 def _discretise(A: Array, intensity: Array, interval: float) -> tuple[Array, Array]:

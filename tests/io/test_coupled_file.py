@@ -163,7 +163,7 @@ def swapped(contents, *keys):
         (("components",), ["XX"], "components", "must be some of NF"),
         (("components",), [], "components", "at least 1"),
         (("inertia",), None, "inertia", "must be"),
-        (("inertia", "rows"), ["PM", "NF"], "inertia.rows", "are PM, NF, but components are NF, PM"),
+        (("inertia", "rows"), ["PM", "NF"], "inertia.rows", "are PM, NF, but must be NF, PM"),
         (("damping", "columns"), ["NF"], "damping.columns", "are NF, but"),
         (("inertia", "units", 0), ["s^2", "s^2"], "inertia.units", "SI units"),
         (("inertia", "matrix", 0), [1e-6], "inertia.matrix", "2 rows of 2 numbers"),

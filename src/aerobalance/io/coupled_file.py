@@ -12,7 +12,7 @@ from pydantic import Field
 
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, si_unit
-from aerobalance.coupled import CoupledDynamics, RigidMass
+from aerobalance.coupled import CoupledDynamics, RigidMass, hidden_names
 from aerobalance.dynamics import Dynamics
 from aerobalance.io.artefacts import (
     Covariance,
@@ -66,7 +66,9 @@ class _Inertia(Loose):
     ru: Value = Value(value=0.0)
 
 
-class _Mass(Loose):
+class RigidMassPart(Loose):
+    """Mass, centre of gravity and inertia of a rigid mass in a file."""
+
     mass: PositiveValue
     centre: _Centre
     inertia: _Inertia
@@ -85,12 +87,15 @@ class _CoupledFile(Loose):
     inertia: _Matrix
     damping: _Matrix
     covariance: Covariance | None = None
-    mass: _Mass | None = None
+    mass: RigidMassPart | None = None
     modes: list[_Mode] = Field(default_factory=list)
 
 
 def matrix_units(components: Sequence[str], kind: Matrix) -> list[list[str]]:
-    """Units of the elements of A (inertia) or D (damping): unit of the row over that of the column, times s^2 or s."""
+    """Units of the elements of A (inertia) or D (damping): unit of the row over that of the column, times s^2 or s.
+
+    A hidden coordinate is taken as a force.
+    """
     time = _TIMES[kind]
     table = {
         ("N", "N"): time,
@@ -98,14 +103,15 @@ def matrix_units(components: Sequence[str], kind: Matrix) -> list[list[str]]:
         ("N", "N*m"): time + "/m",
         ("N*m", "N"): "m*" + time,
     }
-    return [[table[si_unit(row), si_unit(column)] for column in components] for row in components]
+    units = [si_unit(name) if name in COMPONENTS else "N" for name in components]
+    return [[table[row, column] for column in units] for row in units]
 
 
 def coupled_payload(dynamics: CoupledDynamics) -> dict[str, object]:
     """Give what dynamics.json says of coupled components, as plain data."""
-    n, names = len(dynamics.components), list(dynamics.components)
+    n, names = len(dynamics.inertia), list(dynamics.coordinates)
     deviations = np.sqrt(np.diag(dynamics.covariance)).reshape(2, n, n)
-    payload: dict[str, object] = {"components": names}
+    payload: dict[str, object] = {"components": list(dynamics.components)}
     for kind, deviation in zip(_TIMES, deviations, strict=True):
         payload[kind] = {
             "rows": names,
@@ -187,7 +193,8 @@ def write_coupled(
 def read_coupled(path: Path | str) -> CoupledDynamics:
     """Read dynamics.json of coupled components, as written by `write_coupled` or by hand.
 
-    By hand ``components``, ``inertia.matrix`` and ``damping.matrix`` are enough.
+    By hand ``components``, ``inertia.matrix`` and ``damping.matrix`` are enough; where there are hidden coordinates,
+    ``inertia.rows`` names them behind the components: hidden 1, hidden 2 and so on.
 
     Raises
     ------
@@ -206,14 +213,16 @@ def read_coupled(path: Path | str) -> CoupledDynamics:
     names = tuple(contents.components)
     if names != tuple(name for name in COMPONENTS if name in names):
         raise ReadError(file, "components", f"must be some of {', '.join(COMPONENTS)}, in this order and each once")
+    hidden = max(len(contents.inertia.rows or ()) - len(names), 0)
+    coordinates = (*names, *hidden_names(hidden))
     matrices: dict[str, Array] = {}
     deviations: dict[str, float] = {}
     for kind in _TIMES:
-        matrices[kind], u = _read_matrix(file, kind, getattr(contents, kind), names)
-        pairs = [f"{kind} {row}/{column}" for row in names for column in names]
+        matrices[kind], u = _read_matrix(file, kind, getattr(contents, kind), coordinates)
+        pairs = [f"{kind} {row}/{column}" for row in coordinates for column in coordinates]
         deviations |= dict(zip(pairs, u.ravel().tolist(), strict=True))
     covariance = checked_covariance(file, "covariance", contents.covariance, deviations)
-    mass = _read_mass(file, contents.mass) if contents.mass else None
+    mass = rigid_mass_from(file, contents.mass) if contents.mass else None
     try:
         dynamics = CoupledDynamics(names, matrices["inertia"], matrices["damping"], covariance, mass)
     except np.linalg.LinAlgError:
@@ -230,7 +239,7 @@ def _read_matrix(path: Path, kind: Matrix, given: _Matrix, names: tuple[str, ...
         found = getattr(given, side)
         if found is not None and tuple(found) != names:
             raise ReadError(
-                path, f"{kind}.{side}", f"are {', '.join(found)}, but components are {', '.join(names)}, in this order"
+                path, f"{kind}.{side}", f"are {', '.join(found)}, but must be {', '.join(names)}, in this order"
             )
     n = len(names)
     expected = matrix_units(names, kind)
@@ -238,12 +247,21 @@ def _read_matrix(path: Path, kind: Matrix, given: _Matrix, names: tuple[str, ...
         raise ReadError(path, f"{kind}.units", f"must be {expected} (artefacts are in SI units)")
     for name, table in (("matrix", given.matrix), ("u", given.u)):
         if table is not None and [len(row) for row in table] != [n] * n:
-            raise ReadError(path, f"{kind}.{name}", f"must have {n} rows of {n} numbers, one for each component")
+            raise ReadError(
+                path, f"{kind}.{name}", f"must have {n} rows of {n} numbers, one for each of {', '.join(names)}"
+            )
     u = np.zeros((n, n)) if given.u is None else np.array(given.u, dtype=np.float64)
     return np.array(given.matrix, dtype=np.float64), u
 
 
-def _read_mass(path: Path, given: _Mass) -> RigidMass:
+def rigid_mass_from(path: Path, given: RigidMassPart) -> RigidMass:
+    """The rigid mass of a file.
+
+    Raises
+    ------
+    ReadError
+        A unit is not the one inside, or the covariance contradicts the uncertainties.
+    """
     entries: dict[str, Value] = {"mass": given.mass}
     entries |= {f"centre.{axis}": getattr(given.centre, axis) for axis in _CENTRE}
     entries |= {f"inertia.{axes}": getattr(given.inertia, axes) for axes in _INERTIA}
