@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
 import warnings
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.anti_alias import AntiAlias, Kind
-from aerobalance.channel import Array, Channel, Coupling, CrossAxis, unit_inside
+from aerobalance.channel import Array
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, Sensing, split_label
+from aerobalance.io.contact_events import contact_doubt
+from aerobalance.io.hdf5_contents import Contents, contents, contents_of, opened
 from aerobalance.io.hdf5_layout import (
-    BLOCK,
     CHANNEL,
-    CHANNELS,
-    FORMAT,
-    GAP,
-    STATUS,
     BlockWriter,
     DiskFullError,
     Provenance,
@@ -47,74 +40,13 @@ LARGEST_GAP: Final = 20
 """Samples of the clock per sample of the file beyond which the recording has to be cut at its gaps."""
 
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
-_FLAGGED_VERSION: Final = 3
-_WRITING: Final = 0b101
 _ROWS: Final = 8192
-_COUPLINGS: Final = ("kinematic", "dc", "ac")
 
 
 def can_read(head: bytes, path: Path) -> bool:
     """Say whether a file is HDF5, from its first bytes; its name does not matter."""
     del path
     return head.startswith(_SIGNATURE)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Contents:
-    """What a recording's file says without its samples.
-
-    Attributes
-    ----------
-    channels
-        The c columns.
-    rate
-        Sampling rate [Hz]; NaN where there is a time column.
-    slot
-        Rows of the file that each block has.
-    blocks
-        Table of the blocks that hold samples, in order.
-    gaps
-        Table of the gaps that were noted.
-    state
-        ``recording`` (still, or broken off) or ``ended``.
-    reason
-        Why it ended.
-    origin
-        Tick at which time is zero.
-    setup
-        Text of the test set-up.
-    time_unit
-        Unit of the time column; an empty string where there is none.
-    """
-
-    channels: tuple[StoredChannel, ...]
-    rate: float
-    slot: int
-    blocks: NDArray[np.void]
-    gaps: NDArray[np.void]
-    state: str
-    reason: str
-    origin: int
-    setup: str
-    time_unit: str
-
-    @property
-    def timed(self) -> bool:
-        """Whether there is a time column, and no ticks."""
-        return bool(self.time_unit)
-
-
-def contents(path: Path | str) -> Contents:
-    """Read what a recording's file says of itself.
-
-    Raises
-    ------
-    ReadError
-        The file is no recording, or damaged.
-    """
-    file = Path(path)
-    with _opened(file) as opened:
-        return _contents(file, opened)
 
 
 def read_blocks(path: Path | str) -> Iterator[tuple[int, Array | None]]:
@@ -132,10 +64,10 @@ def read_blocks(path: Path | str) -> Iterator[tuple[int, Array | None]]:
         The file is no recording, or damaged.
     """
     file = Path(path)
-    with _opened(file) as opened:
-        found = _contents(file, opened)
+    with opened(file) as inside:
+        found = contents_of(file, inside)
         for number, block in enumerate(found.blocks):
-            yield int(block["tick"]), _block(opened, found, number)
+            yield int(block["tick"]), _block(inside, found, number)
 
 
 def headings(path: Path) -> tuple[Heading, ...]:
@@ -181,17 +113,18 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
     Warns
     -----
     DoubtWarning
-        A block is damaged and left out, or the record was broken off.
+        A block is damaged and left out, the record was broken off, or model and support touched.
     """
     del layout
-    with _opened(path) as file:
-        found = _contents(path, file)
+    with opened(path) as file:
+        found = contents_of(path, file)
         doubts: list[str] = []
         labels = _numbers(path, found, wanted)
         ticks, readings, stamps = _samples(path, file, found, labels, doubts)
     if found.state != "ended":
         doubts.append("the record was not ended (it is still written to, or broken off); its complete blocks are used")
-    for text in doubts:
+    touched = contact_doubt(found.events, rate=found.rate, origin=found.origin)
+    for text in (*doubts, *([touched] if touched else [])):
         warnings.warn(f"{path.name}: {text}", DoubtWarning, stacklevel=4)
     columns = [_column(found.channels[i], readings[:, k], i + found.timed) for k, i in enumerate(labels)]
     if found.timed:
@@ -266,155 +199,6 @@ def write_columns(
             writer.finish("converted")
         except DiskFullError as problem:
             raise ValueError(f"cannot write {path}: {problem}") from problem
-
-
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator[h5py.File]:
-    """Open a file as a reader beside a writer, which is also right after a crash; turn its faults into `ReadError`."""
-    import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
-
-    try:
-        with h5py.File(path, "r", swmr=_being_written(path), libver="latest", locking="best-effort") as file:
-            yield file
-    except (ReadError, GeneratorExit):
-        raise
-    except FileNotFoundError:
-        raise ReadError(path, "", "there is no such file") from None
-    except Exception as error:  # noqa: BLE001 - the library fails in a dozen ways on damaged files
-        text = " ".join(str(error).split()) or type(error).__name__
-        raise ReadError(path, "", f"is a damaged HDF5 file, or of a kind that cannot be read: {text[:200]}") from None
-
-
-def _being_written(path: Path) -> bool:
-    """Say whether the file is being written to, or was when its writer was killed: a flag in the superblock.
-
-    Only such a file is opened as beside a writer, as the library then waits for what does not agree with its checksum
-    to be written, which never happens in a damaged file.
-    """
-    with path.open("rb") as file:
-        head = file.read(12)
-    return len(head) == 12 and head[8] >= _FLAGGED_VERSION and bool(head[11] & _WRITING)
-
-
-def _contents(path: Path, file: h5py.File) -> Contents:
-    given = file.attrs.get("format")
-    if given != FORMAT:
-        raise ReadError(path, "", f"is an HDF5 file, but no recording: its attribute format must be {FORMAT!r}")
-    schema = int(file.attrs["schema_version"])
-    if schema not in CHANNELS:
-        raise ReadError(path, "schema_version", f"is {schema}; this program reads {' and '.join(map(str, CHANNELS))}")
-    table = _table(path, file, "channels", CHANNELS[schema])
-    if zlib.crc32(table.tobytes()) != int(file.attrs["channels_crc32"]):
-        raise ReadError(path, "channels", "does not agree with its checksum: units and signs cannot be trusted")
-    channels = tuple(_channel(path, row) for row in table)
-    names = [channel.name for channel in channels]
-    if not names or len(set(names)) != len(names) or "" in names:
-        raise ReadError(path, "channels", f"must have names of their own, not {', '.join(map(repr, names)) or 'none'}")
-    samples = file["samples"]
-    if samples.ndim != 2 or samples.shape[1] != len(channels) or samples.dtype != "<f8" or not samples.chunks:
-        raise ReadError(
-            path, "samples", f"must hold {len(channels)} columns of float64 in chunks: the file is damaged"
-        )
-    unit = str(file["time"].attrs["unit"]) if "time" in file else ""
-    rate = float(file.attrs["rate"])
-    if not unit and not 0 < rate < 1e12:
-        raise ReadError(path, "rate", f"must be above zero, not {rate:g} Hz")
-    status = _table(path, file, "status", STATUS)[0]
-    slot = int(samples.chunks[0])
-    return Contents(
-        channels=channels,
-        rate=rate,
-        slot=slot,
-        blocks=_blocks(path, _table(path, file, "blocks", BLOCK), slot, len(channels)),
-        gaps=_table(path, file, "gaps", GAP),
-        state=_text(status["state"]),
-        reason=_text(status["reason"]),
-        origin=int(status["origin"]),
-        setup=bytes(file["setup"][...].tobytes()).decode("utf-8", "replace"),
-        time_unit=unit,
-    )
-
-
-def _table(path: Path, file: h5py.File, name: str, kind: np.dtype[np.void]) -> NDArray[np.void]:
-    dataset = file[name]
-    if dataset.dtype != kind or dataset.ndim != 1:
-        raise ReadError(path, name, "is no table of the kind that belongs here: the file is damaged")
-    if dataset.shape[0] * kind.itemsize > path.stat().st_size:
-        raise ReadError(path, name, f"claims {dataset.shape[0]} rows, more than the file can hold: it is damaged")
-    rows: NDArray[np.void] = dataset[...]
-    return rows
-
-
-def _blocks(path: Path, table: NDArray[np.void], slot: int, columns: int) -> NDArray[np.void]:
-    """Check the table of blocks; its end, where the writing was cut off, is left out."""
-    rows, ticks = table["rows"], table["tick"]
-    unwritten = np.flatnonzero(rows == 0)
-    if unwritten.size:
-        table = table[: int(unwritten[0])]
-        rows, ticks = table["rows"], table["tick"]
-    if (rows < 0).any() or (rows > slot).any() or (np.abs(ticks) > 2**62).any():
-        raise ReadError(path, "blocks", "has a block with an impossible number of rows, or tick: the file is damaged")
-    if (ticks[1:] < ticks[:-1] + rows[:-1]).any():
-        raise ReadError(path, "blocks", "has blocks whose ticks do not increase: the file is damaged")
-    if int(rows.sum()) * columns * 8 > path.stat().st_size:
-        raise ReadError(path, "blocks", "claims more samples than the file can hold: it is damaged")
-    return table
-
-
-def _channel(path: Path, row: np.void) -> StoredChannel:
-    name, coupling = _text(row["name"]), _text(row["coupling"])
-    numbers: dict[str, Any] = {
-        key: float(row[key]) for key in ("sign", "scale", "offset", "delay", "relative_uncertainty", "corner")
-    }
-    noise = float(row["noise"])
-    low_pass: AntiAlias | None = None
-    cross_axis: tuple[CrossAxis, ...] = ()
-    mounting: dict[str, Any] = {}
-    try:
-        if "filter" in (row.dtype.names or ()):
-            numbers["zero_uncertainty"] = float(row["zero_uncertainty"])
-            low_pass, cross_axis = _low_pass(row), _cross_axis(row)
-        if "mounting" in (row.dtype.names or ()):
-            mounting = _mounting(name, row)
-    except (ValueError, TypeError, AttributeError):
-        raise ReadError(path, f"channels, {name!r}", "has impossible settings: the file is damaged") from None
-    if coupling not in _COUPLINGS or not all(np.isfinite(value) for value in numbers.values()) or noise < 0:
-        raise ReadError(path, f"channels, {name!r}", "has impossible settings: the file is damaged")
-    return StoredChannel(
-        name=name,
-        unit=_text(row["unit"]),
-        input=_text(row["input"]),
-        noise=None if np.isnan(noise) else noise,
-        coupling=cast("Coupling", coupling),
-        filter=low_pass,
-        cross_axis=cross_axis,
-        **mounting,
-        **numbers,
-    )
-
-
-def _low_pass(row: np.void) -> AntiAlias | None:
-    kind = _text(row["filter"])
-    return AntiAlias(cast("Kind", kind), int(row["filter_order"]), float(row["filter_corner"])) if kind else None
-
-
-def _cross_axis(row: np.void) -> tuple[CrossAxis, ...]:
-    parts = json.loads(_text(row["cross_axis"]) or "{}")
-    return tuple(CrossAxis(name, float(value), float(u)) for name, (value, u) in parts.items())
-
-
-def _mounting(name: str, row: np.void) -> dict[str, Any]:
-    """Place, axis and the place's uncertainty; a channel without readings refuses what is impossible."""
-    given = json.loads(_text(row["mounting"]) or "{}")
-    vectors = {key: tuple(float(part) for part in given[key]) for key in ("place", "axis") if key in given}
-    found: dict[str, Any] = {**vectors, "place_uncertainty": float(given.get("place_uncertainty", 0.0))}
-    if given:
-        Channel(name, np.empty(0), unit_inside(name) or _text(row["unit"]), **found)
-    return found
-
-
-def _text(cell: Any) -> str:
-    return bytes(cell).decode("utf-8", "replace")
 
 
 def _block(file: h5py.File, found: Contents, number: int) -> Array | None:
