@@ -18,6 +18,7 @@ from scipy.stats import chi2
 from aerobalance.channel import Array, Channel
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.identification.amplitude import AmplitudeDependence, amplitude_dependence, bent_where_plain
+from aerobalance.identification.leftover import leftover_line
 from aerobalance.identification.onset import first_look
 from aerobalance.identification.ring import (
     EVIDENCE,
@@ -25,7 +26,6 @@ from aerobalance.identification.ring import (
     Ring,
     fit_ring,
     freed,
-    leftover_line,
     ring_up_to,
 )
 from aerobalance.noise import channel_noise

@@ -22,9 +22,6 @@ from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.identification.onset import Look, Shape
 
-FALSE_ALARM: Final = 1e-6
-"""Probability that white noise shows a line somewhere in the spectrum of the residuals."""
-
 HEAVIEST: Final = 0.3
 """Damping ratio above which a further line is no mode but the misfit of something else."""
 
@@ -224,7 +221,7 @@ def _placed(time: Array, values: Array, look: Look) -> Look:
     best, squares = look, np.inf
     for shift in np.arange(-4, 4, 1 / 16) / look.frequency:
         trial = replace(look, start=look.start + shift)
-        left = _project(_columns(time[part], "release", _start_vector(trial, "release", ()), ()), values[part])[1]
+        left = projected(_columns(time[part], "release", _start_vector(trial, "release", ()), ()), values[part])[1]
         if left @ left < squares:
             best, squares = trial, float(left @ left)
     return best
@@ -294,7 +291,7 @@ def _bending(since: Array, decay: float, w: float) -> list[Array]:
     return [-fallen * np.cos(w * time), -w / decay * fallen * np.sin(w * time)]
 
 
-def _project(columns: Array, values: Array) -> tuple[Array, Array]:
+def projected(columns: Array, values: Array) -> tuple[Array, Array]:
     """Sizes of the columns and residuals."""
     sizes: Array = lstsq(columns, values, lapack_driver="gelsy", check_finite=False)[0]
     return sizes, values - columns @ sizes
@@ -318,11 +315,11 @@ def _search(
     scale = _scale(start, shape, origin.size)
 
     def residuals(moved: Array) -> Array:
-        return _project(_columns(time, shape, origin + scale * moved, lines, begin=begin, bent=bent), values)[1]
+        return projected(_columns(time, shape, origin + scale * moved, lines, begin=begin, bent=bent), values)[1]
 
     found = least_squares(residuals, np.zeros(origin.size), method="lm", xtol=1e-12, ftol=1e-12, max_nfev=150)
     vector = origin + scale * found.x
-    sizes, left = _project(_columns(time, shape, vector, lines, begin=begin, bent=bent), values)
+    sizes, left = projected(_columns(time, shape, vector, lines, begin=begin, bent=bent), values)
     J = _jacobian(time, shape, vector, lines, begin=begin, scale=scale, sizes=sizes, bent=bent)
     covariance, colour = _covariance(J, left, time=time, frequency=float(vector[1]) / (2 * np.pi), sizes=sizes)
     place = 2 + (shape != "free") + (shape == "ramp")
@@ -396,54 +393,6 @@ def _colour(left: Array, frequency: float, time: Array) -> float:
         return 1.0
     level = float(band.mean())
     return level if level > 1 + 4 / np.sqrt(band.size) else 1.0
-
-
-def leftover_line(ring: Ring) -> Line | None:
-    """The strongest line that the residuals still show, steady or decaying from the release; None if all is noise."""
-    if ring.variance < (1e-9 * ring.amplitude) ** 2:
-        return None
-    centre = _strongest_line(ring)
-    if centre is None:
-        return None
-    left, since = ring.residuals, np.maximum(ring.time - ring.start, 0.0)
-    begun = ring.time >= ring.start
-    best: tuple[float, Line] | None = None
-    for decay in (0.0, *(2 * np.pi * centre * np.geomspace(0.002, 0.1, 8))):
-        for shift in np.linspace(-1, 1, 9) * max(1 / (ring.time[-1] - ring.time[0]), 0.2 * decay):
-            w = 2 * np.pi * (centre + shift)
-            fall = np.exp(-decay * since) * (begun if decay > 0 else 1.0)
-            phase = w * (since if decay > 0 else ring.time - ring.time[0])
-            remaining = _project(np.column_stack([fall * np.cos(phase), fall * np.sin(phase)]), left)[1]
-            squares = float(remaining @ remaining)
-            if best is None or squares < best[0]:
-                best = squares, Line(centre + shift, decay)
-    return best[1] if best else None
-
-
-def _strongest_line(ring: Ring) -> float | None:
-    """Frequency of the most significant peak of the residual spectrum [Hz], over the record and shortly after release.
-
-    A mode that dies quickly stands out only of a short stretch, hum only of a long one.
-    """
-    first = int(np.searchsorted(ring.time, ring.start))
-    after = ring.time.size - first
-    stretches = [slice(0, ring.time.size), *(slice(first, first + after // part) for part in (4, 16))]
-    best: tuple[float, float] | None = None
-    for stretch in stretches:
-        left = ring.residuals[stretch]
-        if left.size < 64:
-            continue
-        duration = left.size / ring.rate
-        power = np.abs(np.fft.rfft(left - left.mean(), 2 * left.size)) ** 2
-        frequency = np.fft.rfftfreq(2 * left.size, 1 / ring.rate)
-        power[: int(np.searchsorted(frequency, 4 / duration))] = 0.0
-        width = max(5 * ring.decay / (2 * np.pi), 4 / duration)
-        power[np.abs(frequency - ring.frequency) < width] = 0.0  # what is left there is the first mode's own misfit
-        place = int(np.argmax(power))
-        significance = power[place] / (left.size * ring.variance) + np.log(FALSE_ALARM / left.size)
-        if significance > 0 and (best is None or significance > best[0]):
-            best = float(significance), float(frequency[place])
-    return best[1] if best else None
 
 
 def ring_up_to(ring: Ring) -> float:
