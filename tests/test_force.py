@@ -1,5 +1,7 @@
 """The force applied, from the load felt: bounds, limits, signs, and what is refused."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -348,6 +350,21 @@ def test_accelerometer_at_rest_does_not_spoil_the_force():
     estimate = reconstruct(run.recording, CableCut().dynamics)
     assert any("at rest" in text for text in estimate.assumptions), seed
     assert estimate.uncertainty.mean() < 10, seed  # the noise of one reading of the balance
+
+
+def test_a_gap_moves_no_ground_end_that_is_at_rest():
+    generator, seed = fresh()
+    n, gap = 1600, slice(600, 1100)
+    acceleration = generator.normal(0, 5.0, n)  # 890 N as a force; a line across the gap would be slow motion
+    force = np.full(n, -1000.0) + generator.normal(0, 2.0, n)
+    force[gap] = acceleration[gap] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)  # of the gap, and in one of a hundred of a faint slow force
+        estimate = reconstruct(record(AF=force, ground_acceleration=(acceleration, {"noise": 5.0})), T128)
+    assert any("at rest" in text for text in estimate.assumptions), seed
+    # the mean of 1100 readings: 2 N / sqrt(1100) = 0.06 N, here with a factor of four
+    for part in (slice(0, 600), slice(1100, n)):
+        assert abs(estimate.values[part].mean() + 1000) < 4 * 2 / np.sqrt(500), seed
 
 
 def test_a_tone_under_the_noise_of_the_accelerometer_is_motion():

@@ -118,9 +118,9 @@ class GroundMotion:
             acceleration = bridged(recording, channel)
             noise, relative, delay = channel_noise(channel), channel.relative_uncertainty, channel.delay
             coupling = channel.coupling
-            if coupling == "kinematic" and float(np.var(acceleration)) < AT_REST * noise**2:
+            if coupling == "kinematic" and float(np.nanvar(channel.values)) < AT_REST * noise**2:
                 # adding a sensor's noise to the force would only spoil it; tones that stand out of it are motion
-                acceleration, share = tones(acceleration)
+                acceleration, share = tones(np.where(channel.missing, np.nan, channel.values))
                 noise *= share
                 rest = "only its tones are taken" if share else "the ground end is taken to be at rest"
                 assumptions.append(f"{name} shows {'little' if share else 'nothing'} beyond its noise; {rest}")
@@ -172,9 +172,9 @@ def tones(acceleration: Array) -> tuple[Array, float]:
     Parameters
     ----------
     acceleration
-        Readings without gaps, shape (n,).
+        Readings, shape (n,); NaN where missing. A line across a gap would be a slow motion that is not there.
     """
-    spectrum = np.fft.rfft(acceleration - acceleration.mean())
+    spectrum = np.fft.rfft(np.nan_to_num(acceleration - np.nanmean(acceleration)))
     power = np.abs(spectrum) ** 2
     # ordinates of white noise are exponentially distributed: this one is passed by the largest of n with p = CHANCE
     out = power > np.median(power) / np.log(2) * np.log(max(power.size, 1) / CHANCE)
@@ -290,4 +290,6 @@ def load_from_ground(motion: GroundMotion, dynamics: Dynamics, *, rate: float, l
         clock = np.arange(fine.size) / (FINE * rate)
         inside = np.clip(clock - lag, clock[0], clock[-1])
         fine = CubicSpline(clock, fine)(inside)
+    # straight lines lose (w h)^2 / 12 of a sine: a twelfth of the second difference gives it back
+    fine[1:-1] -= np.diff(fine, 2) / 12
     return dynamics.load_felt(fine, interval=1 / (FINE * rate))[::FINE]

@@ -14,7 +14,7 @@ from aerobalance.noise_spectrum import ColoredNoise
 from aerobalance.problems import FitError
 from aerobalance.shaping import EDGE, ShapingFilter
 from aerobalance.smoother import LOAD, Filter, StateSpace
-from aerobalance.spectrum import Periodogram, Spectrum
+from aerobalance.spectrum import Periodogram, Spectrum, share_seen
 from aerobalance.whittle import fit_spectrum
 
 BACKGROUND: Final = 1e-2
@@ -29,6 +29,10 @@ EDGE_MOVES: Final = (0.5, 1.0, 2.0, 4.0)
 
 EDGE_EVIDENCE: Final = 3.0
 """Gain in log-likelihood of the innovations for which an edge is moved by one of them."""
+
+
+BESIDE_A_GAP: Final = 64
+"""Readings on either side of a gap at most from whose mean a line leads across it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,12 +148,28 @@ def learn(reading: Reading, *, columns: Array, before: Learned | None = None) ->
     sizes, *_ = np.linalg.lstsq(columns[present], reading.values[present], rcond=None)
     left = reading.values - columns @ sizes
     if not present.all():
-        place = np.arange(left.size)
-        left = np.interp(place, place[present], left[present])
+        left = _bridged(left, present)
     learned = _learn(reading, left)
     if present.all() and columns.shape[1] == 1:
         return learned
     return _learned_beside(reading, learned, columns)
+
+
+def _bridged(left: Array, present: NDArray[np.bool_]) -> Array:
+    """Gaps filled by straight lines between the means of some readings on either side.
+
+    A line between two single readings is as uncertain as they are, and looks like a slow force.
+    """
+    filled = left.copy()
+    place, known = np.arange(left.size), np.flatnonzero(present)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~present, [False]]))).reshape(-1, 2)
+    for first, last in edges:
+        count = int(np.clip((last - first) // 4, 1, BESIDE_A_GAP))
+        middle = int(np.searchsorted(known, first))
+        before, after = known[max(middle - count, 0) : middle], known[middle : middle + count]
+        ends = np.array([(side.mean(), left[side].mean()) for side in (before, after) if side.size])
+        filled[first:last] = np.interp(place[first:last], ends[:, 0], ends[:, 1])
+    return filled
 
 
 def _learned_beside(reading: Reading, learned: Learned, columns: Array) -> Learned:
@@ -208,7 +228,7 @@ def _widened(reading: Reading, learned: Learned, *, place: int, width: float) ->
 
 def _learn(reading: Reading, values: Array) -> Learned:
     """The answer from readings without gaps and known shapes; what bridges a gap has no noise."""
-    interval, share = reading.interval, float(np.mean(reading.present))
+    interval, share = reading.interval, share_seen(reading.present)
     color = reading.color
     periodogram = Periodogram.of(
         values,

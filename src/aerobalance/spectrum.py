@@ -176,9 +176,8 @@ class Periodogram:
         color
             Mean density of the colored noise about frequencies [Hz], over a width [Hz], [N^2/Hz].
         """
-        length = min(values.size, LONGEST)
-        parts = [values[k : k + length] for k in range(0, values.size - length + 1, max(length // 2, 1))]
-        window = np.hanning(length + 2)[1:-1]
+        parts, window = _parts(values)
+        length = window.size
         density = np.zeros(length // 2 + 1)
         for part in parts:
             density += np.abs(np.fft.rfft(part * window)) ** 2
@@ -217,6 +216,19 @@ class Periodogram:
         """Logarithm of Whittle's likelihood of a load's density (m,) and a noise's [N^2/Hz]."""
         model = load + self.background(noise)
         return -float(self.weight @ (np.log(model) + self.density / model))
+
+
+def share_seen(present: NDArray[np.bool_]) -> float:
+    """Share of the readings that a periodogram sees, weighted as its windows weight them."""
+    parts, window = _parts(present.astype(np.float64))
+    return float(np.mean([part @ window**2 for part in parts]) / np.sum(window**2))
+
+
+def _parts(values: Array) -> tuple[list[Array], Array]:
+    """Parts of a record of which one periodogram is taken each, half of each in the next, and their Hann window."""
+    length = min(values.size, LONGEST)
+    parts = [values[k : k + length] for k in range(0, values.size - length + 1, max(length // 2, 1))]
+    return parts, np.hanning(length + 2)[1:-1]
 
 
 def _smeared_gain(dynamics: Dynamics, frequency: Array) -> Array:
