@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aerobalance.acquire.continuity import Continuity, Event, Gap
-from aerobalance.acquire.intake import AtLevel, AtOnce, AtTime, End, Intake, Limit, OnCall, Piece, Plan, Start
+from aerobalance.acquire.guards import Limit
+from aerobalance.acquire.intake import AtLevel, AtOnce, AtTime, End, Intake, OnCall, Piece, Plan, Start
 from aerobalance.acquire.source import Block
 from aerobalance.io.hdf5_layout import StoredChannel
 
@@ -111,7 +112,7 @@ def test_limit_stops_at_the_same_sample_for_any_cut(cut, high, after):
 
 def test_limit_is_in_the_unit_of_the_channel_and_noted_once_a_second() -> None:
     # NF = -(2 r + 1) leaves -50 when r is above 24.5; r = 3 tick mod 101 does so again and again
-    limit = Limit(1, -50.0, np.inf, "mark", "NF")
+    limit = Limit(1, -50.0, np.inf, "mark", "NF", "N")
     out = run(Plan(CHANNELS, 100.0, 32, limits=(limit,)), blocks([], 500))
     marks = [item for item in out if isinstance(item, Event)]
     assert [item.kind for item in marks] == ["limit"] * len(marks)

@@ -25,7 +25,8 @@ from aerobalance.acquire.simulated import RigSettings, SimulatedSource
 from aerobalance.acquire.source import Block
 from aerobalance.commands import recordings
 from aerobalance.io import read, write_recording
-from aerobalance.io.hdf5_file import contents, read_blocks
+from aerobalance.io.hdf5_contents import contents
+from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import Provenance, StoredChannel
 from aerobalance.problems import DoubtWarning, FitError
 

@@ -8,12 +8,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from aerobalance.acquire.intake import AtLevel, AtOnce, AtTime, OnCall
+from aerobalance.acquire.planned import plan_of
 from aerobalance.acquire.setup import (
     Setup,
     load_setup,
     open_source,
     parse_setup,
-    plan_of,
     save_setup,
     setup_from,
     setup_text,
@@ -101,7 +101,7 @@ WRONG = {
     ),
     "limit without end": ("[limits.AF]\n", ["limits.AF", "low or high"]),
     "limits crossed": ("[limits.AF]\nlow = 2.0\nhigh = 1.0\n", ["limits.AF", "low must be below high"]),
-    "limit of no channel": ("[channels.NF]\n[limits.AF]\nlow = 2.0\n", ["limits.AF", "no such channel", "NF"]),
+    "limit of no channel": ("[channels.NF]\n[limits.AF]\nlow = 2.0\n", ["limits.AF", "no AF", "NF"]),
 }
 
 

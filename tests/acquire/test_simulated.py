@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from aerobalance.acquire.simulated import RigSettings, SimulatedSource
+from aerobalance.acquire.six_rig import SHAKEN, six_dynamics
 from aerobalance.acquire.source import Chosen, SourceEndedError
 from aerobalance.problems import FitError
 from aerobalance.published import CABLE_CUT
@@ -68,6 +69,34 @@ def test_motion_does_not_depend_on_the_blocks_and_noise_neither() -> None:
     ]
     for other in runs[1:]:
         assert other == pytest.approx(runs[0], abs=1e-8)
+
+
+def test_six_components_agree_with_loads_on_a_grid() -> None:
+    source = SimulatedSource(RigSettings(rig="six", noise=0.0, speed=math.inf, cut_at=0.1, block=0.013))
+    source.control("shake", 1.5)
+    count = 5000
+    found = samples_of(source, count)
+    dynamics, fine, rate = six_dynamics(), 8, source.rate
+    time_ = np.arange(count * fine) / (fine * rate)
+    # a block long the shaking grows; from then on each motion is the sine that is said, its phase from the start
+    growth = np.minimum(time_ / (round(0.013 * rate) / rate), 1.0)
+    ground = 1.5 * np.column_stack([size * growth * np.sin(2 * np.pi * f * time_) for f, size in SHAKEN])
+    np.testing.assert_allclose(found[:, 6:], ground[::fine], atol=1e-8)
+    cable = np.where(np.arange(time_.size)[:, None] < 0.1 * rate * fine, -CABLE_CUT.excitation.value, 0.0)
+    net = cable * np.ones(6) - ground @ dynamics.mass.matrix.T
+    before = dynamics.load_felt(net, interval=1 / (fine * rate))[::fine]
+    # straight lines on the grid put a jump half a step late, of a ringing that is twice the force at most
+    late = 2 * CABLE_CUT.excitation.value * 2 * np.pi * 120 / (2 * fine * rate)
+    assert np.abs(found[:, :6] - before).max() < 6 * late
+    assert np.abs(found[:2400, :6] - before[:2400]).max() < 1e-3  # (w h)^2 / 12 of some 1000 N by the shaking
+
+
+def test_the_shaking_has_limits() -> None:
+    source = SimulatedSource(RigSettings(rig="six"))
+    with pytest.raises(ValueError, match="shaken with 0 to 5"):
+        source.control("shake", 6.0)
+    with pytest.raises(ValueError, match="no control 'shake'"):
+        SimulatedSource(RigSettings(rig="cable_cut")).control("shake", 1.0)
 
 
 def test_frequency_and_amplitude_change_without_a_jump_of_phase() -> None:

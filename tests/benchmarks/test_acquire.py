@@ -12,7 +12,8 @@ import pytest
 from aerobalance.acquire.session import Session
 from aerobalance.acquire.setup import parse_setup
 from aerobalance.acquire.simulated import RigSettings, SimulatedSource
-from aerobalance.io.hdf5_file import contents, read_blocks
+from aerobalance.io.hdf5_contents import contents
+from aerobalance.io.hdf5_file import read_blocks
 
 SECONDS = 6.0
 SETUP = f'[source]\nkind = "simulated"\nrig = "six"\nseed = 3\n[record]\nseconds = {SECONDS}\n'

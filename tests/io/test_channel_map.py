@@ -198,7 +198,7 @@ CHANNEL = '[file]\nrate = 1.0\n[channels.AF]\ncolumn = 1\nunit = "N"\n'
         (CHANNEL + "noise = -1\n", ["channels.AF.noise", "greater than or equal to 0"]),
         (CHANNEL + 'coupling = "magnetic"\n', ["channels.AF.coupling", "'kinematic', 'dc' or 'ac'", "magnetic"]),
         (CHANNEL + "derivative = 3\n", ["channels.AF.derivative", "0, 1 or 2"]),
-        (CHANNEL + "derivative = 1\n", ["channels.AF", "derivative are for accelerations"]),
+        (CHANNEL + "derivative = 1\n", ["channels.AF", "derivative is for accelerations"]),
         (CHANNEL + "corner = 1.0\n", ["channels.AF.corner", 'coupling = "ac"']),
         (
             CHANNEL + 'filter = { kind = "elliptic", order = 8, corner = 500 }\n',

@@ -81,10 +81,10 @@ class Continuity:
         if rows == 0:
             return Watched(None, None, ())
         if self.expected is None:
-            self.expected = tick
+            self.expected, block = tick, replace(block, anew=False)
         events: list[Event] = []
         gap = None
-        if tick + rows <= self.expected:
+        if block.anew or tick + rows <= self.expected:
             gap, tick = self._restarted(block, tick, self.expected)
         elif tick < self.expected:
             repeated = self.expected - tick

@@ -158,14 +158,17 @@ class _Outlet:
         self.viewer = viewer
         self.sender = Sender(connection, KEPT_FOR_VIEWERS if viewer else KEPT)
         self._missed = 0
+        self._anew = False
 
     def give(self, block: Block, *, patient: bool) -> None:
         """Send a block; say with the next one that some were lost."""
         if self._missed:
+            block = replace(block, anew=block.anew or self._anew)
             text = f"overrun: {self._missed} block(s) lost, as the receiver fell behind"
             block = replace(block, remark="; ".join(filter(None, (block.remark, text))))
         taken = self.sender.offer(_BLOCK + block.to_bytes(), wait=patient and not self.viewer)
         self._missed = 0 if taken else self._missed + 1
+        self._anew = not taken and block.anew
 
 
 class Feed:

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from aerobalance.acquire.continuity import Continuity, Event, Gap
+from aerobalance.acquire.guards import Action, ContactCircuit, Guard, LoadColumns
 from aerobalance.acquire.source import Block
 from aerobalance.channel import Array
+from aerobalance.fouling import Contact, ContactFinder
 from aerobalance.io.hdf5_layout import StoredChannel
 
 
@@ -132,29 +134,6 @@ class AtLevel:
 
 
 @dataclass(frozen=True, slots=True)
-class Limit:
-    """What a channel must not leave.
-
-    Attributes
-    ----------
-    column
-        Which channel.
-    low, high
-        Limits in the channel's unit.
-    action
-        ``stop`` ends the record, ``mark`` writes it down.
-    name
-        What to call the channel.
-    """
-
-    column: int
-    low: float
-    high: float
-    action: Literal["mark", "stop"]
-    name: str
-
-
-@dataclass(frozen=True, slots=True)
 class Plan:
     """What is to be recorded.
 
@@ -173,9 +152,13 @@ class Plan:
     length
         Samples from the trigger on; None for no end.
     limits
-        What channels must not leave.
+        What channels and loads must not leave.
     after_limit
         Samples that are still recorded once a limit has stopped it.
+    circuit
+        The channel that tells of contact; None where there is none.
+    loads
+        Loads made of gauge outputs, for limits and trigger; None where they are not needed.
     """
 
     channels: tuple[StoredChannel, ...]
@@ -184,8 +167,10 @@ class Plan:
     trigger: Trigger = field(default_factory=AtOnce)
     before: int = 0
     length: int | None = None
-    limits: tuple[Limit, ...] = ()
+    limits: tuple[Guard, ...] = ()
     after_limit: int = 0
+    circuit: ContactCircuit | None = None
+    loads: LoadColumns | None = None
 
 
 class Intake:
@@ -209,8 +194,10 @@ class Intake:
         self._open: list[Array] = []
         self._open_tick = 0
         self._open_rows = 0
-        self._outside: dict[int, bool] = {}
-        self._quiet: dict[int, int] = {}
+        self._outside = [False] * len(plan.limits)
+        self._quiet = [0] * len(plan.limits)
+        circuit = plan.circuit
+        self._contact = circuit and ContactFinder(circuit.level, hold=circuit.hold, closed_above=circuit.closed_above)
         self._called: str | None = None
 
     def call(self, text: str) -> None:
@@ -226,7 +213,7 @@ class Intake:
         if watched.block is None:
             return self._keep(found)
         block = watched.block
-        values = _values(self.plan.channels, block.samples) if self._values_needed else block.samples
+        values = self._values(block.samples) if self._values_needed else block.samples
         if self.started is None:
             tick = self._begins(block, values)
             if tick is None:
@@ -245,7 +232,11 @@ class Intake:
 
     @property
     def _values_needed(self) -> bool:
-        return bool(self.plan.limits) or self.started is None
+        return bool(self.plan.limits or self.plan.circuit) or self.started is None
+
+    def _values(self, samples: Array) -> Array:
+        values = _values(self.plan.channels, samples)
+        return values if self.plan.loads is None else self.plan.loads.extended(values)
 
     def _begins(self, block: Block, values: Array) -> int | None:
         if self._called is not None:
@@ -288,7 +279,8 @@ class Intake:
             if isinstance(item, Gap):
                 made += self._lost(item)
             elif isinstance(item, Block):
-                made += self._limits(item, values[values.shape[0] - item.samples.shape[0] :])
+                own = values[values.shape[0] - item.samples.shape[0] :]
+                made += [*self._limits(item, own), *self._contacts(item, own)]
                 made += self._add(item)
             else:
                 made.append(item)
@@ -308,32 +300,42 @@ class Intake:
     def _limits(self, block: Block, values: Array) -> list[Output]:
         made: list[Output] = []
         started = block.tick if self.started is None else self.started
-        for limit in self.plan.limits:
-            read = values[:, limit.column]
-            outside = (read < limit.low) | (read > limit.high)
+        for number, limit in enumerate(self.plan.limits):
+            outside, known = limit.outside(values)
             outside[: max(0, started - block.tick)] = False
-            known = ~np.isnan(read)
-            was = self._outside.get(limit.column, False)
+            edges = np.flatnonzero(outside[known] & ~np.concatenate(([self._outside[number]], outside[known][:-1])))
             if known.any():
-                self._outside[limit.column] = bool(outside[known][-1])
-            edges = np.flatnonzero(outside[known] & ~np.concatenate(([was], outside[known][:-1])))
-            places = np.flatnonzero(known)[edges]
-            for place in places:
+                self._outside[number] = bool(outside[known][-1])
+            for place in np.flatnonzero(known)[edges]:
                 tick = block.tick + int(place)
                 # One note a second: a noisy channel at its limit would fill the file with them.
-                if tick >= self._quiet.get(limit.column, tick):
-                    self._quiet[limit.column] = tick + max(1, round(self.plan.rate))
-                    made.append(self._met(limit, tick, float(read[place])))
+                if tick >= max(self._quiet[number], started):
+                    self._quiet[number] = tick + max(1, round(self.plan.rate))
+                    text = limit.text(values[place])
+                    self._stop_after(tick, f"limit: {text}", limit.action)
+                    made.append(Event(tick, "limit", text))
         return made
 
-    def _met(self, limit: Limit, tick: int, value: float) -> Event:
-        channel = self.plan.channels[limit.column]
-        text = f"{limit.name} reads {value:.6g} {channel.unit}; allowed: {limit.low:g} to {limit.high:g}"
-        if limit.action == "stop":
-            end = tick + 1 + self.plan.after_limit
-            if self._stop is None or end < self._stop[0]:
-                self._stop = (end, f"limit: {text}")
-        return Event(tick, "limit", text)
+    def _contacts(self, block: Block, values: Array) -> list[Output]:
+        circuit, finder = self.plan.circuit, self._contact
+        if circuit is None or finder is None:
+            return []
+        read, first = values[:, circuit.column], block.tick
+        if self.started is not None and self.started > first:
+            read, first = read[self.started - first :], self.started
+        made: list[Output] = []
+        for contact in finder.push(first, read):
+            text = contact_text(contact, circuit, self.plan.rate)
+            if contact.closed:
+                self._stop_after(contact.tick, f"contact: {text}", circuit.action)
+            made.append(Event(contact.tick, "contact" if contact.closed else "contact over", text))
+        return made
+
+    def _stop_after(self, tick: int, reason: str, action: Action) -> None:
+        """End the record soon after a sample, where that is what was wished."""
+        end = tick + 1 + self.plan.after_limit
+        if action == "stop" and (self._stop is None or end < self._stop[0]):
+            self._stop = (end, reason)
 
     def _add(self, block: Block) -> list[Output]:
         """Lay samples into blocks of the file."""
@@ -384,6 +386,13 @@ def _from(item: Block | Gap | Event, first: int) -> Block | Gap | Event | None:
     if isinstance(item, Gap):
         return item._replace(tick=first, samples=item.samples - cut)
     return replace(item, tick=first, samples=item.samples[cut:])
+
+
+def contact_text(contact: Contact, circuit: ContactCircuit, rate: float) -> str:
+    """Say in one line what a contact means."""
+    if contact.closed:
+        return f"{circuit.name}: the model touches its support; the loads carry the force of the contact from here on"
+    return f"{circuit.name}: the contact is over after {contact.samples / rate:.4g} s"
 
 
 def channel_columns(channels: Sequence[StoredChannel]) -> Mapping[str, int]:

@@ -62,6 +62,8 @@ class Progress:
         Samples of each channel that are missing in them.
     events
         Number of events.
+    touched
+        Number of contacts between model and support.
     free
         Space left on the disk [bytes].
     full
@@ -78,6 +80,7 @@ class Progress:
     gaps: int = 0
     lost: int = 0
     events: int = 0
+    touched: int = 0
     free: int = 0
     full: bool = False
 
@@ -188,7 +191,8 @@ class Take:
 
     def _event(self, event: Event) -> None:
         self.writer.event(event.tick, kind=event.kind, text=event.text)
-        self._set(events=self.progress.events + 1)
+        done = self.progress
+        self._set(events=done.events + 1, touched=done.touched + (event.kind == "contact"))
 
     def _piece(self, piece: Piece) -> None:
         free = self._free()

@@ -3,19 +3,46 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from aerobalance.acquire.pacing import Pacing
-from aerobalance.acquire.source import Block, SourceChannel, SourceEndedError
+from aerobalance.acquire.source import Block, SourceChannel, SourceEndedError, Uncontrolled
+from aerobalance.channel import Array
 from aerobalance.io import load_channel_map, read
+from aerobalance.io.hdf5_contents import contents
+from aerobalance.io.hdf5_file import can_read, read_blocks
+from aerobalance.io.units import conversion_for
+from aerobalance.problems import ReadError
 
 
-class ReplaySource:
+class _Piece(NamedTuple):
+    """Samples that follow each other, shape (n, c), and what is to be said of the time before them."""
+
+    tick: int
+    samples: Array
+    remark: str = ""
+
+
+class _Recorded(NamedTuple):
+    """What is played."""
+
+    name: str
+    rate: float
+    channels: tuple[SourceChannel, ...]
+    pieces: Iterator[_Piece]
+
+
+class ReplaySource(Uncontrolled):
     """A file that can be read, at any speed.
 
     Units are those used inside (SI; mV/V for gauge outputs). Ticks are the samples of the recording's steady clock.
+    What the recorder has written is read block by block, however large it is. Other formats, and columns that a map
+    names, are read whole before the first sample: only all their time stamps together tell the clock.
 
     Parameters
     ----------
@@ -36,25 +63,20 @@ class ReplaySource:
         The speed is not above zero.
     """
 
-    controls: tuple[str, ...] = ()
     clocked = False
     patient = True
 
     def __init__(
         self, path: Path | str, *, channel_map: Path | None = None, speed: float = 1.0, block: float = 0.02
     ) -> None:
-        recording = read(path, channel_map=None if channel_map is None else load_channel_map(channel_map))
-        self.rate = recording.rate
-        self.channels = tuple(SourceChannel(channel.name, channel.unit) for channel in recording)
-        self.description = f"replay of {recording.name} at {speed:g} times its speed"
-        self._rows = np.unique(recording.rows)
-        self._values = [channel.values for channel in recording]
-        # Pieces of rows that follow each other: a block never spans a gap.
-        cuts = np.flatnonzero(np.diff(self._rows) > 1) + 1
-        self._ends = np.concatenate((cuts, [self._rows.size]))
+        file = Path(path)
+        recorded = (_ticked(file) if channel_map is None else None) or _whole(file, channel_map)
+        self.rate, self.channels, self._pieces = recorded.rate, recorded.channels, recorded.pieces
+        self.description = f"replay of {recorded.name} at {speed:g} times its speed"
         self._size = max(1, round(block * self.rate))
         self._pacing = Pacing(self.rate, speed)
-        self._next = 0
+        self._piece: _Piece | None = None
+        self._first: int | None = None
         self._stopped = False
 
     def start(self) -> None:
@@ -65,26 +87,70 @@ class ReplaySource:
         """End."""
         self._stopped = True
 
-    def control(self, name: str, value: float) -> str:
-        """Refuse: a recording cannot be changed.
-
-        Raises
-        ------
-        ValueError
-            Always.
-        """
-        raise ValueError(f"a replayed recording has no controls; {name!r} = {value:g} cannot be set")
-
     def read(self, timeout: float) -> Block | None:
         """Return the next samples when they are due."""
         if self._stopped:
             raise SourceEndedError("the replay was stopped")
-        if self._next >= self._rows.size:
+        if self._piece is None:
+            self._piece = next(self._pieces, None)
+        if self._piece is None:
             raise SourceEndedError("the replayed recording is at its end")
-        end = min(self._next + self._size, int(self._ends[np.searchsorted(self._ends, self._next, side="right")]))
-        first, last = int(self._rows[self._next]), int(self._rows[end - 1]) + 1
-        if not self._pacing.wait(last - int(self._rows[0]), 0, timeout):
+        tick, samples, remark = self._piece
+        if self._first is None:
+            self._first = tick
+        rows = min(self._size, samples.shape[0])
+        if not self._pacing.wait(tick - self._first, rows, timeout):
             return None
-        self._next = end
-        samples = np.column_stack([values[first:last] for values in self._values])
-        return Block(first, samples, time.monotonic())
+        rest = samples[rows:]
+        self._piece = _Piece(tick + rows, rest) if rest.shape[0] else None
+        return Block(tick, samples[:rows], time.monotonic(), remark)
+
+
+def _whole(path: Path, channel_map: Path | None) -> _Recorded:
+    """Read any recording into memory."""
+    recording = read(path, channel_map=None if channel_map is None else load_channel_map(channel_map))
+    rows = np.unique(recording.rows)
+    cuts = [0, *(np.flatnonzero(np.diff(rows) > 1) + 1), rows.size]
+
+    def pieces() -> Iterator[_Piece]:
+        # in parts of a length that costs little to copy
+        for begin, end in pairwise(cuts):
+            for first in range(int(rows[begin]), int(rows[end - 1]) + 1, 8192):
+                part = slice(first, min(first + 8192, int(rows[end - 1]) + 1))
+                yield _Piece(first, np.column_stack([channel.values[part] for channel in recording]))
+
+    channels = tuple(SourceChannel(channel.name, channel.unit) for channel in recording)
+    return _Recorded(recording.name, recording.rate, channels, pieces())
+
+
+def _ticked(path: Path) -> _Recorded | None:
+    """Open a recording of the recorder's; None where it is none, or has a time column instead of ticks."""
+    if not path.is_file():
+        return None
+    with path.open("rb") as file:
+        if not can_read(file.read(16), path):
+            return None
+    found = contents(path)
+    if found.timed:
+        return None
+    if int(found.blocks["rows"].sum()) < 2:
+        raise ReadError(path, "", "is a recording of fewer than two samples")
+    changes = [conversion_for(channel.name, channel.unit) for channel in found.channels]
+
+    def pieces() -> Iterator[_Piece]:
+        remark = ""
+        first = int(found.blocks["tick"][0])
+        for tick, readings in read_blocks(path):
+            if readings is None:
+                remark = "a block of the recording does not agree with its checksum"
+                continue
+            values = [channel.values(readings[:, i]) for i, channel in enumerate(found.channels)]
+            samples = np.column_stack([change.inside(column) for change, column in zip(changes, values, strict=True)])
+            samples[np.isinf(samples)] = np.nan
+            yield _Piece(tick - first, samples, remark)
+            remark = ""
+
+    channels = tuple(
+        SourceChannel(channel.name, change.unit) for channel, change in zip(found.channels, changes, strict=True)
+    )
+    return _Recorded(path.stem, found.rate, channels, pieces())

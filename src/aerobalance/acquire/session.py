@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from aerobalance.acquire.feed import Address, Feed, Hello, Order, Said, run_source
+from aerobalance.acquire.planned import plan_of
 from aerobalance.acquire.recorder import Job, Progress, Tell, run_recorder
-from aerobalance.acquire.setup import Setup, plan_of, setup_text, stored_channels
+from aerobalance.acquire.setup import Setup, setup_text, stored_channels
 from aerobalance.io.hdf5_layout import Provenance
 from aerobalance.problems import FitError
 
@@ -111,6 +112,7 @@ class Session:
 
     def __init__(self, setup: Setup, folder: Path) -> None:
         self.setup = setup
+        self._files = folder
         self._folder = Path(tempfile.mkdtemp(prefix="aerobalance-"))
         self.address = Address(str(self._folder / "source"), secrets.token_bytes(32))
         self._control: Connection[Any, Any]
@@ -182,18 +184,28 @@ class Session:
         ------
         FitError
             The trigger or a limit is on a channel that is not there.
+        ReadError
+            The balance matrix cannot be read.
         ValueError
             The file is there already, or the disk has no room for the record.
         """
         setup = setup or self.setup
         channels = stored_channels(setup, self.hello.channels)
-        plan = plan_of(setup, channels, self.hello.rate)
+        matrix = None
+        if setup.files.balance is not None:
+            # Compiled loops come with it: only what has a balance waits for them.
+            from aerobalance.io.matrix_file import read_matrix  # noqa: PLC0415
+
+            matrix = read_matrix(self._files / setup.files.balance)
+        plan = plan_of(setup, channels, self.hello.rate, balance=matrix)
         if path.is_dir() or not path.parent.is_dir():
             raise ValueError(f"cannot write {path}: it is a folder, or there is no folder {path.parent}")
         if path.exists() and not replace:
             raise ValueError(f"{path} is there already; a recording is never overwritten unless told to (--replace)")
         keep_free = round(setup.record.keep_free * 1e6)
-        wanted = ((plan.length or 0) + plan.before) * len(channels) * 8 + keep_free
+        # without an end, a second is the least that is worth beginning
+        samples = (plan.length or max(2 * plan.rows, round(plan.rate))) + plan.before
+        wanted = samples * len(channels) * 8 + keep_free
         free = shutil.disk_usage(path.parent).free
         if wanted > free:
             raise ValueError(

@@ -11,7 +11,7 @@
     mass = "mass.json"
 
     [source]
-    kind = "simulated"          # or "replay"; each kind has settings of its own
+    kind = "simulated"          # or "replay", "opendaq", "nidaqmx"; each kind has settings of its own
     rig = "vibration"
 
     [record]
@@ -30,6 +30,8 @@
     low = -500.0
     high = 500.0
     action = "stop"
+
+What the balance may bear in all, and how it is checked, is in tables of `aerobalance.acquire.safety`.
 """
 
 from __future__ import annotations
@@ -39,20 +41,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
+from pydantic import BaseModel, Field, SerializeAsAny, ValidationError, model_validator
 
-from aerobalance.acquire.intake import (
-    AtLevel,
-    AtOnce,
-    AtTime,
-    Limit,
-    OnCall,
-    Plan,
-    Trigger,
-    channel_columns,
-)
+from aerobalance.acquire.fields import Above, FileName, Name, NotBelow, Number, Table, Text
+from aerobalance.acquire.kinds import Nidaqmx, Opendaq, SourceSettings
+from aerobalance.acquire.safety import SetEnvelope, SetFouling, SetLimit, SetShunt, SetStation
 from aerobalance.acquire.source import Chosen, Source, SourceChannel
-from aerobalance.channel import Coupling, unit_inside
+from aerobalance.components import COMPONENTS
+from aerobalance.io.channel_settings import ChannelSettings
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.messages import first_fault
 from aerobalance.io.safe_write import replacing
@@ -63,34 +59,13 @@ from aerobalance.problems import FitError, ReadError
 LARGEST_SETUP: Final = 1_000_000
 """Largest set-up file that is read [bytes]."""
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Above = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotBelow = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Text = Annotated[str, Field(max_length=10_000)]
-Name = Annotated[str, Field(min_length=1, max_length=60)]
-FileName = Annotated[str, Field(min_length=1, max_length=1000)]
 
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-class Files(_Strict):
+class Files(Table):
     """Table ``[files]``: what turns the channels into loads and forces."""
 
     balance: FileName | None = None
     dynamics: FileName | None = None
     mass: FileName | None = None
-
-
-class SourceSettings(_Strict):
-    """Table ``[source]``: what gives the samples; each kind has a class of its own."""
-
-    kind: str
-
-    def open(self, folder: Path) -> Source:
-        """Make the source; files are looked for in `folder`."""
-        raise NotImplementedError
 
 
 class Simulated(SourceSettings):
@@ -107,13 +82,17 @@ class Simulated(SourceSettings):
     cable_force: Annotated[float, Field(ge=-1e5, le=1e5)] | None = None
     cut_at: NotBelow | None = None
     noise: NotBelow = 1.0
+    circuit: Literal["none", "fouling"] = "none"
+    balance: FileName | None = None
 
-    def open(self, folder: Path) -> Source:
+    def open(self, folder: Path, *, inputs: Sequence[str]) -> Source:
         """Make the rig."""
         from aerobalance.acquire.simulated import RigSettings, SimulatedSource  # noqa: PLC0415 - see `Replay.open`
+        from aerobalance.io.matrix_file import read_matrix  # noqa: PLC0415
 
-        del folder
-        return SimulatedSource(RigSettings(**self.model_dump(exclude={"kind"})))
+        del inputs
+        matrix = None if self.balance is None else read_matrix(folder / self.balance)
+        return SimulatedSource(RigSettings(**self.model_dump(exclude={"kind", "balance"}), balance=matrix))
 
 
 class Replay(SourceSettings):
@@ -125,22 +104,28 @@ class Replay(SourceSettings):
     speed: Annotated[float, Field(gt=0)] = 1.0
     block: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.02
 
-    def open(self, folder: Path) -> Source:
-        """Read the recording."""
+    def open(self, folder: Path, *, inputs: Sequence[str]) -> Source:
+        """Open the recording."""
         # Only the process of the source needs it, and it takes a second.
         from aerobalance.acquire.replay import ReplaySource  # noqa: PLC0415
 
+        del inputs
         channel_map = None if self.map is None else folder / self.map
         return ReplaySource(folder / self.file, channel_map=channel_map, speed=self.speed, block=self.block)
 
 
-SOURCES: Final[dict[str, type[SourceSettings]]] = {"simulated": Simulated, "replay": Replay}
+SOURCES: Final[dict[str, type[SourceSettings]]] = {
+    "simulated": Simulated,
+    "replay": Replay,
+    "opendaq": Opendaq,
+    "nidaqmx": Nidaqmx,
+}
 """The kinds of source; listing one here is all it takes."""
 
 TriggerKind = Literal["none", "time", "level", "call"]
 
 
-class Record(_Strict):
+class Record(Table):
     """Table ``[record]``: when a record begins, how long it is, and what it leaves free on the disk."""
 
     seconds: Annotated[float, Field(gt=0, le=1e7)] | None = None
@@ -166,51 +151,30 @@ class Record(_Strict):
         return self
 
 
-class SetChannel(_Strict):
+class _Input(Table):
+    """What comes first in the table of a channel."""
+
+    input: Annotated[str, Field(min_length=1, max_length=100)] | None = None
+    unit: Annotated[str, Field(min_length=1, max_length=30)] | None = None
+
+
+class SetChannel(ChannelSettings, _Input):
     """Table ``[channels.NAME]``: a channel by the name that the program understands.
 
     Its value is ``sign * (scale * reading + offset)`` in `unit`; without a unit, that of the source. Percentages of a
     load refer to `half_range`, half of its range in `unit`.
     """
 
-    input: Annotated[str, Field(min_length=1, max_length=100)] | None = None
-    unit: Annotated[str, Field(min_length=1, max_length=30)] | None = None
-    sign: Literal[1, -1] = 1
-    scale: Number = 1.0
-    offset: Number = 0.0
-    delay: Number = 0.0
-    noise: NotBelow | None = None
-    relative_uncertainty: NotBelow = 0.0
-    coupling: Coupling = "kinematic"
-    corner: NotBelow = 0.0
     half_range: Above | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> SetChannel:
         if self.scale == 0:
             raise ValueError("scale must not be zero")
-        if (self.corner > 0) != (self.coupling == "ac"):
-            raise ValueError('corner [Hz] goes with coupling = "ac" (then above 0) and with no other')
         return self
 
 
-class SetLimit(_Strict):
-    """Table ``[limits.NAME]``: what a channel must not leave, in its unit."""
-
-    low: Number | None = None
-    high: Number | None = None
-    action: Literal["mark", "stop"] = "mark"
-
-    @model_validator(mode="after")
-    def _consistent(self) -> SetLimit:
-        if self.low is None and self.high is None:
-            raise ValueError("low or high is needed")
-        if self.low is not None and self.high is not None and not self.low < self.high:
-            raise ValueError(f"low must be below high, not {self.low:g} and {self.high:g}")
-        return self
-
-
-class Setup(_Strict):
+class Setup(Table):
     """A test set-up."""
 
     name: Annotated[str, Field(max_length=200)] = ""
@@ -218,21 +182,40 @@ class Setup(_Strict):
     files: Files = Files()
     source: SerializeAsAny[SourceSettings] = Simulated()
     record: Record = Record()
-    channels: dict[Name, SetChannel] = {}
-    limits: dict[Name, SetLimit] = {}
+    channels: dict[Name, SetChannel] = Field(default_factory=dict)
+    limits: dict[Name, SetLimit] = Field(default_factory=dict)
+    envelope: SetEnvelope = SetEnvelope()
+    stations: dict[Name, SetStation] = Field(default_factory=dict)
+    shunt: dict[Name, SetShunt] = Field(default_factory=dict)
+    fouling: SetFouling = SetFouling()
 
     @model_validator(mode="after")
     def _consistent(self) -> Setup:
         for name, channel in self.channels.items():
             _check_channel(name, channel)
+        if self.stations and self.envelope.shape is None:
+            raise ValueError('stations: they need envelope.shape ("stations" where they are all there is)')
+        if self.envelope.shape == "stations" and not self.stations:
+            raise ValueError('envelope.shape: "stations" needs tables [stations.NAME]')
+        if self.envelope.shape == "balance" and self.files.balance is None:
+            raise ValueError('envelope.shape: "balance" needs files.balance, whose capacities it takes')
         if self.channels:
-            for name in self.limits:
-                if name not in self.channels:
-                    raise ValueError(f"limits.{name}: there is no such channel; there are {', '.join(self.channels)}")
-            wanted = self.record.channel
-            if wanted is not None and wanted not in self.channels:
-                raise ValueError(f"record.channel: there is no {wanted}; there are {', '.join(self.channels)}")
+            self._check_names()
         return self
+
+    def _check_names(self) -> None:
+        """Refuse what is set for channels that are not there; loads may be made of gauge outputs."""
+        known = [*self.channels, *(COMPONENTS if self.files.balance is not None else ())]
+        for table, names in (
+            ("limits.{}", self.limits),
+            ("shunt.{}", self.shunt),
+            ("record.channel", [self.record.channel]),
+            ("fouling.channel", [self.fouling.channel]),
+        ):
+            for name in names:
+                if name is not None and name not in known:
+                    there = ", ".join(self.channels)
+                    raise ValueError(f"{table.format(name)}: there is no {name}; there are {there}")
 
 
 def _check_channel(name: str, channel: SetChannel) -> None:
@@ -244,8 +227,9 @@ def _check_channel(name: str, channel: SetChannel) -> None:
             conversion_for(name, channel.unit)
         except ValueError as error:
             raise ValueError(f"channels.{name}.unit: {error}") from None
-    if channel.coupling != "kinematic" and unit_inside(name) != "m/s^2":
-        raise ValueError(f"channels.{name}: coupling is for accelerations, such as ground_acceleration")
+    fault = channel.fault(name)
+    if fault is not None:
+        raise ValueError(f"{f'channels.{name}.{fault[0]}'.strip('.')}: {fault[1]}")
 
 
 def load_setup(path: Path | str) -> Setup:
@@ -356,10 +340,9 @@ def open_source(setup: Setup, folder: Path) -> Source:
     ReadError, ValueError
         The source cannot be made as set.
     """
-    source = setup.source.open(folder)
-    if not setup.channels:
-        return source
-    return Chosen(source, [channel.input or name for name, channel in setup.channels.items()])
+    inputs = [channel.input or name for name, channel in setup.channels.items()]
+    source = setup.source.open(folder, inputs=inputs)
+    return Chosen(source, inputs) if inputs else source
 
 
 def stored_channels(setup: Setup, given: Sequence[SourceChannel]) -> tuple[StoredChannel, ...]:
@@ -378,54 +361,7 @@ def stored_channels(setup: Setup, given: Sequence[SourceChannel]) -> tuple[Store
             conversion_for(name, unit)
         except ValueError as error:
             raise FitError(f"channel {name}: the source gives it in [{unit}]: {error}; set its unit") from None
-        kept = ("sign", "scale", "offset", "delay", "noise", "relative_uncertainty", "coupling", "corner")
-        found.append(
-            StoredChannel(name=name, unit=unit, input=source.name, **{key: getattr(channel, key) for key in kept})
-        )
+        kept = {key: getattr(channel, key) for key in ChannelSettings.model_fields if key not in ("unit", "delay")}
+        delay = channel.delay + source.delay
+        found.append(StoredChannel(name=name, unit=unit, input=source.name, delay=delay, **kept))
     return tuple(found)
-
-
-def plan_of(setup: Setup, channels: tuple[StoredChannel, ...], rate: float) -> Plan:
-    """Make the plan of a record.
-
-    Raises
-    ------
-    FitError
-        The trigger or a limit is on a channel that is not there.
-    """
-    record = setup.record
-    columns = channel_columns(channels)
-    limits = tuple(
-        Limit(
-            _column(columns, name, "limits"),
-            -float("inf") if limit.low is None else limit.low,
-            float("inf") if limit.high is None else limit.high,
-            limit.action,
-            name,
-        )
-        for name, limit in setup.limits.items()
-    )
-    trigger: Trigger = AtOnce()
-    if record.trigger == "time":
-        trigger = AtTime(round(record.delay * rate))
-    elif record.trigger == "call":
-        trigger = OnCall()
-    elif record.trigger == "level" and record.channel is not None and record.level is not None:
-        column = _column(columns, record.channel, "record.channel")
-        trigger = AtLevel(column, record.level, record.edge == "rising", record.channel)
-    return Plan(
-        channels=channels,
-        rate=rate,
-        rows=max(1, round(record.block * rate)),
-        trigger=trigger,
-        before=round(record.pre_trigger * rate),
-        length=None if record.seconds is None else max(1, round(record.seconds * rate)),
-        limits=limits,
-        after_limit=round(record.after_limit * rate),
-    )
-
-
-def _column(columns: Mapping[str, int], name: str, where: str) -> int:
-    if name not in columns:
-        raise FitError(f"{where}: the source has no channel {name}; it has {', '.join(columns)}")
-    return columns[name]

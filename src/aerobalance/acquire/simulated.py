@@ -12,15 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.acquire.pacing import Pacing
+from aerobalance.acquire.rig_values import CLOSED, HALF_RANGES, SHUNT_SHARE, TOUCH_SHARE, RigName
+from aerobalance.acquire.six_rig import GROUND_CHANNELS, GROUND_NOISE, LARGEST_SHAKE, SixMotion, six_dynamics
 from aerobalance.acquire.source import Block, SourceChannel, SourceEndedError
+from aerobalance.balance import BalanceMatrix
 from aerobalance.channel import QUANTITIES, Array
-from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, is_gauge
+from aerobalance.coupled import CoupledDynamics
 from aerobalance.dynamics import Dynamics
 from aerobalance.published import CABLE_CUT, VIBRATION_RIG
 from aerobalance.rigs import ACCELEROMETER_RANGE, ARMATURE_MASS
 from aerobalance.rigs.oscillator import Oscillator
-
-RigName = Literal["vibration", "cable_cut", "six"]
 
 LARGEST_FREQUENCY: Final = 0.45
 """Largest frequency of the drive, over the sampling rate."""
@@ -31,11 +33,8 @@ LARGEST_DRIVE: Final = 500.0
 HANGING: Final = 1.0
 """Time within which a new cable takes up its force [s]."""
 
-SIX_FREQUENCIES: Final = {"NF": 68.0, "PM": 91.0, "SF": 57.0, "YM": 83.0, "RM": 112.0}
-"""Natural frequencies of the five components of the rig with six that are not printed [Hz]; assumed."""
-
-SIX_INERTIAS: Final = {"NF": 178.0, "PM": 24.0, "SF": 178.0, "YM": 26.0, "RM": 3.0}
-"""Moving masses [kg] and moments of inertia [kg*m^2] of these; assumed."""
+CIRCUIT_NOISE: Final = 0.02
+"""Noise of the contact circuit's voltage [V]."""
 
 
 class Shaken:
@@ -92,8 +91,8 @@ class RigSettings:
     Attributes
     ----------
     rig
-        ``vibration`` (6F-540 on a shaker), ``cable_cut`` (6-EB-128-1, pulled by a cable), or ``six`` (six uncoupled
-        components and six accelerations, pulled by a cable in all of them).
+        ``vibration`` (6F-540 on a shaker), ``cable_cut`` (6-EB-128-1, pulled by a cable), or ``six`` (six components
+        that ring together, pulled in all of them, and the six accelerations of a ground end that may shake).
     rate
         Sampling rate [Hz]; None for that of the printed experiment.
     seed
@@ -110,6 +109,10 @@ class RigSettings:
         When the cable is cut [s]; None for on call.
     noise
         Factor of the printed noise.
+    circuit
+        ``fouling`` for a contact circuit between model and support, on a channel of that name; ``none`` without.
+    balance
+        Matrix of the balance of the rig with six, whose gauge outputs are then given in the place of its loads.
     """
 
     rig: RigName = "vibration"
@@ -122,6 +125,8 @@ class RigSettings:
     cable_force: float | None = None
     cut_at: float | None = None
     noise: float = 1.0
+    circuit: Literal["none", "fouling"] = "none"
+    balance: BalanceMatrix | None = None
 
 
 @dataclass(slots=True)
@@ -155,20 +160,31 @@ class SimulatedSource:
         shaken = settings.rig == "vibration"
         printed = VIBRATION_RIG if shaken else CABLE_CUT
         self.rate = settings.rate or (25_000.0 if settings.rig == "six" else printed.rate.value)
-        self.dynamics = rig_dynamics(settings.rig)
-        names = [dynamics.component for dynamics in self.dynamics]
-        axes = ("", "_y", "_z") if settings.rig == "six" else ("",)
-        names += [f"{end}_acceleration{axis}" for end in ("ground", "live") for axis in axes]
-        self.names = (*names, "pitch") if settings.rig != "six" else tuple(names)
-        self.channels = tuple(SourceChannel(name, QUANTITIES[name]) for name in self.names)
-        self.controls = ("frequency", "amplitude") if shaken else ("cut", "hang")
+        self._components = COMPONENTS if settings.rig == "six" else ("AF",)
+        self._outputs = None if settings.balance is None else _Outputs(settings.balance, settings.rig)
+        names = [*self._components] if self._outputs is None else [*self._outputs.names]
+        names += GROUND_CHANNELS if settings.rig == "six" else ("ground_acceleration", "live_acceleration", "pitch")
+        names += ["fouling"] if settings.circuit == "fouling" else []
+        self.names = tuple(names)
+        self.channels = tuple(SourceChannel(name, _unit(name)) for name in names)
+        touching = ("touch", "release") if settings.circuit == "fouling" else ()
+        own = {"vibration": ("frequency", "amplitude"), "cable_cut": ("cut", "hang"), "six": ("cut", "hang", "shake")}
+        self.controls = (*own[settings.rig], "shunt", *touching)
+        half_ranges = HALF_RANGES[settings.rig]
+        self._half_ranges = np.array([half_ranges[name] for name in self._components])
+        self._shunt = self._touching = False
         self.seed = secrets.randbits(63) if settings.seed is None else settings.seed
         self.description = f"simulated rig: {settings.rig}, {self.rate:g} Hz, seed {self.seed}"
         self._noise = np.random.default_rng(self.seed)
         load, acceleration = printed.dynamic_deviation.value, printed.acceleration_deviation.value
         self._deviation = settings.noise * np.array(
-            [0.0 if name == "pitch" else acceleration if "acceleration" in name else load for name in self.names]
+            [{"pitch": 0.0, "fouling": CIRCUIT_NOISE}.get(name, load) for name in self.names]
         )
+        self._deviation[["acceleration" in name for name in self.names]] = settings.noise * acceleration
+        if settings.rig == "six":
+            self._deviation[6:12] = settings.noise * np.array(GROUND_NOISE)
+        if self._outputs is not None:
+            self._deviation[:6] = settings.noise * load / self._outputs.sensitivity
         self._rows = max(1, round(settings.block * self.rate))
         self._pacing = Pacing(self.rate, settings.speed)
         self._tick = 0
@@ -181,7 +197,13 @@ class SimulatedSource:
         self._cut_tick = math.inf if settings.cut_at is None else round(settings.cut_at * self.rate)
         self._drive = _Drive(settings.frequency, 0.0, wanted=(settings.frequency, settings.amplitude))
         self._check(settings.frequency, settings.amplitude)
-        self._modes = [self._shaken(dynamics) for dynamics in self.dynamics]
+        self._shake_now = self._shake_wanted = 0.0
+        self._six: SixMotion | None = None
+        if settings.rig == "six":
+            self._six = SixMotion(six_dynamics(), self._cable * np.ones(6))
+        else:
+            self._dynamics = printed.dynamics
+            self._mode = self._shaken(printed.dynamics)
 
     def start(self) -> None:
         """Begin at rest, with the drive on."""
@@ -192,7 +214,11 @@ class SimulatedSource:
         self._stopped = True
 
     def control(self, name: str, value: float) -> str:
-        """Set ``frequency`` [Hz] or ``amplitude`` [N] of the drive; ``cut`` the cable, ``hang`` a new one (any value).
+        """Set what the rig has: the drive, the cable, the shunt, the contact with the support.
+
+        ``frequency`` [Hz] and ``amplitude`` [N] of the drive; ``cut`` the cable, ``hang`` a new one (any value);
+        ``shake`` the ground end of the rig with six [m/s^2, rad/s^2, as `SHAKEN` says];
+        switch the ``shunt`` of the bridges on (1) or off (0); let the model ``touch`` its support, ``release`` it.
 
         Raises
         ------
@@ -209,6 +235,17 @@ class SimulatedSource:
                 raise ValueError("the cable hangs already; cut it first")
             self._cut_tick, self._hang_tick = math.inf, self._tick
             return f"new cable, {abs(self._full_cable):g} N within {HANGING:g} s"
+        if name == "shake":
+            if not 0 <= value <= LARGEST_SHAKE:
+                raise ValueError(f"the ground end is shaken with 0 to {LARGEST_SHAKE:g} m/s^2, not {value:g}")
+            self._shake_wanted = value
+            return f"ground end shaken with {value:g} m/s^2"
+        if name == "shunt":
+            self._shunt = bool(value)
+            return f"shunt {'on' if value else 'off'}: the loads are those of the resistor and no measurement"
+        if name in ("touch", "release"):
+            self._touching = name == "touch"
+            return "the model touches its support" if self._touching else "the model is free of its support"
         frequency, amplitude = self._drive.wanted
         wanted = (value, amplitude) if name == "frequency" else (frequency, value)
         self._check(*wanted)
@@ -230,6 +267,10 @@ class SimulatedSource:
                 self._simulate(samples[done : int(change) - tick])
                 done = int(change) - tick
         self._simulate(samples[done:])
+        if self._shunt:
+            samples[:, : self._half_ranges.size] += SHUNT_SHARE * self._half_ranges
+        if self._outputs is not None:
+            samples[:, :6] = self._outputs.of(samples[:, :6])
         samples += self._deviation * self._noise.standard_normal(samples.shape)
         for column, name in enumerate(self.names):
             if "acceleration" in name:
@@ -255,15 +296,22 @@ class SimulatedSource:
     def _simulate(self, samples: Array) -> None:
         """Fill in exact readings from the present tick on, and move on."""
         rows = samples.shape[0]
+        if "fouling" in self.names:
+            samples[:, -1] = CLOSED * self._touching
         t = np.arange(rows + 1) / self.rate
-        if self.settings.rig == "vibration":
+        if self._six is not None:
+            self._ring(self._six, samples, t)
+        elif self.settings.rig == "vibration":
             self._shake(samples, t)
         else:
             self._pull(samples, t)
         self._tick += rows
 
     def _shake(self, samples: Array, t: Array) -> None:
-        drive, dynamics, shaken = self._drive, self.dynamics[0], self._modes[0]
+        drive, dynamics, shaken = self._drive, self._dynamics, self._mode
+        contact = self._contact[0]
+        # the support is on the ground end: the force of the contact acts on both, and is no force on the whole
+        shaken.push = contact / shaken.mode.mass
         frequency, amplitude = drive.wanted
         omega, turn = 2 * np.pi * frequency, np.exp(1j * drive.phase)
         change = (amplitude - drive.amplitude) / t[-1]
@@ -274,23 +322,36 @@ class SimulatedSource:
         drive.phase = math.fmod(drive.phase + omega * float(t[-1]), 2 * math.pi)
         spring = dynamics.stiffness * y + dynamics.damping * velocity
         samples[:, 0] = (dynamics.stiffness * y + dynamics.mass * STANDARD_GRAVITY)[:-1]
-        samples[:, 1] = ((sine + spring) / ARMATURE_MASS)[:-1]
-        samples[:, 2] = (-spring / dynamics.mass)[:-1]
+        samples[:, 1] = ((sine + spring - contact) / ARMATURE_MASS)[:-1]
+        samples[:, 2] = ((contact - spring) / dynamics.mass)[:-1]
         samples[:, 3] = np.pi / 2
 
     def _pull(self, samples: Array, t: Array) -> None:
-        samples[:] = 0.0
+        dynamics, shaken = self._dynamics, self._mode
         cable, slope = self._cable_force()
-        for column, (dynamics, shaken) in enumerate(zip(self.dynamics, self._modes, strict=True)):
-            shaken.push = cable / dynamics.mass
-            # a "sine" of frequency 0 is a straight line
-            y, velocity, shaken.state = shaken.move(t, omega=0.0, begin=0j, change=1j * slope / dynamics.mass)
-            samples[:, column] = (dynamics.stiffness * y)[:-1]
-            live = _LIVE.get(dynamics.component, "")
-            if live in self.names:
-                forces = cable + slope * t - dynamics.stiffness * y - dynamics.damping * velocity
-                samples[:, self.names.index(live)] = (forces / dynamics.mass)[:-1]
+        steady = cable + self._contact[0]
+        shaken.push = steady / dynamics.mass
+        # a "sine" of frequency 0 is a straight line
+        y, velocity, shaken.state = shaken.move(t, omega=0.0, begin=0j, change=1j * slope / dynamics.mass)
+        spring = dynamics.stiffness * y
+        forces = steady + slope * t - spring - dynamics.damping * velocity
+        samples[:, 0], samples[:, 1], samples[:, 3] = spring[:-1], 0.0, 0.0
+        samples[:, 2] = (forces / dynamics.mass)[:-1]
         self._cable = cable + slope * float(t[-1])
+
+    def _ring(self, six: SixMotion, samples: Array, t: Array) -> None:
+        cable, slope = self._cable_force()
+        more = (self._shake_wanted - self._shake_now) / float(t[-1])
+        load, change = cable + self._contact, np.full(6, slope)
+        felt, ground = six.move(t, load=load, change=change, shaken=self._shake_now, more=more)
+        samples[:, :6], samples[:, 6:12] = felt[:-1], ground[:-1]
+        self._shake_now = self._shake_wanted
+        self._cable = cable + slope * float(t[-1])
+
+    @property
+    def _contact(self) -> Array:
+        """Force of the support on the model, by component."""
+        return TOUCH_SHARE * self._half_ranges * self._touching
 
     def _cable_force(self) -> tuple[float, float]:
         """Force of the cable at the present tick [N], and its change [N/s] up to the next change of either."""
@@ -302,21 +363,37 @@ class SimulatedSource:
         return self._full_cable * since / HANGING, self._full_cable / HANGING
 
 
-_LIVE: Final = {"AF": "live_acceleration", "SF": "live_acceleration_y", "NF": "live_acceleration_z"}
+class _Outputs:
+    """Gauge outputs of the rig with six.
+
+    Parameters
+    ----------
+    matrix
+        The balance's matrix.
+    rig
+        The rig.
+    """
+
+    def __init__(self, matrix: BalanceMatrix, rig: RigName) -> None:
+        if rig != "six" or matrix.direct is None or len(matrix.gauges) != len(COMPONENTS):
+            raise ValueError("a balance matrix of six components goes with the rig six alone")
+        self._matrix, self._native = matrix, np.linalg.inv(matrix.direct).T
+        self._zero = np.zeros(6) if matrix.natural_zero is None else matrix.natural_zero
+        self.names = tuple(f"r{gauge}" for gauge in matrix.gauges)
+        # loads for an output of 1 mV/V, by which the noise of a load becomes one of the outputs
+        self.sensitivity = matrix.load_scale / matrix.output_scale
+
+    def of(self, loads: Array) -> Array:
+        """Outputs [mV/V] at loads in the order of `COMPONENTS`, both of shape (n, 6)."""
+        return np.asarray(self._matrix.outputs(np.ascontiguousarray(loads @ self._native)) + self._zero)
 
 
-def rig_dynamics(rig: RigName) -> tuple[Dynamics, ...]:
-    """Return the dynamics of the components that a rig has."""
-    if rig == "vibration":
-        return (VIBRATION_RIG.dynamics,)
-    if rig == "cable_cut":
-        return (CABLE_CUT.dynamics,)
-    found = []
-    for component in COMPONENTS:
-        if component == "AF":
-            found.append(CABLE_CUT.dynamics)
-            continue
-        omega = 2 * np.pi * SIX_FREQUENCIES[component]
-        inertia = SIX_INERTIAS[component]
-        found.append(Dynamics(component, inertia, inertia * omega**2, 0.01 * inertia * omega))
-    return tuple(found)
+def _unit(name: str) -> str:
+    return "mV/V" if is_gauge(name) else QUANTITIES.get(name, "V")
+
+
+def rig_dynamics(rig: RigName) -> dict[str, Dynamics] | CoupledDynamics:
+    """Return the dynamics of the components that a rig has, by name, or of those that ring together."""
+    if rig == "six":
+        return six_dynamics()
+    return {"AF": (VIBRATION_RIG if rig == "vibration" else CABLE_CUT).dynamics}

@@ -12,7 +12,7 @@ import numpy as np
 from aerobalance.channel import Array
 from aerobalance.problems import FitError
 
-_HEAD: Final = struct.Struct("<qdqqI")
+_HEAD: Final = struct.Struct("<qdqqI?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,10 +25,13 @@ class SourceChannel:
         Name at the source.
     unit
         Unit of the readings.
+    delay
+        Time by which the source knows the readings to lag its clock [s].
     """
 
     name: str
     unit: str
+    delay: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,12 +50,16 @@ class Block:
     remark
         What the source has to say of the time before the first sample (an overrun, a new connection); an empty string
         for nothing.
+    anew
+        Whether the count of the device began anew since the last block, so that the tick says nothing of the time
+        between.
     """
 
     tick: int
     samples: Array
     received: float
     remark: str = ""
+    anew: bool = False
 
     def __post_init__(self) -> None:
         if self.samples.ndim != 2:
@@ -66,17 +73,17 @@ class Block:
     def to_bytes(self) -> bytes:
         """Pack the block for another process."""
         remark = self.remark.encode("utf-8", "replace")
-        head = _HEAD.pack(self.tick, self.received, *self.samples.shape, len(remark))
+        head = _HEAD.pack(self.tick, self.received, *self.samples.shape, len(remark), self.anew)
         return b"".join((head, remark, np.ascontiguousarray(self.samples, dtype="<f8").tobytes()))
 
     @classmethod
     def from_bytes(cls, packed: bytes) -> Block:
         """Unpack a block."""
-        tick, received, rows, columns, length = _HEAD.unpack_from(packed)
+        tick, received, rows, columns, length, anew = _HEAD.unpack_from(packed)
         start = _HEAD.size + length
         remark = packed[_HEAD.size : start].decode("utf-8")
         samples = np.frombuffer(packed, dtype="<f8", offset=start).reshape(rows, columns)
-        return cls(tick, samples, received, remark)
+        return cls(tick, samples, received, remark, anew)
 
 
 class SourceEndedError(Exception):
@@ -88,7 +95,8 @@ class Source(Protocol):
 
     Devices deliver blocks of any size, drop out and come back. The source does not hide it: it numbers samples by the
     ticks of the device, so that what is missing can be counted, and puts into the next block's remark what it knows
-    of the reason. Where a device forgets its count (a restart), its ticks go back, and `remark` says so.
+    of the reason. Where a device forgets its count (a restart), its ticks go back or `anew` is set, and `remark` says
+    so.
     """
 
     @property
@@ -144,6 +152,22 @@ class Source(Protocol):
 
     def stop(self) -> None:
         """End; the source can be started no more."""
+
+
+class Uncontrolled:
+    """A source of which nothing can be set while it runs."""
+
+    controls: tuple[str, ...] = ()
+
+    def control(self, name: str, value: float) -> str:
+        """Refuse.
+
+        Raises
+        ------
+        ValueError
+            Always.
+        """
+        raise ValueError(f"nothing can be set while this source runs; {name!r} = {value:g} is refused")
 
 
 class Chosen:

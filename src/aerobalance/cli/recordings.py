@@ -56,7 +56,8 @@ def channel_map(
 def record(
     out: NeededOut,
     source: Annotated[
-        str | None, typer.Option("--source", help="What gives the samples: simulated (the default) or replay.")
+        str | None,
+        typer.Option("--source", help="What gives the samples: simulated, replay, opendaq or nidaqmx."),
     ] = None,
     setup: Annotated[
         Path | None, typer.Option("--setup", help="Test set-up (TOML): channels, trigger, limits, source.")
@@ -82,6 +83,24 @@ def record(
     with Console(stderr=True).status("starting ...") as status:
         account = command.record(out, setup=setup, wishes=wishes, replace=replace, show=status.update)
     show(lambda: account, as_json, doing="recording")
+
+
+@app.command(epilog=example("publish --rig six --port 7420"))
+def publish(
+    setup: Annotated[
+        Path | None, typer.Option("--setup", help="Test set-up (TOML): its source and channels are published.")
+    ] = None,
+    rig: Annotated[
+        str | None, typer.Option("--rig", help="The simulated rig: vibration, cable_cut or six (components).")
+    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="Seed of the simulated noise.")] = None,
+    port: Annotated[int, typer.Option("--port", help="Port to listen on.", min=1, max=65535)] = 7420,
+) -> None:
+    """Publish a source as an openDAQ device, open to the whole network; Ctrl-C ends it."""
+    from aerobalance.commands import publish as command
+    from aerobalance.commands.record import Wishes
+
+    typer.echo(command.publish(setup=setup, wishes=Wishes(rig=rig, seed=seed), port=port, say=typer.echo))
 
 
 @app.command(epilog=example("monitor --setup test.toml"))

@@ -16,12 +16,12 @@ from aerobalance.calibration.fit import Calibration
 from aerobalance.calibration.fit import calibrate as fit_matrix
 from aerobalance.calibration.quality import Quality, assess
 from aerobalance.channel import Array
-from aerobalance.commands.loads import read_matrix
 from aerobalance.commands.shared import Account, check_out, doubts, table_text
 from aerobalance.forms import Geometry
 from aerobalance.io.artefacts import provenance, write_json
 from aerobalance.io.balance_file import calibration_payload, write_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix
+from aerobalance.io.matrix_file import read_matrix
 from aerobalance.io.schedule import read_schedule
 from aerobalance.io.text_table import read_text
 from aerobalance.io.units import conversion

@@ -17,35 +17,15 @@ from aerobalance.commands.shared import Account, check_out, doubts, recording_of
 from aerobalance.components import COMPONENTS
 from aerobalance.forms import Form
 from aerobalance.io import check_output, write_loads
-from aerobalance.io.balance_file import read_balance, write_balance
-from aerobalance.io.balfit_matrix import is_balfit_matrix, read_balfit_matrix, write_balfit_matrix
+from aerobalance.io.balance_file import write_balance
+from aerobalance.io.balfit_matrix import write_balfit_matrix
+from aerobalance.io.matrix_file import read_matrix
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_loads, with_loads
-from aerobalance.problems import DoubtWarning, FitError, ReadError
+from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.weighing import LoadPoints, points_from_recordings
 from aerobalance.zeros import GaugeZero, gauge_zero
-
-
-def is_matrix(path: Path) -> bool:
-    """Say whether a file holds a balance matrix, in balance.json or in the text layout of BALFIT."""
-    head = _head(path)
-    return is_balfit_matrix(head) or (head.lstrip("\ufeff \r\n").startswith("{") and '"balance"' in head)
-
-
-def read_matrix(path: Path) -> BalanceMatrix:
-    """Read a matrix from balance.json or from the text layout of BALFIT."""
-    return read_balfit_matrix(path) if is_balfit_matrix(_head(path)) else read_balance(path)
-
-
-def _head(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            return file.read(4096).decode("latin-1").replace("\x00", "")
-    except FileNotFoundError:
-        raise ReadError(path, "", "there is no such file") from None
-    except OSError as error:
-        raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
 
 
 def convert_matrix(path: Path, out: Path) -> Account:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from aerobalance.channel import Channel
-from aerobalance.commands.loads import convert_matrix, is_matrix
+from aerobalance.commands.loads import convert_matrix
 from aerobalance.commands.shared import Account, check_out, doubts, raw_recording
 from aerobalance.io import (
     check_output,
@@ -17,6 +17,7 @@ from aerobalance.io import (
     template,
     write_recording,
 )
+from aerobalance.io.matrix_file import is_matrix
 from aerobalance.io.safe_write import replacing
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning

@@ -9,20 +9,17 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic import Field, ValidationError, field_validator
 
 from aerobalance.anti_alias import HIGHEST_ORDER, AntiAlias, Kind
 from aerobalance.channel import (
-    AXES_BY_NAME,
-    DIRECTIONS,
     Array,
     Channel,
-    Coupling,
     CrossAxis,
-    is_ground_acceleration,
     unit_inside,
 )
 from aerobalance.components import is_gauge
+from aerobalance.io.channel_settings import ChannelSettings, Number, Strict
 from aerobalance.io.clocks import of_one_length, on_one_clock
 from aerobalance.io.columns import RawColumn, RawColumns
 from aerobalance.io.messages import first_fault
@@ -32,7 +29,6 @@ from aerobalance.io.units import Conversion, conversion, conversion_for
 from aerobalance.problems import DoubtWarning, ReadError
 from aerobalance.recording import Recording
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
 Position = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
 
 SHUNT_DOUBTED: Final = 0.02
@@ -45,15 +41,7 @@ _DERIVED_FROM: Final = {1: "m/s", 2: "m"}
 _EITHER: Final = "either time (the time column) or rate (samples per second, evenly spaced)"
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-def _is_number(given: object) -> bool:
-    return isinstance(given, int | float) and not isinstance(given, bool)
-
-
-class FileLayout(_Strict):
+class FileLayout(Strict):
     """Table ``[file]``: how the file is laid out. Whatever is left out is recognised from the file."""
 
     time: Position | None = None
@@ -66,7 +54,7 @@ class FileLayout(_Strict):
     encoding: str | None = None
 
 
-class MappedFilter(_Strict):
+class MappedFilter(Strict):
     """Entry ``filter``: the analog low-pass before the sampling; its corner in Hz, or text with a unit."""
 
     kind: Kind
@@ -85,14 +73,20 @@ class MappedFilter(_Strict):
             raise ValueError('must be a number of Hz, or text like "500 Hz" or "2 kHz"') from None
 
 
-class MappedSensitivity(_Strict):
+class MappedSensitivity(Strict):
     """One of the entries of ``cross_axis``: sensitivity and its standard uncertainty [1]."""
 
     value: Annotated[float, Field(gt=-1, lt=1)]
     u: Annotated[float, Field(ge=0, lt=1)] = 0.0
 
 
-class MappedChannel(_Strict):
+class _Place(Strict):
+    """What comes first in the table of a channel."""
+
+    column: Position
+
+
+class MappedChannel(ChannelSettings, _Place):
     """Table ``[channels.NAME]``: where a channel comes from and what it is.
 
     The channel's value is ``sign * (scale * cell + offset)`` in `unit`, differentiated `derivative` times. A gauge
@@ -100,22 +94,8 @@ class MappedChannel(_Strict):
     ``shunt_expected / shunt_measured`` [mV/V].
     """
 
-    column: Position
-    unit: str | None = None
-    scale: Number = 1.0
-    offset: Number = 0.0
-    sign: Literal[1, -1] = 1
-    delay: Number = 0.0
-    noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
-    relative_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
-    zero_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
-    coupling: Coupling = "kinematic"
-    corner: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     filter: MappedFilter | None = None
-    cross_axis: dict[str, MappedSensitivity] = {}
-    place: tuple[Number, Number, Number] | None = None
-    place_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
-    axis: tuple[Number, Number, Number] | None = None
+    cross_axis: dict[str, MappedSensitivity] = Field(default_factory=dict)
     derivative: Literal[0, 1, 2] = 0
     excitation: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
     shunt_expected: Number | None = None
@@ -128,22 +108,6 @@ class MappedChannel(_Strict):
         if not isinstance(given, dict):
             return given
         return {name: part if isinstance(part, dict) else {"value": part} for name, part in given.items()}
-
-    @field_validator("place", "axis", mode="before")
-    @classmethod
-    def _three_numbers(cls, given: object, info: ValidationInfo) -> object:
-        """Take a list for three numbers, and the name of a direction for an axis."""
-        if info.field_name == "axis" and isinstance(given, str):
-            if given not in DIRECTIONS:
-                raise ValueError(f"must be one of {', '.join(DIRECTIONS)}, or [aft, right, up] of length 1")
-            return DIRECTIONS[given]
-        if not isinstance(given, list) or len(given) != 3 or not all(_is_number(part) for part in given):
-            raise ValueError(
-                "must be three numbers [aft, right, up]" + (" in m" if info.field_name == "place" else "")
-            )
-        if info.field_name == "axis" and abs(float(np.linalg.norm(given)) - 1) > 1e-3:
-            raise ValueError("must be of length 1, the shares of the direction aft, right and up")
-        return tuple(float(part) for part in given)
 
     @property
     def anti_alias(self) -> AntiAlias | None:
@@ -159,7 +123,7 @@ class MappedChannel(_Strict):
         return self.shunt_expected / self.shunt_measured
 
 
-class _Contents(_Strict):
+class _Contents(Strict):
     file: FileLayout = FileLayout()
     channels: Annotated[dict[str, MappedChannel], Field(min_length=1)]
 
@@ -239,13 +203,13 @@ def _check(chosen: ChannelMap) -> None:
         key = f"channels.{name}"
         if name == "time":
             raise ReadError(path, key, "the time column belongs under [file]: time = ...")
-        if (channel.corner > 0) != (channel.coupling == "ac"):
-            raise ReadError(path, f"{key}.corner", 'goes with coupling = "ac" (then above 0 Hz) and with no other')
+        fault = channel.fault(name)
+        if fault is not None:
+            raise ReadError(path, f"{key}.{fault[0]}".strip("."), fault[1])
         accelerometer = unit_inside(name) == "m/s^2"
-        if not accelerometer and (channel.coupling != "kinematic" or channel.derivative):
-            raise ReadError(path, key, "coupling and derivative are for accelerations, such as ground_acceleration")
+        if not accelerometer and channel.derivative:
+            raise ReadError(path, key, "derivative is for accelerations, such as ground_acceleration")
         _check_gauge(path, name, channel)
-        _check_mounting(path, name, channel)
         for other in channel.cross_axis:
             if not accelerometer or other == name or unit_inside(other) != "m/s^2" or other not in chosen.channels:
                 raise ReadError(
@@ -258,21 +222,6 @@ def _check(chosen: ChannelMap) -> None:
                 _conversion(name, channel, channel.unit)
             except ValueError as error:
                 raise ReadError(path, f"{key}.unit", str(error)) from None
-
-
-def _check_mounting(path: Path, name: str, channel: MappedChannel) -> None:
-    """Refuse places and axes of other channels, and an accelerometer on the ground end without an axis."""
-    key = f"channels.{name}"
-    if not is_ground_acceleration(name):
-        if (channel.place, channel.axis, channel.place_uncertainty) != (None, None, 0.0):
-            raise ReadError(path, key, "place and axis are for accelerometers on the ground end, ground_acceleration*")
-        return
-    if channel.axis is None and name not in AXES_BY_NAME:
-        raise ReadError(
-            path, f"{key}.axis", f"is needed: the name says no direction; {', '.join(DIRECTIONS)} or [aft, right, up]"
-        )
-    if channel.place is None and channel.place_uncertainty:
-        raise ReadError(path, f"{key}.place_uncertainty", "goes with a place")
 
 
 def _check_gauge(path: Path, name: str, channel: MappedChannel) -> None:

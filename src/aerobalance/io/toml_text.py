@@ -8,12 +8,12 @@ from typing import Any
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
-    """Write tables of texts, numbers and truth values as TOML that reads back the same.
+    """Write tables of texts, numbers, truth values and lists as TOML that reads back the same.
 
     Parameters
     ----------
     table
-        Texts, integers, floats, truth values, and tables of these.
+        Texts, integers, floats, truth values, lists of these, and tables.
     """
     lines: list[str] = []
     _table(lines, table, ())
@@ -44,4 +44,6 @@ def _value(value: Any) -> str:
         return _quoted(value)
     if isinstance(value, bool):
         return "true" if value else "false"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_value(part) for part in value)}]"
     return repr(value)

@@ -1,0 +1,88 @@
+"""What a channel map and a test set-up both say of a channel."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+
+from aerobalance.channel import AXES_BY_NAME, DIRECTIONS, Coupling, is_ground_acceleration, unit_inside
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+NotBelow = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Strict(BaseModel):
+    """A table in which nothing is unknown, and numbers are numbers."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class ChannelSettings(Strict):
+    """How readings become a channel's values, and what is known of its sensor.
+
+    A value is ``sign * (scale * reading + offset)`` in `unit`. An accelerometer on the ground end has a `place` from
+    the balance's centre [m] and an `axis`, both aft, right and up; text of three numbers is taken for either.
+    """
+
+    unit: str | None = None
+    scale: Number = 1.0
+    offset: Number = 0.0
+    sign: Literal[1, -1] = 1
+    delay: Number = 0.0
+    noise: NotBelow | None = None
+    relative_uncertainty: NotBelow = 0.0
+    zero_uncertainty: NotBelow = 0.0
+    coupling: Coupling = "kinematic"
+    corner: NotBelow = 0.0
+    place: tuple[Number, Number, Number] | None = None
+    place_uncertainty: NotBelow = 0.0
+    axis: tuple[Number, Number, Number] | None = None
+
+    @field_validator("place", "axis", mode="before")
+    @classmethod
+    def _three_numbers(cls, given: object, info: ValidationInfo) -> object:
+        """Take a list or text for three numbers, and the name of a direction for an axis."""
+        axis = info.field_name == "axis"
+        if axis and isinstance(given, str) and given in DIRECTIONS:
+            return DIRECTIONS[given]
+        numbers = _numbers(given)
+        if numbers is None and axis and isinstance(given, str):
+            raise ValueError(f"must be one of {', '.join(DIRECTIONS)}, or [aft, right, up] of length 1")
+        if numbers is None:
+            raise ValueError("must be three numbers [aft, right, up]" + ("" if axis else " in m"))
+        if axis and abs(float(np.linalg.norm(numbers)) - 1) > 1e-3:
+            raise ValueError("must be of length 1, the shares of the direction aft, right and up")
+        return numbers
+
+    def fault(self, name: str) -> tuple[str, str] | None:
+        """Return what a channel of this name cannot have: the key, or an empty string for several, and the reason."""
+        if (self.corner > 0) != (self.coupling == "ac"):
+            return "corner", 'corner [Hz] goes with coupling = "ac" (then above 0 Hz) and with no other'
+        if self.coupling != "kinematic" and unit_inside(name) != "m/s^2":
+            return "", "coupling is for accelerations, such as ground_acceleration"
+        if not is_ground_acceleration(name):
+            bare = (self.place, self.axis, self.place_uncertainty) == (None, None, 0.0)
+            return (
+                None if bare else ("", "place and axis are for accelerometers on the ground end, ground_acceleration*")
+            )
+        if self.axis is None and name not in AXES_BY_NAME:
+            known = ", ".join(DIRECTIONS)
+            return "axis", f"is needed: the name says no direction; {known} or [aft, right, up]"
+        if self.place is None and self.place_uncertainty:
+            return "place_uncertainty", "goes with a place"
+        return None
+
+
+def _numbers(given: object) -> tuple[float, ...] | None:
+    """Three numbers of a list or of text with commas; None where it is neither."""
+    parts = given.split(",") if isinstance(given, str) else given
+    if not isinstance(parts, list | tuple) or len(parts) != 3 or any(isinstance(part, bool) for part in parts):
+        return None
+    if not isinstance(given, str) and not all(isinstance(part, int | float) for part in parts):
+        return None
+    try:
+        return tuple(float(part) for part in parts)
+    except (ValueError, OverflowError):
+        return None

@@ -1,0 +1,55 @@
+"""Records that are made while a test watches."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+from aerobalance.io import read
+from aerobalance.io.hdf5_contents import contents
+from aerobalance.problems import ReadError
+
+
+def follow(recorder, enough, seconds=40.0):
+    """Wait for a record to come so far; return how it stands."""
+    limit = time.monotonic() + seconds
+    while not enough(recorder.poll(0.05)):
+        assert time.monotonic() < limit, recorder.progress
+        assert not recorder.progress.over, recorder.progress
+    return recorder.progress
+
+
+def blocks_of(file):
+    """Count the blocks of a file that is written to; none where it is only just being made."""
+    try:
+        return len(contents(file).blocks)
+    except ReadError:
+        return 0
+
+
+def end_by_sigterm(folder, setup):
+    """Run the command record with a set-up, and end it by SIGTERM: at once, cleanly, and with a whole file."""
+    (folder / "test.toml").write_text(setup, encoding="utf-8")
+    command = [sys.executable, "-m", "aerobalance.cli", "record", "--setup", "test.toml", "-o", "run.h5", "--json"]
+    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    limit = time.monotonic() + 60
+    while blocks_of(folder / "run.h5") < 3:
+        assert time.monotonic() < limit
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.1)
+    process.send_signal(signal.SIGTERM)
+    out, err = process.communicate(timeout=10)  # it takes 2 s; a busy machine is allowed more
+    assert process.returncode == 0, err
+    assert json.loads(out)["samples"] == read(folder / "run.h5").samples
+
+
+def lost_by_a_kill(session, recorder, victim):
+    """Kill the recorder or the source of a running record; return how it stood when that was noticed."""
+    process = recorder.process if victim == "recorder" else session.process
+    process.kill()
+    limit = time.monotonic() + 10
+    while not recorder.poll(0.1).over:
+        assert time.monotonic() < limit, f"the loss of the {victim} was not noticed"
+    assert "gone without a word" in recorder.progress.reason
+    return recorder.progress

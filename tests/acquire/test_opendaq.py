@@ -1,0 +1,285 @@
+"""openDAQ: a real server over the loopback is read without loss, killed, started again, and its gap known exactly."""
+
+import socket
+import subprocess
+import sys
+import time
+import warnings
+from fractions import Fraction
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from at_work import end_by_sigterm, follow, lost_by_a_kill
+
+from aerobalance.acquire.opendaq import DomainClock, OpendaqSource, origin_of
+from aerobalance.acquire.session import Session
+from aerobalance.acquire.setup import parse_setup
+from aerobalance.commands import recordings
+from aerobalance.io import read
+from aerobalance.io.hdf5_contents import contents
+from aerobalance.io.hdf5_file import read_blocks
+from aerobalance.problems import DoubtWarning, FitError
+
+installed = pytest.mark.skipif(
+    find_spec("opendaq") is None,
+    reason="the extra opendaq is not installed",
+)
+
+# Processes that can be killed; they wait for a line before they listen, as starting Python takes its time. The first
+# publishes twelve channels at 25 kHz that count their own samples, and says which instant its first sample has, in
+# sampling intervals since 1970. The second is the command, with the simulated cable cut, slowly sampled.
+SERVER = """
+import sys, time
+import numpy as np
+from aerobalance.acquire.opendaq_server import PublishedDevice
+from aerobalance.acquire.pacing import Pacing
+from aerobalance.acquire.source import Block, SourceChannel
+
+class Counter:
+    rate = float(sys.argv[2])
+    channels = tuple(SourceChannel(f"c{i}", "V") for i in range(12))
+
+import opendaq
+sys.stdin.readline()
+device, pacing, rows, tick = PublishedDevice(Counter(), port=int(sys.argv[1])), Pacing(Counter.rate, 1.0), 500, 0
+pacing.start()
+while True:
+    pacing.wait(tick, rows, 1.0)
+    counts = np.arange(tick, tick + rows, dtype=float)[:, np.newaxis]
+    device.give(Block(tick, counts + 1e9 * np.arange(12), 0.0))
+    if tick == 0:
+        print(device.first, flush=True)
+    tick += rows
+"""
+
+
+RIG = """
+import sys
+from pathlib import Path
+import opendaq
+from aerobalance.acquire import opendaq_server, simulated
+from aerobalance.commands.publish import publish
+sys.stdin.readline()
+print(publish(setup=Path(sys.argv[2]), port=int(sys.argv[1]), say=lambda text: print(text, flush=True)))
+"""
+
+
+def free_port():
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+def reachable(port, process):
+    """Wait until a server listens."""
+    limit = time.monotonic() + 30
+    while time.monotonic() < limit:
+        assert process.poll() is None, process.communicate()
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return
+        time.sleep(0.05)
+    raise AssertionError("the server does not listen")
+
+
+class Server:
+    """A process that is an openDAQ device, from `listen` on."""
+
+    def __init__(self, program, port, *arguments) -> None:
+        command = [sys.executable, "-c", program, str(port), *map(str, arguments)]
+        pipe = subprocess.PIPE
+        self.port = port
+        self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+
+    def listen(self):
+        self.process.stdin.write("now\n")
+        self.process.stdin.flush()
+        reachable(self.port, self.process)
+        self.first = self.process.stdout.readline().strip()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+
+    def kill(self):
+        self.process.kill()
+        self.process.communicate()
+
+
+def setup_of(address, *, channels=()):
+    text = f'[source]\nkind = "opendaq"\naddress = "{address}"\n[record]\nkeep_free = 0.0\nblock = 0.05\n'
+    return parse_setup(text + "".join(f"[channels.{name}]\n" for name in channels))
+
+
+@installed
+def test_server_that_is_killed_and_started_again_leaves_a_gap_of_its_exact_length(tmp_path) -> None:
+    port, file = free_port(), tmp_path / "run.h5"
+    with Server(SERVER, port, 25_000) as server, Server(SERVER, port, 25_000) as again:
+        server.listen()
+        with Session(setup_of(f"daq.nd://127.0.0.1:{port}"), tmp_path) as session:
+            recorder = session.record(file)
+            recorder.ready()
+            session.start()
+            before = follow(recorder, lambda progress: progress.seconds > 1.5)
+            assert before.gaps == 0
+            server.kill()
+            again.listen()
+            follow(recorder, lambda progress: progress.gaps == 1 and progress.samples > before.samples + 40_000)
+            progress = recorder.stop("enough")
+    assert progress.reason == "enough"
+    found = np.concatenate([samples for _, samples in read_blocks(file)])
+    ticks = np.concatenate([np.arange(tick, tick + len(samples)) for tick, samples in read_blocks(file)])
+    # all twelve channels are of the same sample
+    assert np.array_equal(found - 1e9 * np.arange(12), np.repeat(found[:, :1], 12, axis=1))
+    # what a sample counts says when it was taken, by the clock that both lives of the server share
+    second = np.arange(len(found)) >= np.flatnonzero(np.diff(ticks) > 1)[0] + 1
+    instants = found[:, 0] + np.where(second, int(again.first), int(server.first))
+    assert np.array_equal(instants - instants[0], ticks - ticks[0])
+    said = contents(file)
+    (gap,) = said.gaps
+    assert gap["samples"] == progress.lost == ticks[-1] + 1 - ticks[0] - len(ticks)
+    assert b"lost and made again" in gap["text"]
+
+
+@installed
+def test_device_that_comes_back_at_another_rate_ends_the_record_and_says_so(tmp_path) -> None:
+    port = free_port()
+    with Server(SERVER, port, 25_000) as server, Server(SERVER, port, 20_000) as again:
+        server.listen()
+        with Session(setup_of(f"daq.nd://127.0.0.1:{port}"), tmp_path) as session:
+            recorder = session.record(tmp_path / "run.h5")
+            recorder.ready()
+            session.start()
+            follow(recorder, lambda progress: progress.blocks > 3)
+            server.kill()
+            again.listen()
+            limit = time.monotonic() + 30
+            while not recorder.poll(0.1).over:
+                assert time.monotonic() < limit
+    assert "samples at 20000 Hz instead of 25000 Hz" in recorder.progress.reason
+    assert all(samples is not None for _, samples in read_blocks(tmp_path / "run.h5"))
+
+
+@installed
+def test_record_across_a_restart_gives_info_and_force(tmp_path) -> None:
+    from aerobalance.force import reconstruct
+    from aerobalance.published import CABLE_CUT
+
+    port, file = free_port(), tmp_path / "run.h5"
+    (tmp_path / "rig.toml").write_text(
+        '[source]\nkind = "simulated"\nrig = "cable_cut"\nrate = 250.0\n', encoding="utf-8"
+    )
+    rigs = [Server(RIG, port, tmp_path / "rig.toml") for _ in range(2)]
+    with rigs[0] as server, rigs[1] as again:
+        server.listen()
+        with Session(setup_of(f"daq.nd://127.0.0.1:{port}", channels=("AF",)), tmp_path) as session:
+            recorder = session.record(file)
+            recorder.ready()
+            session.start()
+            follow(recorder, lambda progress: progress.samples > 600)
+            server.kill()
+            again.listen()
+            assert f"on port {port} of all addresses" in again.first
+            follow(recorder, lambda progress: progress.gaps == 1 and progress.samples > 1250)
+            progress = recorder.stop("enough")
+        again.process.terminate()
+        out, err = again.process.communicate(timeout=20)
+        assert (again.process.returncode, out, err) == (0, "stopped\n", "")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        account = recordings.info(file)
+        assert len(account["gaps"]) == 1
+        assert account["channels"]["AF"]["unit"] == "N"
+        recording = read(file)
+        given = reconstruct(recording, CABLE_CUT.dynamics).values
+    there = np.isfinite(recording.channel("AF").values)
+    assert np.count_nonzero(~there) == progress.lost > 0
+    after = np.flatnonzero(~there)[-1]
+    # the cable hangs in both lives of the rig: 10 N of noise over 400 readings and more is 0.5 N
+    for part in (given[100:500], given[after + 100 : -100]):
+        assert part.mean() == pytest.approx(-1020.0, abs=2.5)
+
+
+@installed
+def test_reference_device_of_the_library_is_read_by_name(tmp_path) -> None:
+    source = OpendaqSource("daqref://device0", names=["AI1", "RefCh0/Sig/AI0"])
+    assert [(channel.name, channel.unit) for channel in source.channels] == [("AI1", "V"), ("RefCh0/Sig/AI0", "V")]
+    source.start()
+    begin, end = time.monotonic(), None
+    while time.monotonic() < begin + 1.0:
+        block = source.read(0.1)
+        if block is not None:
+            assert end is None or block.tick == end
+            assert block.remark == ""
+            end = block.end
+    source.stop()
+    # begun and ended within its blocks of 20 ms and 0.1 s of start
+    assert end == pytest.approx(source.rate, abs=0.3 * source.rate)
+    with pytest.raises(FitError, match=r"no signal 'AI7' .* it has AI0, AI1"):
+        OpendaqSource("daqref://device0", names=["AI7"])
+
+
+@installed
+def test_device_that_is_not_there_is_said_so() -> None:
+    with pytest.raises(FitError, match=r"no openDAQ device answers at .*:1; check"):
+        OpendaqSource("daq.nd://127.0.0.1:1")
+
+
+@installed
+def test_port_that_is_taken_is_said_so(tmp_path) -> None:
+    from aerobalance.acquire.opendaq_server import PublishedDevice
+    from aerobalance.acquire.simulated import RigSettings, SimulatedSource
+
+    with socket.create_server(("", 0)) as taken, pytest.raises(FitError, match="cannot listen on port"):
+        PublishedDevice(SimulatedSource(RigSettings()), port=taken.getsockname()[1])
+    with pytest.raises(FitError, match=r"whole number of samples a second, not 1599\.98"):
+        PublishedDevice(SimulatedSource(RigSettings(rate=1599.98)), port=free_port())
+
+
+@installed
+def test_sigterm_ends_the_record_of_a_device(tmp_path) -> None:
+    end_by_sigterm(tmp_path, '[source]\nkind = "opendaq"\naddress = "daqref://device0"\n')
+
+
+@installed
+@pytest.mark.parametrize("victim", ["recorder", "source"])
+def test_kill_loses_nothing_acknowledged(victim, tmp_path) -> None:
+    with Session(setup_of("daqref://device0"), tmp_path) as session:
+        recorder = session.record(tmp_path / "run.h5")
+        recorder.ready()
+        session.start()
+        follow(recorder, lambda progress: progress.blocks > 5)
+        progress = lost_by_a_kill(session, recorder, victim)
+    stored = [samples for _, samples in read_blocks(tmp_path / "run.h5")]
+    assert all(samples is not None for samples in stored)
+    assert sum(len(samples) for samples in stored) >= progress.samples
+
+
+def test_instants_become_numbers_of_samples_exactly() -> None:
+    # nanoseconds since 1970: floats of that size are 256 ns apart
+    clock = DomainClock(Fraction(25_000), Fraction(1, 10**9))
+    assert clock.step == 40_000
+    day = 1_795_279_269_317_923_000
+    assert clock.number(day) == (0, "")
+    assert clock.number(day + 40_000 * 10**9) == (10**9, "")
+    # a device that begins a third of an interval later
+    number, odd = clock.number(day + 40_000 * (10**9 + 500) + 13_333)
+    assert number == 10**9 + 500
+    assert "+0.33 of a sampling interval" in odd
+    assert clock.number(day + 40_000 * (10**9 + 600) + 13_333) == (10**9 + 600, "")
+    # a device that counts from when it was switched on, 2.5 s after it was the last time
+    clock = DomainClock(Fraction(1000), Fraction(1, 1000), origin_of("2026-01-01T00:00:00Z"))
+    assert clock.number(5000) == (0, "")
+    clock.origin = origin_of("2026-01-01T00:00:02.500000000Z")
+    assert clock.number(2600) == (100, "")
+    with pytest.raises(FitError, match=r"1\.5 ticks a sample"):
+        DomainClock(Fraction(1000), Fraction(1, 1500)).step  # noqa: B018 - refused when it is asked for
+
+
+def test_origins_that_are_no_date_count_as_none() -> None:
+    assert origin_of("") == origin_of("since the device was switched on") == 0
+    assert origin_of("1970-01-02T00:00:00.25Z") == Fraction(86400) + Fraction(1, 4)
+    assert origin_of("1970-01-01T01:00:00+01:00") == origin_of("1970-01-01") == 0
