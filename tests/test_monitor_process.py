@@ -7,6 +7,8 @@ import contextlib
 import json
 import os
 import random
+import resource
+import shutil
 import signal
 import socket
 import subprocess
@@ -21,7 +23,7 @@ import pytest
 import websockets
 
 from aerobalance.io import read
-from aerobalance.io.hdf5_file import contents
+from aerobalance.io.hdf5_contents import contents
 from aerobalance.problems import DoubtWarning
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="children are found in /proc")
@@ -76,10 +78,10 @@ class Program:
         self.process.stdout.close()
 
     def state(self):
-        with urllib.request.urlopen(f"{self.base}/api/state", timeout=10) as answer:
+        with urllib.request.urlopen(f"{self.base}/api/state", timeout=60) as answer:
             return json.load(answer)
 
-    def wait(self, holds, timeout=60.0):
+    def wait(self, holds, timeout=120.0):
         limit = time.monotonic() + timeout
         while time.monotonic() < limit:
             state = self.state()
@@ -91,8 +93,13 @@ class Program:
     def post(self, action, **body):
         headers = {"origin": self.base, "content-type": "application/json"}
         request = urllib.request.Request(f"{self.base}/api/{action}", json.dumps(body).encode(), headers)
-        with urllib.request.urlopen(request, timeout=10) as answer:
+        with urllib.request.urlopen(request, timeout=60) as answer:
             return json.load(answer)
+
+    def refused(self, action, **body):
+        with pytest.raises(urllib.error.HTTPError) as caught:
+            self.post(action, **body)
+        return json.load(caught.value)["error"]
 
     def record(self, name):
         self.post("record", name=name)
@@ -205,6 +212,68 @@ def test_rubbish_at_the_socket(program) -> None:
     assert program.state()["numbers"]["readings"], seed
     for connection in left:
         connection.close()
+
+
+@contextlib.contextmanager
+def small_disk(folder, size):
+    folder.mkdir()
+    mount = shutil.which("mount")
+    if os.geteuid() != 0 or mount is None:
+        pytest.skip("a small file system can only be mounted by root")
+    if subprocess.run([mount, "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder], check=False).returncode:
+        pytest.skip("mounting is not allowed here")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", folder], check=True)
+
+
+def test_full_disk_ends_the_record_and_nothing_else(tmp_path) -> None:
+    with small_disk(tmp_path / "small", "5m") as small, Program(small) as program:
+        # 4 channels of 8 bytes at 50 kHz: 1.6 MB a second
+        source = {"kind": "simulated", "rig": "cable_cut", "rate": 50_000.0}
+        setup = {"source": source, "record": {"keep_free": 1.0, "block": 0.1}}
+        program.post("setup", setup=setup)
+        program.wait(lambda state: state["source"]["state"] == "running" and state["numbers"].get("readings"))
+        program.post("record", name="full")
+        state = program.wait(lambda state: state["record"]["state"] == "ended")
+        record = state["record"]
+        assert record["full"] and "disk full" in record["reason"] and "all blocks before are kept" in record["reason"]
+        assert any(
+            item["kind"] == "error" and "full.h5 ended: disk full" in item["text"] for item in state["messages"]
+        )
+        kept = contents(small / "full.h5")
+        assert (kept.state, kept.reason) == ("ended", record["reason"])
+        assert read(small / "full.h5").samples == record["samples"] > 0
+        # the page and the source go on, and say what a full disk refuses
+        assert state["source"]["state"] == "running"
+        tick = program.wait(lambda state: state["numbers"].get("readings"))["numbers"]["readings"]["AF"]["mean"]
+        program.wait(lambda state: state["numbers"]["readings"]["AF"]["mean"] != tick)
+        assert "the record needs" in program.refused("record", name="more")
+        with contextlib.suppress(OSError), (small / "rest").open("wb", buffering=0) as rest:
+            while rest.write(bytes(4096)):
+                pass
+        assert "No space left" in program.refused("setup", setup=setup, name="mine")
+        assert not (small / "mine.toml").exists()
+        (small / "rest").unlink()
+        (small / "full.h5").unlink()
+        program.record("again")
+        program.post("stop")
+        assert read(small / "again.h5").samples > 0
+
+
+def test_quota_ends_the_record_and_nothing_else(tmp_path) -> None:
+    with Program(tmp_path) as program:
+        file = program.record("one")
+        # as a quota does: the disk has room, and the write is refused
+        resource.prlimit(program.state()["processes"]["recorder"], resource.RLIMIT_FSIZE, (200_000, 200_000))
+        record = program.wait(lambda state: state["record"]["state"] == "ended")["record"]
+        assert record["full"] and record["reason"].startswith("disk full: the disk, its quota")
+        assert read(file).samples == record["samples"] > 0
+        assert contents(file).reason == record["reason"]
+        program.record("two")
+        program.post("stop")
+        assert program.state()["source"]["state"] == "running"
 
 
 @pytest.mark.long

@@ -157,7 +157,91 @@ def test_set_up_form_tells_faults_beside_their_field(opened, operator) -> None:
     assert operator.said == []
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(768, "dark"), (768, "light"), (1440, "dark")])
+def test_shunt_and_contact_are_shown(operator) -> None:
+    view = operator.view
+    view.select_option("#rig", "cable_cut")
+    operator.until("document.getElementById('test').textContent.includes('cable cut')")
+    operator.until("window.aerobalance.load !== null && window.aerobalance.touching === false")
+    view.click("#check-shunt")
+    operator.until("document.querySelector('#check-result td')")
+    assert view.inner_text("#check-line") == "✓ shunt check passed"
+    assert view.inner_text("#check-result tbody tr").startswith("✓ AF [N]")
+    view.click("#check-return")
+    operator.until("!document.getElementById('check-give-up').hidden")
+    assert view.inner_text("#check-return") == "At rest again: take it"
+    view.click("#check-give-up")
+    view.click("#control-touch")
+    view.wait_for_selector("#contact-state:not([hidden])")
+    assert "carry the force of the contact" in view.inner_text("#health")
+    view.click("#control-release")
+    operator.until("document.getElementById('contact-state').hidden")
+    assert operator.said == []
+
+
+def test_combined_loads_are_shown(operator) -> None:
+    view = operator.view
+    view.select_option("#rig", "six")
+    found = operator.until("window.aerobalance.envelope")
+    parts = found["parts"].values()
+    assert len(parts) == 6 and sum(parts) == pytest.approx(found["share"])
+    view.wait_for_selector("#envelope .state")
+    assert view.inner_text("#envelope .state") in ("● inside", "▲ near its edge", "■ outside")
+    operator.until("document.querySelectorAll('#numbers .share').length === 6")
+    operator.until(
+        "[...document.querySelectorAll('#numbers .share')].every((i) => i.textContent.includes('envelope'))"
+    )
+    assert operator.said == []
+
+
+def test_set_up_form_gives_back_what_it_shows(operator) -> None:
+    view = operator.view
+    view.select_option("#rig", "six")
+    operator.until("document.getElementById('test').textContent.includes('six components')")
+    operator.until("window.aerobalance.source === 'running'")
+    text = "fetch('/api/setup').then((answer) => answer.json()).then((form) => form.text)"
+    before = view.evaluate(text)
+    assert "[envelope]" in before and "[shunt.AF]" in before and "[fouling]" in before
+    view.click("#open-setup")
+    view.wait_for_selector("#setup[open]")
+    view.fill("#add-stations", "N1")
+    view.press("#add-stations", "Enter")
+    view.fill("#f-stations-N1-limit", "3500,5")  # a decimal comma
+    view.fill("#f-stations-N1-NF", "0.5")
+    view.click("#setup-apply")
+    operator.until("!document.getElementById('setup').open")
+    after = view.evaluate(text)
+    assert "[stations.N1]\nlimit = 3500.5\nNF = 0.5\n" in after
+    assert after.replace("[stations.N1]\nlimit = 3500.5\nNF = 0.5\n", "").split() == before.split()
+    assert operator.said == []
+
+
+def test_keyboard_alone(operator) -> None:
+    view = operator.view
+    view.select_option("#rig", "cable_cut")
+    operator.until("document.getElementById('test').textContent.includes('cable cut')")
+    operator.until("window.aerobalance.source === 'running' && window.aerobalance.load !== null")
+    view.focus("#record-name")
+    view.keyboard.press("Control+a")
+    view.keyboard.type("by-keyboard")
+    view.keyboard.press("Enter")
+    operator.until("window.aerobalance.record === 'recording'")
+    for _ in range(40):
+        if view.evaluate("document.activeElement.id") == "stop":
+            break
+        view.keyboard.press("Tab")
+        assert view.evaluate("document.activeElement.matches(':focus-visible')")  # one sees where one is
+    view.keyboard.press("Enter")
+    operator.until("window.aerobalance.record === 'ended'")
+    view.focus("#open-setup")
+    view.keyboard.press("Enter")
+    view.wait_for_selector("#setup[open]")
+    view.keyboard.press("Escape")
+    operator.until("!document.getElementById('setup').open")
+    assert view.evaluate("document.activeElement.id") == "open-setup"
+    assert operator.said == []
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(768, "dark"), (768, "light"), (1024, "light"), (1440, "dark")])
 def test_fits_and_can_be_read(opened, width, scheme) -> None:
     browser, base, *_ = opened
     page = Operator(browser, base, viewport={"width": width, "height": 1024}, color_scheme=scheme)

@@ -98,6 +98,8 @@ class Board:
             "health": update.health,
             "saturated": dict(news.saturated),
             "lost": update.lost,
+            "envelope": None if update.envelope is None else update.envelope._asdict(),
+            "touching": update.touching,
         }
         self.numbers_version += 1
 

@@ -8,8 +8,10 @@ from typing import Any, Final
 from pydantic import BaseModel
 
 from aerobalance.acquire.feed import Hello
-from aerobalance.acquire.setup import SOURCES, Files, Record, SetChannel, SetLimit, Setup, setup_text
+from aerobalance.acquire.safety import SetEnvelope, SetFouling, SetLimit, SetShunt, SetStation
+from aerobalance.acquire.setup import SOURCES, Files, Record, SetChannel, Setup, setup_text
 from aerobalance.channel import QUANTITIES
+from aerobalance.components import COMPONENTS
 
 LABELS: Final[Mapping[str, tuple[str, str, str]]] = {
     "name": ("Name of the test", "", ""),
@@ -26,6 +28,8 @@ LABELS: Final[Mapping[str, tuple[str, str, str]]] = {
     "source.amplitude": ("Drive amplitude", "N", "vibration rig"),
     "source.cable_force": ("Cable force", "N", "empty for the printed one"),
     "source.cut_at": ("Cable cut at", "s", "empty for on call"),
+    "source.balance": ("Balance of the rig", "", "rig six: its matrix, for gauge outputs in mV/V"),
+    "source.circuit": ("Contact circuit", "", "between model and support"),
     "source.noise": ("Noise", "", "times the printed one"),
     "source.file": ("Recording", "", "file below the project folder"),
     "source.map": ("Channel map", "", ""),
@@ -50,11 +54,26 @@ LABELS: Final[Mapping[str, tuple[str, str, str]]] = {
     "channels.coupling": ("Coupling", "", "of accelerations"),
     "channels.corner": ("Corner", "Hz", 'with coupling "ac"'),
     "channels.half_range": ("Half range", "", "percentages refer to it"),
-    "limits.low": ("Low", "", ""),
-    "limits.high": ("High", "", ""),
-    "limits.action": ("Action", "", ""),
+    "limits.low": ("Low", "", "in the channel's unit"),
+    "limits.high": ("High", "", "in the channel's unit"),
+    "limits.action": ("Action", "", "stop ends the record"),
+    "envelope.shape": ("Shape", "", "of limits, or else half ranges; stations: those below; balance: its capacities"),
+    "envelope.action": ("Action", "", "stop ends the record"),
+    "stations.limit": ("Limit", "N or N·m", "largest size of the sum"),
+    **{f"stations.{name}": (name, "", "share of it in the sum") for name in COMPONENTS},
+    "shunt.change": ("Change", "", "as at the calibration, in the channel's unit"),
+    "shunt.resistance": ("Shunt resistor", "ohm", "instead of a change, for channels in mV/V"),
+    "shunt.bridge": ("Bridge", "ohm", "each of its four arms"),
+    "shunt.uncertainty": ("Uncertainty", "", "standard, over the change"),
+    "shunt.tolerance": ("Tolerance", "", "over the change"),
+    "fouling.channel": ("Contact channel", "", "of the circuit between model and support"),
+    "fouling.level": ("Closed from", "", "in the channel's unit"),
+    "fouling.closed": ("Closed", "", "on which side of it"),
+    "fouling.hold": ("Hold", "s", "open so long before a contact is over"),
+    "fouling.action": ("Action", "", "stop ends the record"),
+    "fouling.tolerance": ("Return to zero", "", "tolerance, over half of the range"),
 }
-"""Label, unit and hint of the fields; a field that is not here is shown under its own key."""
+"""Label, unit and hint of the fields; the label of one that is not here is its key."""
 
 
 def form_of(setup: Setup, hello: Hello | None) -> dict[str, Any]:
@@ -73,38 +92,63 @@ def form_of(setup: Setup, hello: Hello | None) -> dict[str, Any]:
         | {"source": setup.source.model_dump(mode="json", exclude_none=True, exclude_unset=True)}
         | {"kind": setup.source.kind},
         "text": setup_text(setup),
-        "general": [_field("name", {"type": "string"}, ""), _field("notes", {"type": "string", "long": True}, "")],
+        "general": [_field("name", {}, "name", {}), _field("notes", {"long": True}, "notes", {})],
         "files": _fields(Files, "files"),
         "sources": sources,
         "record": _fields(Record, "record"),
-        "channel": _fields(SetChannel, "channels"),
-        "limit": _fields(SetLimit, "limits"),
+        "envelope": _fields(SetEnvelope, "envelope"),
+        "fouling": _fields(SetFouling, "fouling"),
+        "tables": {
+            "channels": _fields(SetChannel, "channels"),
+            "limits": _fields(SetLimit, "limits"),
+            "stations": _fields(SetStation, "stations"),
+            "shunt": _fields(SetShunt, "shunt"),
+        },
         "inputs": [] if hello is None else [{"name": item.name, "unit": item.unit} for item in hello.channels],
         "quantities": [{"name": name, "unit": unit} for name, unit in QUANTITIES.items()],
     }
 
 
 def _fields(model: type[BaseModel], table: str, *, leave_out: tuple[str, ...] = ()) -> list[dict[str, Any]]:
-    properties = model.model_json_schema()["properties"]
-    return [_field(f"{table}.{key}", value, key) for key, value in properties.items() if key not in leave_out]
+    schema = model.model_json_schema()
+    needed = schema.get("required", ())
+    return [
+        _field(f"{table}.{key}", value, key, schema.get("$defs", {})) | {"needed": key in needed}
+        for key, value in schema["properties"].items()
+        if key not in leave_out
+    ]
 
 
-def _field(path: str, schema: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """One field: its key in the set-up, label, unit, hint, type (``number``, ``text`` or ``choice``) and default."""
-    label, unit, hint = LABELS.get(path, (path, "", ""))
+def _field(path: str, schema: Mapping[str, Any], key: str, named: Mapping[str, Any]) -> dict[str, Any]:
+    """One field: its key in the set-up, label, unit, hint, type and default.
+
+    The type is ``number``, ``numbers`` (several), ``text``, ``choice``, ``data`` (anything else, as JSON), or
+    ``table`` of tables by name, whose own fields are then in ``fields``.
+    """
+    label, unit, hint = LABELS.get(path, (key.replace("_", " ").capitalize(), "", ""))
     kinds = [schema, *schema.get("anyOf", ())]
+    field: dict[str, Any] = {"path": path, "key": key, "label": label, "unit": unit, "hint": hint}
+    inner = next((kind["additionalProperties"] for kind in kinds if "additionalProperties" in kind), None)
+    if inner is not None:
+        properties = named[inner["$ref"].rpartition("/")[2]]["properties"]
+        return field | {"type": "table", "fields": [_field(f"{path}.{k}", v, k, named) for k, v in properties.items()]}
     choices = next((kind["enum"] for kind in kinds if "enum" in kind), None)
-    numeric = any(kind.get("type") in ("number", "integer") for kind in kinds)
-    return {
-        "path": path,
-        "key": key or path,
-        "label": label,
-        "unit": unit,
-        "hint": hint,
-        "type": "choice" if choices else "number" if numeric else "text",
-        "whole": any(kind.get("type") == "integer" for kind in kinds),
+    types = {kind.get("type") for kind in kinds}
+    parts = [part for kind in kinds for part in (*kind.get("prefixItems", ()), kind.get("items")) if part]
+    several = bool(parts) and all(part.get("type") == "number" for part in parts)
+    other = bool(types & {"array", "object"}) or any("$ref" in kind for kind in kinds)
+    numeric = bool(types & {"number", "integer"})
+    return field | {
+        "type": "choice"
+        if choices
+        else "numbers"
+        if several
+        else "data"
+        if other
+        else "number"
+        if numeric
+        else "text",
         "long": bool(schema.get("long")),
         "choices": choices,
         "default": schema.get("default"),
-        "needed": "default" not in schema and bool(key),
     }

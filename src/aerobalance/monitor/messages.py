@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.acquire.feed import Address
+from aerobalance.load_envelope import Utilisation
 from aerobalance.strips import Bins
 
 LINES: Final = 512
@@ -53,6 +54,10 @@ class Update:
         What was found about the stream (gaps, restarts, drift), with its tick.
     lost
         Samples lost on the way to the page, so far.
+    envelope
+        What the combined loads take up of their envelope, at the worst; None where not due, or none is set up.
+    touching
+        Whether the contact circuit says that the model touches its support; None without one.
     """
 
     tick: int
@@ -65,6 +70,8 @@ class Update:
     spectra: dict[str, tuple[float, NDArray[np.float32]]] = field(default_factory=dict)
     remarks: list[tuple[int, str, str]] = field(default_factory=list)
     lost: int = 0
+    envelope: Utilisation | None = None
+    touching: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +94,10 @@ class SetZeros:
 
 class TakeZeros:
     """Order: tell which zeros the last second asks for."""
+
+
+class TakeMeans:
+    """Order: tell the means of the channels over the last second, span by span."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +133,17 @@ class Zeros:
 
 
 @dataclass(frozen=True, slots=True)
+class Means:
+    """Answer: the means that were asked for, of each channel over spans that follow each other, SI.
+
+    `since` is when their first samples came, on the steady clock [s].
+    """
+
+    spans: Mapping[str, tuple[float, ...]]
+    since: float
+
+
+@dataclass(frozen=True, slots=True)
 class Trouble:
     """Answer: something went wrong or ended."""
 
@@ -129,4 +151,4 @@ class Trouble:
     text: str
 
 
-Answer = Watching | News | Zeros | Trouble
+Answer = Watching | News | Zeros | Means | Trouble

@@ -1,23 +1,21 @@
-"""What of a test set-up the page watches: channels, dynamics, ranges and limits."""
+"""What of a test set-up the page watches: channels, dynamics, ranges, limits and contact circuit."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
 
 from aerobalance.acquire.feed import Hello
+from aerobalance.acquire.intake import channel_columns
+from aerobalance.acquire.planned import contact_circuit, ranges_of
 from aerobalance.acquire.setup import Setup, Simulated, stored_channels
-from aerobalance.acquire.simulated import SIX_FREQUENCIES, rig_dynamics
-from aerobalance.commands.loads import read_matrix
+from aerobalance.acquire.simulated import rig_dynamics
+from aerobalance.coupled import CoupledDynamics
 from aerobalance.dynamics import Dynamics
-from aerobalance.io.dynamics_file import read_dynamics
-from aerobalance.io.units import conversion_for
+from aerobalance.io.coupled_file import read_any_dynamics
+from aerobalance.io.matrix_file import read_matrix
 from aerobalance.monitor.view import Panel
-from aerobalance.published import CABLE_CUT, VIBRATION_RIG
-
-SIX_HALF_RANGES: Final = {"AF": 2000.0, **dict.fromkeys(SIX_FREQUENCIES, 2000.0)}
-"""Half of the range of each component of the rig with six; those that are not printed are assumed [N, N*m]."""
+from aerobalance.problems import FitError
 
 
 def panel_of(setup: Setup, hello: Hello, folder: Path, zeros: Mapping[str, float]) -> Panel:
@@ -37,34 +35,35 @@ def panel_of(setup: Setup, hello: Hello, folder: Path, zeros: Mapping[str, float
     Raises
     ------
     FitError, ReadError
-        A channel has no such unit, or the dynamics cannot be read.
+        A channel has no such unit, the load envelope lacks something, or a file cannot be read.
     """
     channels = stored_channels(setup, hello.channels)
-    half_ranges = dict(_simulated_half_ranges(setup))
-    limits = {}
-    for channel in channels:
-        inside = conversion_for(channel.name, channel.unit).inside
-        given = setup.channels.get(channel.name)
-        if given is not None and given.half_range is not None:
-            half_ranges[channel.name] = float(inside(given.half_range))
-        limit = setup.limits.get(channel.name)
-        if limit is not None:
-            low = -float("inf") if limit.low is None else float(inside(limit.low))
-            high = float("inf") if limit.high is None else float(inside(limit.high))
-            limits[channel.name] = (low, high)
-    return Panel(
+    dynamics = dynamics_of(setup, folder)
+    balance = None if setup.files.balance is None else read_matrix(folder / setup.files.balance)
+    ranges = ranges_of(setup, channels, balance)
+    units = {channel.name: channel.unit for channel in channels}
+    panel = Panel(
         channels=channels,
         rate=hello.rate,
         clocked=hello.clocked,
-        dynamics=dynamics_of(setup, folder),
-        half_ranges=half_ranges,
-        limits=limits,
+        dynamics=dynamics,
+        half_ranges=ranges.half,
+        limits=ranges.limits,
         zeros=dict(zeros),
-        balance=None if setup.files.balance is None else read_matrix(folder / setup.files.balance),
+        balance=balance,
+        envelope=ranges.envelope,
+        circuit=contact_circuit(setup, channel_columns(channels), units, hello.rate),
     )
+    if isinstance(dynamics, CoupledDynamics) and not panel.components:
+        lacking = [name for name in dynamics.components if name not in panel.names]
+        raise FitError(
+            f"the components of the dynamics ring together, so the force of each needs the readings of all: there is "
+            f"no {', '.join(lacking)} among {', '.join(panel.names)}"
+        )
+    return panel
 
 
-def dynamics_of(setup: Setup, folder: Path) -> dict[str, Dynamics]:
+def dynamics_of(setup: Setup, folder: Path) -> dict[str, Dynamics] | CoupledDynamics:
     """Dynamics that the set-up names; of a simulated rig, where it names none, those that it is simulated with.
 
     Raises
@@ -73,15 +72,7 @@ def dynamics_of(setup: Setup, folder: Path) -> dict[str, Dynamics]:
         The file cannot be used.
     """
     if setup.files.dynamics is not None:
-        return dict(read_dynamics(folder / setup.files.dynamics))
+        return read_any_dynamics(folder / setup.files.dynamics)
     if isinstance(setup.source, Simulated):
-        return {dynamics.component: dynamics for dynamics in rig_dynamics(setup.source.rig)}
+        return rig_dynamics(setup.source.rig)
     return {}
-
-
-def _simulated_half_ranges(setup: Setup) -> Mapping[str, float]:
-    if not isinstance(setup.source, Simulated):
-        return {}
-    if setup.source.rig == "vibration":
-        return {"AF": VIBRATION_RIG.half_range.value}
-    return {"AF": CABLE_CUT.half_range.value} if setup.source.rig == "cable_cut" else SIX_HALF_RANGES

@@ -6,22 +6,34 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from aerobalance.acquire.setup import Record, SetChannel, Setup, load_setup, setup_from, stored_channels
+from aerobalance.acquire.rig_values import CLOSED, HALF_RANGES, LARGEST_SHARE, SHUNT_SHARE, RigName
+from aerobalance.acquire.setup import Record, SetChannel, Setup, Simulated, load_setup, setup_from, stored_channels
 from aerobalance.acquire.source import SourceChannel
 from aerobalance.io.units import conversion_for
+from aerobalance.monitor.folder import Folder
 from aerobalance.problems import ReadError
 
 SHAKEN: Final = {"frequency": 100.0, "amplitude": 30.0}
 """Drive of the vibration rig when the page opens it [Hz, N]: its motion stands out of the accelerometer's noise."""
 
 
-def rig_setup(rig: str) -> Setup:
+def rig_setup(rig: RigName) -> Setup:
     """Return the set-up of a simulated rig as the page opens it."""
     source: dict[str, Any] = {"kind": "simulated", "rig": rig}
     if rig == "vibration":
         source |= SHAKEN
+    source["circuit"] = "fouling"
     names = {"vibration": "vibration rig, 6F-540", "cable_cut": "cable cut, 6-EB-128-1", "six": "six components"}
-    return setup_from({"name": f"simulated: {names.get(rig, rig)}", "source": source})
+    half_ranges = HALF_RANGES[rig]
+    given: dict[str, Any] = {"name": f"simulated: {names[rig]}", "source": source}
+    given["shunt"] = {name: {"change": SHUNT_SHARE * half} for name, half in half_ranges.items()}
+    given["fouling"] = {"channel": "fouling", "level": CLOSED / 2}
+    if rig == "six":
+        given["limits"] = {
+            name: {"low": -LARGEST_SHARE * half, "high": LARGEST_SHARE * half} for name, half in half_ranges.items()
+        }
+        given["envelope"] = {"shape": "ellipsoid"}
+    return setup_from(given)
 
 
 def setup_of_record(
@@ -63,6 +75,34 @@ def setup_of_record(
             channel = channel.model_copy(update={"offset": channel.offset - channel.sign * own})
         channels[item.name] = channel
     return setup.model_copy(update={"channels": channels})
+
+
+def check_files(setup: Setup, folder: Folder) -> None:
+    """Refuse files outside the project folder.
+
+    Raises
+    ------
+    ReadError
+        One is; the message names its key.
+    """
+    wanted = {f"files.{key}": value for key, value in setup.files.model_dump(exclude_none=True).items()}
+    source = setup.source.model_dump(exclude_none=True)
+    wanted |= {f"source.{key}": source[key] for key in ("file", "map", "balance") if key in source}
+    for key, value in wanted.items():
+        try:
+            folder.check(Path(value))
+        except ValueError as problem:
+            raise ReadError("set-up", key, str(problem)) from None
+
+
+def first_controls(setup: Setup) -> dict[str, float]:
+    """Return how the controls of the source stand when it begins."""
+    source = setup.source
+    if isinstance(source, Simulated) and source.rig == "vibration":
+        return {"frequency": source.frequency, "amplitude": source.amplitude}
+    if isinstance(source, Simulated) and source.rig == "six":
+        return {"shake": 0.0}
+    return {}
 
 
 def check_set_up(path: Path) -> None:

@@ -10,17 +10,22 @@ from typing import Final
 import numpy as np
 
 from aerobalance.acquire.continuity import Continuity
+from aerobalance.acquire.guards import ContactCircuit, felt, load_columns, loads_of
+from aerobalance.acquire.intake import contact_text
 from aerobalance.acquire.source import Block
 from aerobalance.balance import BalanceMatrix
 from aerobalance.channel import Array, Channel
 from aerobalance.components import COMPONENTS, is_gauge, si_unit
+from aerobalance.coupled import CoupledDynamics
 from aerobalance.dynamics import Dynamics
+from aerobalance.fouling import ContactFinder
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.units import Conversion, conversion_for
-from aerobalance.monitor.force_line import Columns, ForceLine
+from aerobalance.load_envelope import LoadEnvelope
+from aerobalance.monitor.coupled_line import CoupledStream
+from aerobalance.monitor.force_line import Columns, ForceLine, Line, Stream
 from aerobalance.monitor.messages import LINES, Reading, Update
 from aerobalance.motion import AXES
-from aerobalance.problems import FitError
 from aerobalance.strips import Extremes
 from aerobalance.waterfall import RunningSpectrum
 
@@ -50,7 +55,7 @@ class Panel:
     clocked
         Whether the source's clock is steady.
     dynamics
-        Dynamics of the components whose force is wanted.
+        Dynamics of the components whose force is wanted, by name, or of those that ring together.
     half_ranges
         Half of the range of components, SI.
     limits
@@ -59,16 +64,22 @@ class Panel:
         What is taken off the loads and gauge outputs, SI.
     balance
         The matrix that makes loads of gauge outputs; None where the channels are loads.
+    envelope
+        The loads that may act together; None where none is set up.
+    circuit
+        The contact circuit between model and support; None where there is none.
     """
 
     channels: tuple[StoredChannel, ...]
     rate: float
     clocked: bool
-    dynamics: Mapping[str, Dynamics]
+    dynamics: Mapping[str, Dynamics] | CoupledDynamics
     half_ranges: Mapping[str, float]
     limits: Mapping[str, tuple[float, float]]
     zeros: Mapping[str, float] = field(default_factory=dict)
     balance: BalanceMatrix | None = None
+    envelope: LoadEnvelope | None = None
+    circuit: ContactCircuit | None = None
 
     @property
     def width(self) -> int:
@@ -84,9 +95,7 @@ class Panel:
     @property
     def loads(self) -> tuple[str, ...]:
         """Loads that are made of gauge outputs."""
-        if self.balance is None:
-            return ()
-        return COMPONENTS if self.balance.direct is not None else self.balance.components
+        return () if self.balance is None else loads_of(self.balance)
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -96,7 +105,25 @@ class Panel:
     @property
     def components(self) -> tuple[str, ...]:
         """Components whose force is worked out."""
+        if isinstance(self.dynamics, CoupledDynamics):
+            whole = set(self.dynamics.components) <= set(self.names)
+            return self.dynamics.components if whole else ()
         return tuple(name for name in COMPONENTS if name in self.dynamics and name in self.names)
+
+    @property
+    def masses(self) -> Mapping[str, float]:
+        """Moving mass of components that do not ring together [kg, kg*m^2]."""
+        dynamics = self.dynamics
+        return {} if isinstance(dynamics, CoupledDynamics) else {name: one.mass for name, one in dynamics.items()}
+
+    @property
+    def frequencies(self) -> Mapping[str, float]:
+        """Natural frequency that each component has alone [Hz]."""
+        dynamics = self.dynamics
+        if not isinstance(dynamics, CoupledDynamics):
+            return {name: one.natural_frequency for name, one in dynamics.items()}
+        own = np.sqrt(np.diag(dynamics.inertia)[: len(dynamics.components)])
+        return dict(zip(dynamics.components, (1 / (2 * np.pi * own)).tolist(), strict=True))
 
 
 class View:
@@ -112,16 +139,19 @@ class View:
         self.panel = panel
         names = panel.names
         self._conversions = [_conversion(channel) for channel in panel.channels]
-        self._gauges = _gauges(panel)
+        self._gauges = [] if panel.balance is None else list(load_columns(panel.balance, panel.channels).columns)
+        circuit = panel.circuit
+        self._contact = circuit and ContactFinder(circuit.level, hold=circuit.hold, closed_above=circuit.closed_above)
         self._continuity = Continuity(panel.rate, clocked=panel.clocked)
-        self.lines = {name: _line(panel, name) for name in panel.components}
+        self._streams, self.lines = _followed(panel)
         width = max([panel.width, *(line.factor for line in self.lines.values())])
         self.width = width
         self._raw = Extremes(len(names), width)
         self._force = {name: Extremes(2, width, step=line.factor) for name, line in self.lines.items()}
         self._spectra = {name: RunningSpectrum(2, line.interval) for name, line in self.lines.items()}
         self._offsets = np.zeros(len(names))
-        self._means: list[Array] = []
+        self._means: list[tuple[float, Array]] = []
+        self._held_since = 0.0
         self.set_zeros(panel.zeros)
         self._held: list[Array] = []
         self._held_rows = 0
@@ -138,8 +168,8 @@ class View:
             given = {f"r{gauge}": float(value) for gauge, value in natural} | given
         self._offsets[:] = [given.get(name, 0.0) for name in self.panel.names]
         self._means = []
-        for line in self.lines.values():
-            line.restart()
+        for stream in self._streams:
+            stream.restart()
 
     def zeros(self) -> dict[str, float]:
         """Return the zeros that make the loads of the last second read the weight alone.
@@ -151,7 +181,7 @@ class View:
         """
         if not self._means:
             raise ValueError("there are no readings yet to take the zero from")
-        means = np.mean(self._means, axis=0)
+        means = np.mean(self.means, axis=0)
         found = {}
         for place, name in enumerate(self.panel.names):
             weight = self.lines[name].weight(means) if name in self.lines else 0.0
@@ -160,6 +190,16 @@ class View:
             elif (name in COMPONENTS or is_gauge(name)) and np.isfinite(means[place]):
                 found[name] = float(means[place] + self._offsets[place] - weight)
         return found
+
+    @property
+    def means(self) -> Array:
+        """Means of the channels over the last spans of `NUMBERS` that are complete, up to five: shape (m, c), SI."""
+        return np.array([means for _, means in self._means]).reshape(-1, len(self.panel.names))
+
+    @property
+    def means_since(self) -> float:
+        """When the first block of `means` came, on the steady clock [s]."""
+        return self._means[0][0] if self._means else -math.inf
 
     def feed(self, block: Block) -> None:
         """Take a block; what is new is added to `update`."""
@@ -175,15 +215,13 @@ class View:
         tick, values = watched.block.tick, self._values(watched.block.samples)
         update.tick, update.received = watched.block.end, block.received
         update.raw.append(self._raw.push(tick, values))
-        for name, line in self.lines.items():
-            piece = line.push(tick, values)
-            if piece is None:
-                continue
+        for name, piece in [found for stream in self._streams for found in stream.push(tick, values).items()]:
             pair = np.column_stack((piece.force, piece.uncertainty))
             update.forces.setdefault(name, []).append(self._force[name].push(piece.tick, pair))
             self._estimates[name].append(pair)
             self._spectra[name].push(np.column_stack((piece.load, piece.force)))
-        self._count(values)
+        self._watch_contact(tick, values)
+        self._count(values, block.received)
 
     def take(self) -> Update:
         """Return what is new since the last call."""
@@ -199,12 +237,22 @@ class View:
         values -= self._offsets
         balance = self.panel.balance
         if balance is not None:
-            native = balance.loads(np.ascontiguousarray(values[:, self._gauges])).loads
-            values[:, samples.shape[1] :] += native if balance.direct is None else native @ balance.direct.T
+            values[:, samples.shape[1] :] += felt(balance, values[:, self._gauges])
         return values
 
-    def _count(self, values: Array) -> None:
+    def _watch_contact(self, tick: int, values: Array) -> None:
+        circuit, finder = self.panel.circuit, self._contact
+        if circuit is None or finder is None:
+            return
+        for contact in finder.push(tick, values[:, circuit.column]):
+            kind = "contact" if contact.closed else "contact over"
+            self.update.remarks.append((contact.tick, kind, contact_text(contact, circuit, self.panel.rate)))
+        self.update.touching = finder.touching
+
+    def _count(self, values: Array, received: float) -> None:
         """Draw up numbers and spectra where they are due."""
+        if not self._held:
+            self._held_since = received
         self._held.append(values)
         self._held_rows += values.shape[0]
         if self._held_rows < NUMBERS * self.panel.rate:
@@ -213,7 +261,10 @@ class View:
         self._held, self._held_rows = [], 0
         for place, name in enumerate(self.panel.names):
             self.update.readings[name] = self._reading(name, held[:, place])
-        self._means = [*self._means[-4:], _means(held)]
+        envelope = self.panel.envelope
+        if envelope is not None:
+            self.update.envelope = envelope.at_worst(held, self.panel.names)
+        self._means = [*self._means[-4:], (self._held_since, _means(held))]
         for name, line in self.lines.items():
             parts, self._estimates[name] = self._estimates[name], []
             if parts:
@@ -263,39 +314,31 @@ def _means(values: Array) -> Array:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def _gauges(panel: Panel) -> list[int]:
-    """Columns of the gauge outputs, in the order of the balance.
-
-    Raises
-    ------
-    FitError
-        One is missing, or is not in mV/V.
-    """
-    if panel.balance is None:
-        return []
-    places = {channel.name: place for place, channel in enumerate(panel.channels)}
-    for name in (f"r{gauge}" for gauge in panel.balance.gauges):
-        if name not in places:
-            raise FitError(f"the balance needs {name}, which is none of the channels {', '.join(places)}")
-        unit = _conversion(panel.channels[places[name]]).unit
-        if unit != "mV/V":
-            raise FitError(f"channel {name} is in {unit}; live loads need it in mV/V, over the excitation")
-    return [places[f"r{gauge}"] for gauge in panel.balance.gauges]
-
-
 def _conversion(channel: StoredChannel) -> Conversion:
     return conversion_for(channel.name, channel.unit)
 
 
-def _line(panel: Panel, name: str) -> ForceLine:
+def _followed(panel: Panel) -> tuple[list[Stream], dict[str, Line]]:
+    """The streams of the forces, and the forces' lines by component."""
+    dynamics = panel.dynamics
+    if isinstance(dynamics, CoupledDynamics):
+        if not panel.components:
+            return [], {}
+        stream = CoupledStream(dynamics, rate=panel.rate, names=panel.names, channels=panel.channels)
+        return [stream], dict(stream.lines)
+    lines = {name: _line(panel, name, dynamics[name]) for name in panel.components}
+    return list(lines.values()), dict(lines)
+
+
+def _line(panel: Panel, name: str, dynamics: Dynamics) -> ForceLine:
     places = {channel: place for place, channel in enumerate(panel.names)}
     ground = places.get(f"ground_acceleration{AXES.get(name, '')}", places.get("ground_acceleration"))
     coupling = "kinematic" if ground is None else panel.channels[ground].coupling
     columns = Columns(places[name], ground, places.get("pitch"), places.get("roll"), coupling)
-    return ForceLine(panel.dynamics[name], rate=panel.rate, columns=columns)
+    return ForceLine(dynamics, rate=panel.rate, columns=columns)
 
 
-def _health(line: ForceLine) -> dict[str, object]:
+def _health(line: Line) -> dict[str, object]:
     health = line.health
     told: dict[str, object] = {"lag": line.lag, "rate": 1 / line.interval, "moving": line.moving}
     if health is None:
