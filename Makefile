@@ -35,4 +35,6 @@ $(READY): requirements.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
+	# compiled here once, so that the first page does not wait for it
+	$(BIN)/python -c "from aerobalance.monitor.engine import warm_up; warm_up()"
 	touch $@

@@ -6,6 +6,7 @@ import pytest
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.live_filter import false_alarm_evidence
 from aerobalance.live_ground import LiveGround
+from aerobalance.live_state import wide_process
 from aerobalance.motion import GroundMotion, load_from_ground
 from aerobalance.prior import Learned, Reading, generalised_least_squares
 from aerobalance.problems import FitError
@@ -156,6 +157,16 @@ def test_chunks_do_not_matter(what):
         assert np.max(np.abs(other[1] - uncertainty)) <= 1e-12 * np.max(uncertainty), (seed, most)
         assert other[2] == steps, (seed, most)
         assert other[3] == health, (seed, most)
+
+
+def test_wide_process_is_that_of_its_spectrum():
+    generator, seed = fresh()
+    readings = generator.normal(0, NOISE, 60)
+    wide = wide_process(Reading(readings, 1 / RATE, T128), frequency=T128.natural_frequency)
+    edge = 1.5 * T128.natural_frequency
+    frequency = np.linspace(0.01, 1.5, 200) * edge
+    # the shaping filter moves edges outward by 0.7 % in frequency, of which the 16th power makes 12 %
+    assert wide.shaping.spectrum(frequency) == pytest.approx(wide.spectrum.density(frequency), rel=0.13), seed
 
 
 def test_latency_is_five_periods():

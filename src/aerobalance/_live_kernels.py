@@ -73,12 +73,11 @@ def _next_gain(
             following[i, j] = 0.5 * (following[i, j] + following[j, i])
             following[j, i] = following[i, j]
     change = 0.0
-    for i in range(kept):
-        for j in range(d):
-            scale = np.sqrt(following[i, i] * following[j, j]) + 1e-300
-            change = max(change, abs(following[i, j] - P[i, j]) / scale)
     for i in range(d):
         for j in range(d):
+            if i < kept:
+                scale = np.sqrt(following[i, i] * following[j, j]) + 1e-300
+                change = max(change, abs(following[i, j] - P[i, j]) / scale)
             P[i, j] = following[i, j]
     return S, change
 
@@ -145,6 +144,7 @@ def spread(root: Floats, slope: Floats, count: int, work: Floats) -> float:
 def _weigh(
     k: int,
     last: int,
+    count: int,
     wanted: int,
     columns: Floats,
     h: Floats,
@@ -162,12 +162,21 @@ def _weigh(
     """
     m, updated = gain_row[k].copy(), np.empty(h.size)
     left = m[wanted]
-    for j in range(weight.size):
+    for j in range(count):
         n = min(k + j, last)
         across = _next_state(0.0, present[n], columns, h, gain_K[n], m, updated)
         weight[j] = -across / gain_S[n]
         left -= across * across / gain_S[n]
         variance[j] = max(left, 0.0)
+
+
+@numba.njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+def _weighed(weight: Floats, v: Floats, series: int, k: int, count: int) -> float:
+    """Sum of the innovations of a series from k on, with their weights."""
+    total = 0.0
+    for j in range(count):
+        total += weight[j] * v[series, k + j]
+    return total
 
 
 @numba.njit(cache=True)
@@ -195,16 +204,18 @@ def emit(
     """Force at sample k from the readings up to sample end, and its variance."""
     count = end - k + 1
     if k <= counters[FAST]:
-        _weigh(k, end, wanted, columns, h, present, gain_K, gain_S, gain_row, weight[:count], variance[:count])
+        _weigh(k, end, count, wanted, columns, h, present, gain_K, gain_S, gain_row, weight, variance)
         counters[HELD] = -1
     elif k > counters[HELD]:
-        _weigh(k, end, wanted, columns, h, present, gain_K, gain_S, gain_row, weight, variance)
+        _weigh(k, end, weight.size, wanted, columns, h, present, gain_K, gain_S, gain_row, weight, variance)
         counters[HELD] = FOREVER if k > counters[UNSTEADY] else k + HOLD - 1 - (k + phase) % HOLD
     slope, work = np.empty(series - 1), np.empty(series - 1)
-    force = ahead[0, k] + np.dot(weight[:count], v[0, k : end + 1])
-    for s in range(series - 1):
-        slope[s] = shapes[s, k] - ahead[s + 1, k] - np.dot(weight[:count], v[s + 1, k : end + 1])
-        force += sizes[s] * slope[s]
+    force = 0.0
+    for s in range(series):  # one call, as the compiler makes a function anew for a number that is written out
+        told = ahead[s, k] + _weighed(weight, v, s, k, count)
+        if s > 0:
+            slope[s - 1] = shapes[s - 1, k] - told
+        force += sizes[s - 1] * slope[s - 1] if s > 0 else told
     return force, variance[count - 1] + spread(root, slope, series - 1, work)
 
 
@@ -212,15 +223,12 @@ def emit(
 def _expect_step(
     columns: Floats, h: Floats, K: Floats, S: float, step: Floats, response: Floats, inverse: Floats
 ) -> None:
-    """Whitened response to a step with the gain at hand, and the inverse of the information it brings by each age.
-
-    Both are in the order of the instants, the one longest ago first.
-    """
+    """Whitened response to a step with this gain, and the inverse of what it tells at each age, the oldest first."""
     x, updated = np.zeros(h.size), np.empty(h.size)
     total = 0.0
     for j in range(step.size):
         place = step.size - 1 - j
-        response[place] = _next_state(step[j], True, columns, h, K, x, updated) / np.sqrt(S)
+        response[place] = _next_state(step[j], step.size > 0, columns, h, K, x, updated) / np.sqrt(S)
         total += response[place] ** 2
         inverse[place] = 1 / total if total > 0 else 0.0
 
@@ -235,6 +243,7 @@ def advance(
     tolerance: float,
     series: int,
     A: Floats,
+    columns: Floats,
     Q: Floats,
     h: Floats,
     R: float,
@@ -267,18 +276,23 @@ def advance(
     window: int,
     strange: float,
     patience: int,
+    jolt: Floats,
     out_from: int,
     out: Floats,
 ) -> tuple[int, int]:
     """Take samples up to stop, each with the force that becomes final by it, until something happens.
 
+    After missing readings the variances of the states grow by the jolt.
+
     Returns the sample after the last one taken, and what happened; the force that becomes final by that last sample
     is then left to the caller.
     """
-    columns = A.T.copy()
     updated, work, shown = np.empty(h.size), np.empty(series), np.empty(series)
     for n in range(first, stop):
         here = present[n]
+        if here and n > 0 and not present[n - 1]:
+            for i in range(h.size):
+                P[i, i] += jolt[i]
         for i in range(steady_K.size):  # row by row copies cost the compiler seconds
             gain_row[n, i] = P[wanted, i]
         if counters[FROZEN] and here:
@@ -331,23 +345,25 @@ def advance(
 
 
 @numba.njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
-def _scan(scores: Floats, response: Floats, inverse: Floats, u: float, newest: int) -> float:
-    """Add a residual to what speaks for each instant, oldest first; the largest gain but for the newest instants."""
+def _scan(
+    scores: Floats, response: Floats, inverse: Floats, u: float, begin: int, stop: int, offset: int, newest: int
+) -> float:
+    """Add a residual to what speaks for instants, oldest first; the largest gain but for the newest instants."""
     best = 0.0
-    for j in range(scores.size):
-        scores[j] += u * response[j]
-    for j in range(scores.size - newest):
-        gain = scores[j] * scores[j] * inverse[j]
+    for n in range(begin, stop):
+        scores[n] += u * response[n + offset]
+    for n in range(begin, stop - newest):
+        gain = scores[n] * scores[n] * inverse[n + offset]
         best = gain if gain > best else best
     return best
 
 
 @numba.njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
-def _squares(residual: Floats) -> tuple[float, float]:
+def _squares(residual: Floats, begin: int, stop: int) -> tuple[float, float]:
     """Sum of squares, and the largest of them."""
     total, largest = 0.0, 0.0
-    for j in range(residual.size):
-        square = residual[j] * residual[j]
+    for n in range(begin, stop):
+        square = residual[n] * residual[n]
         total += square
         largest = square if square > largest else largest
     return total, largest
@@ -369,16 +385,14 @@ def _look(
 ) -> int:
     """Look for a step and for readings that are not explained, now that sample n is there."""
     since = counters[SCANNED]
-    reach = response.size
-    begin = max(since, n - reach + 1)
+    begin = max(since, n - response.size + 1)
     scores[n] = 0.0
     if begin <= n:
-        ages = slice(reach - 1 - (n - begin), reach)
-        best = _scan(scores[begin : n + 1], response[ages], inverse[ages], residual[n], youngest)
+        best = _scan(scores, response, inverse, residual[n], begin, n + 1, response.size - 1 - n, youngest)
         # of a single reading: a stray one is no step
-        if best > threshold and best - _squares(residual[begin : n + 1])[1] > threshold:
+        if best > threshold and best - _squares(residual, begin, n + 1)[1] > threshold:
             return STEP
-    total, largest = _squares(residual[max(n - window + 1, since, 0) : n + 1])
+    total, largest = _squares(residual, max(n - window + 1, since, 0), n + 1)
     counters[STRANGE_FOR] = counters[STRANGE_FOR] + 1 if total - largest > strange else 0
     return STRANGE if counters[STRANGE_FOR] > patience else NOTHING
 
@@ -389,7 +403,7 @@ def rebuild(
     stop: int,
     series: int,
     place: int,
-    A: Floats,
+    columns: Floats,
     h: Floats,
     x: Floats,
     wanted: int,
@@ -403,15 +417,14 @@ def rebuild(
     target: Floats,
 ) -> None:
     """Run one known shape, zero before sample first, through the gains of the samples taken and into the equations."""
-    d = h.size
-    columns = A.T.copy()
-    updated = np.empty(d)
-    x[place] = 0.0
-    v[place, :first] = 0.0
-    ahead[place, :first] = 0.0
+    updated = np.empty(h.size)
+    for i in range(h.size):  # written out: the compiler takes long over slices
+        x[place, i] = 0.0
+    for n in range(first):
+        v[place, n] = ahead[place, n] = 0.0
     row = place - 1
-    information[row, : series - 1] = 0.0
-    information[: series - 1, row] = 0.0
+    for s in range(series - 1):
+        information[row, s] = information[s, row] = 0.0
     target[row] = 0.0
     for n in range(first, stop):
         S = gain_S[n]
@@ -426,30 +439,11 @@ def rebuild(
 
 
 @numba.njit(cache=True)
-def innovate(first: int, stop: int, A: Floats, h: Floats, present: Flags, values: Floats, gain_K: Floats) -> Floats:
+def innovate(
+    first: int, stop: int, columns: Floats, h: Floats, present: Flags, values: Floats, gain_K: Floats
+) -> Floats:
     """Innovations of a shape that is zero before sample first, shape (stop - first,)."""
-    columns = A.T.copy()
     x, updated, v = np.zeros(h.size), np.empty(h.size), np.empty(stop - first)
     for n in range(first, stop):
         v[n - first] = _next_state(values[n - first], present[n], columns, h, gain_K[n], x, updated)
     return v
-
-
-@numba.njit(cache=True)
-def driven(transition: Floats, hold: Floats, ramp: Floats, x: Floats, force: Floats, last: Floats) -> Floats:
-    """First state after each value of a force that is a straight line between values; x and last are carried on."""
-    load = np.empty(force.size)
-    d = x.size
-    before = np.empty(d)
-    for i in range(force.size):
-        # written out: the compiler takes seconds over a product of arrays
-        for j in range(d):
-            before[j] = x[j]
-        for j in range(d):
-            total = hold[j] * last[0] + ramp[j] * (force[i] - last[0])
-            for m in range(d):
-                total += transition[j, m] * before[m]
-            x[j] = total
-        last[0] = force[i]
-        load[i] = x[0]
-    return load

@@ -66,11 +66,7 @@ class GroundSensor:
     @property
     def row(self) -> Array:
         """What it reads of the six motions, shape (6,)."""
-        if self.kind != "acceleration":
-            name = self.channel.name.rpartition("_")[2]
-            return np.array([float(component == name) for component in COMPONENTS])
-        turned = np.cross(DIRECTIONS, self.place)
-        return np.where(STRAIGHT > 0, DIRECTIONS @ self.axis, turned @ self.axis)
+        return row_of(self.channel.name, self.axis, self.place)
 
     @property
     def reads_gravity(self) -> bool:
@@ -93,7 +89,7 @@ def ground_sensors(recording: Recording) -> tuple[GroundSensor, ...]:
     """
     found: list[GroundSensor] = []
     for name, channel in recording.channels.items():
-        kind = _kind(name)
+        kind = sensor_kind(name)
         if kind is None:
             continue
         if channel.missing.all():
@@ -106,7 +102,15 @@ def ground_sensors(recording: Recording) -> tuple[GroundSensor, ...]:
     return tuple(found)
 
 
-def _kind(name: str) -> Kind | None:
+def row_of(name: str, axis: Array, place: Array) -> Array:
+    """What a channel reads of the six motions, shape (6,); axis and place are those of an accelerometer."""
+    if sensor_kind(name) != "acceleration":
+        return np.array([float(component == name.rpartition("_")[2]) for component in COMPONENTS])
+    return np.where(STRAIGHT > 0, DIRECTIONS @ axis, np.cross(DIRECTIONS, place) @ axis)
+
+
+def sensor_kind(name: str) -> Kind | None:
+    """What a channel of this name reads of the ground's motion; None if nothing."""
     if is_ground_acceleration(name):
         return "acceleration"
     stem, _, ending = name.rpartition("_")

@@ -87,7 +87,7 @@ class Turning:
         settled, noise = False, np.zeros(3)
         for _ in range(ROUNDS):
             rate, noise = _rate(fit, motion, walk)
-            before, felt = felt, _felt(fit, rate)
+            before, felt = felt, centripetal(fit, rate)
             motion = fit.motion(readings - felt) + known
             settled = bool((_rms(felt - before) <= SETTLED * _rms(felt)).all())
         if not settled:
@@ -131,7 +131,7 @@ def _integrated(values: Array, rate: float) -> Array:
     return np.asarray(whole - line[0] - line[1] * place)
 
 
-def _felt(fit: GroundFit, rate: Array) -> Array:
+def centripetal(fit: GroundFit, rate: Array) -> Array:
     """What the sensors read of w x (w x r), shape (n, m) [m/s^2]."""
     w = rate @ DIRECTIONS[list(TURNS)]
     square = np.sum(w**2, axis=1)

@@ -97,6 +97,11 @@ class LiveFilter:
         Number of the first reading that will be fed.
     step
         Load felt 1, 2, ... samples after a force of 1 N sets in, at least `SCAN_LAGS` lags long.
+
+    Attributes
+    ----------
+    jolt
+        What may happen unseen while readings are missing: by how much the variances of the states grow, shape (d,).
     """
 
     def __init__(self, system: StateSpace, *, interval: float, lag: int, first: int, step: Array) -> None:
@@ -106,6 +111,7 @@ class LiveFilter:
         room = HISTORY * lag + PIECE
         self.shapes: list[KnownShape] = []
         self.threshold = false_alarm_evidence(interval)
+        self.jolt = np.zeros(size)
         self._present = np.zeros(room, dtype=np.bool_)
         self._values, self._v, self._ahead = (np.zeros((MOST_SHAPES + 1, room)) for _ in range(3))
         self._forces = np.zeros((MOST_SHAPES, room))
@@ -190,6 +196,7 @@ class LiveFilter:
             GAIN_TOLERANCE,
             len(self.shapes) + 1,
             self.system.transition,
+            self._columns,
             self.system.process_noise,
             self._h,
             self.system.noise_variance,
@@ -222,6 +229,7 @@ class LiveFilter:
             STRANGE_WINDOW,
             strange_square(STRANGE_WINDOW) if watch else np.inf,
             self.lag // 4,
+            self.jolt,
             self.next_final - self.first if give else int(kernels.FOREVER),
             self._out,
         )
@@ -287,7 +295,7 @@ class LiveFilter:
             self.taken - self.first,
             len(self.shapes) + 1,
             place + 1,
-            self.system.transition,
+            self._columns,
             self._h,
             self._x,
             FORCE,
@@ -394,7 +402,7 @@ class LiveFilter:
         white[begin - first :] = kernels.innovate(
             begin - self.first,
             self.taken - self.first,
-            self.system.transition,
+            self._columns,
             self._h,
             self._present,
             values,

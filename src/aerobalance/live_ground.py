@@ -1,29 +1,18 @@
 """Readings as they come in, less the load that the ground end's motion makes the balance feel.
 
-That load is the same as that of `aerobalance.motion.load_from_ground`: the motion is interpolated
-band-limited to a clock `FINE` times as fast, and Eq. (8) of [Gorbushin2020]_ is integrated exactly on it. An
-interpolated value needs `REACH` samples after it.
+That load is the same as that of `aerobalance.motion.load_from_ground`, Eq. (8) of [Gorbushin2020]_ for a motion that
+is interpolated band-limited (`aerobalance.live_modes`).
 """
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
-from aerobalance import _live_kernels as kernels
 from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
-from aerobalance.motion import FINE, gravity_share
-from aerobalance.shaping import ShapingFilter
-from aerobalance.smoother import FORCE, StateSpace
-
-REACH: Final = 10
-"""Samples on either side that an interpolated value is made from."""
-
-SHARPNESS: Final = 8.0
-"""Parameter of the Kaiser window of the interpolation."""
+from aerobalance.live_modes import LiveModes
+from aerobalance.motion import gravity_share
 
 
 class LiveGround:
@@ -40,76 +29,33 @@ class LiveGround:
     """
 
     def __init__(self, dynamics: Dynamics, *, interval: float, delay: float = 0.0) -> None:
-        shift = (dynamics.delay + delay) / interval
-        self._weights, offset = _interpolation(shift)
-        # taps of a sample reach from `back` before it to `ahead` after it; times before the first have its value
-        self.ahead = max(offset + self._weights.shape[1] - 1, 0)
-        self._back = max(-offset, 0)
-        self._skip = self._back + offset
-        self._transition, self._hold, self._ramp = _exact(dynamics, interval / FINE)
+        self._modes = LiveModes(dynamics.modes, interval=interval, delays=(dynamics.delay + delay,))
+        self._shares = np.array([[mode.share, mode.rate_share] for mode in dynamics.modes]).T
         self._mass = dynamics.mass
-        self._state, self._last = np.zeros(self._hold.size), np.zeros(1)
         self._start: float | None = None
-        self._waiting = np.zeros(self._back)
+
+    @property
+    def ahead(self) -> int:
+        """Samples that a load waits for the motion after it."""
+        return self._modes.ahead
 
     def push(self, specific_force: Array) -> Array:
         """Load [N] that has become known by more of the motion, x1'' less gravity [m/s^2], from sample to sample."""
         net = -self._mass * specific_force
         if not net.size:
             return np.zeros(0)
-        start = self._start = float(net[0]) if self._start is None else self._start
-        self._waiting = np.concatenate([self._waiting, net - start])
-        return self._drive()
+        self._start = float(net[0]) if self._start is None else self._start
+        return self._whole(self._modes.push((net - self._start)[:, None, None] * self._shares))
 
     def finish(self) -> Array:
-        """The loads that wait for what comes after, the motion held where it ended."""
-        if self._start is None:
-            return np.zeros(0)
-        last = self._waiting[-1] if self._waiting.size else 0.0
-        self._waiting = np.concatenate([self._waiting, np.full(self.ahead, last)])
-        return self._drive()
+        """The loads that wait for what comes after: the motion goes on turned about its last sample."""
+        return np.zeros(0) if self._start is None else self._whole(self._modes.finish())
 
-    def _drive(self) -> Array:
-        count = self._waiting.size - self._back - self.ahead
-        if count <= 0:
-            return np.zeros(0)
-        taps = np.lib.stride_tricks.sliding_window_view(self._waiting[self._skip :], self._weights.shape[1])[:count]
-        # one product a tap, so that the sum does not hang on how many samples come at once
-        fine = np.zeros((count, FINE))
-        for tap in range(self._weights.shape[1]):
-            fine += taps[:, tap, None] * self._weights[:, tap]
-        load = kernels.driven(self._transition, self._hold, self._ramp, self._state, fine.ravel(), self._last)
-        self._waiting = self._waiting[count:]
-        return np.asarray(load[::FINE] + (self._start or 0.0))
-
-
-def _interpolation(shift: float) -> tuple[Array, int]:
-    """Weights (FINE, taps) of the samples in the values on the fine clock, and the first tap's distance in samples."""
-    place = np.arange(FINE) / FINE - shift
-    first = int(np.floor(place[0])) - REACH + 1
-    last = int(np.floor(place[-1])) + REACH
-    distance = np.arange(first, last + 1) - place[:, None]
-    inside = np.abs(distance) < REACH
-    window = np.i0(SHARPNESS * np.sqrt(np.where(inside, 1 - (distance / REACH) ** 2, 0.0))) * inside
-    weights = np.sinc(distance) * window
-    return np.ascontiguousarray(weights / weights.sum(axis=1, keepdims=True)), first
-
-
-def _exact(dynamics: Dynamics, interval: float) -> tuple[Array, Array, Array]:
-    """Transition of the balance's states and their response to a force held, and to one that rises by 1 N, exactly.
-
-    They are taken out of the state space of a force with two states, one the force and one its rise.
-    """
-    # a decay too slow to matter, without which the state space would have no stationary covariance
-    drift = np.array([[-1e-9, 1.0], [0.0, -1e-9]]) / interval
-    rising = ShapingFilter(drift, np.zeros(2))
-    whole = StateSpace.of_balance(dynamics, rising, interval=interval, noise=1.0).transition
-    own = np.delete(np.arange(whole.shape[0]), [FORCE, FORCE + 1])
-    return (
-        np.ascontiguousarray(whole[np.ix_(own, own)]),
-        np.ascontiguousarray(whole[own, FORCE]),
-        np.ascontiguousarray(whole[own, FORCE + 1]),
-    )
+    def _whole(self, parts: Array) -> Array:
+        load = np.full(parts.shape[0], self._start)
+        for part in parts.T:  # one by one, as a sum over modes could hang on how many samples come at once
+            load += part
+        return load
 
 
 class LiveReadings:
@@ -146,9 +92,9 @@ class LiveReadings:
         self._dynamics, self._interval, self._limit = dynamics, interval, limit
         self._delay, self._gravity = delay, gravity
         self._ground: LiveGround | None = None
-        self._last = 0.0
-        self._raw = self._motion = self._waiting = self._known = np.zeros(0)
-        self._released = False
+        self._last = np.zeros(1)
+        self._passed = Passed(2, interval=interval)
+        self._waiting = self._known = np.zeros(0)
         self.samples = self.missing = self.saturated = 0
 
     @property
@@ -174,16 +120,16 @@ class LiveReadings:
         self.samples += readings.size
         self.missing += int(np.count_nonzero(~present))
         self.saturated += int(np.count_nonzero(at_limit))
-        self._raw = np.concatenate([self._raw, np.where(present, readings, np.nan)])
         motion = np.zeros(readings.size)
         if channels:
             if self._ground is None:
                 self._ground = LiveGround(self._dynamics, interval=self._interval, delay=self._delay)
-            motion = self._bridged(self._specific_force(readings.size, acceleration, pitch, roll))
+            motion = held(self._specific_force(readings.size, acceleration, pitch, roll)[:, None], self._last)[:, 0]
+            self._last = motion[-1:] if motion.size else self._last
             self._known = np.concatenate([self._known, self._ground.push(motion)])
         else:
             self._known = np.concatenate([self._known, motion])
-        self._motion = np.concatenate([self._motion, motion])
+        self._passed.push(np.column_stack([np.where(present, readings, np.nan), motion]))
         self._waiting = np.concatenate([self._waiting, np.where(present & ~at_limit, readings, np.nan)])
         return self._ready()
 
@@ -195,16 +141,8 @@ class LiveReadings:
 
     def release(self, count: int) -> tuple[Array, Array, Array]:
         """Readings [N], the ground's specific force [m/s^2] and load rate [N/s] of the next samples that are final."""
-        start = 1 if self._released else 0
-        filled = self._raw[: start + count + 1]
-        place = np.maximum.accumulate(np.where(np.isfinite(filled), np.arange(filled.size), 0))
-        filled = np.nan_to_num(filled[place])
-        rate = np.gradient(filled, self._interval)[start : start + count] if filled.size > 1 else np.zeros(count)
-        load, motion = self._raw[start : start + count], self._motion[start : start + count]
-        if count:
-            self._raw, self._motion = self._raw[start + count - 1 :], self._motion[start + count - 1 :]
-            self._released = True
-        return load, motion, rate
+        rows, rates = self._passed.release(count)
+        return rows[:, 0], rows[:, 1], rates[:, 0]
 
     def _ready(self) -> Array:
         count = min(self._waiting.size, self._known.size)
@@ -222,13 +160,49 @@ class LiveReadings:
         angles = {"pitch": zero if pitch is None else pitch, "roll": zero if roll is None else roll}
         return np.asarray(force - self._gravity * gravity_share(self._dynamics.component, **angles))
 
-    def _bridged(self, motion: Array) -> Array:
-        """Motion with missing samples held at the last one that was there."""
-        whole = np.concatenate([[self._last], motion])
-        place = np.maximum.accumulate(np.where(np.isfinite(whole), np.arange(whole.size), 0))
-        filled: Array = whole[place]
-        self._last = float(filled[-1])
-        return filled[1:]
+
+def held(values: Array, last: Array) -> Array:
+    """Samples with missing ones held at the last that was there, shapes (m, c) and (c,)."""
+    there = np.isfinite(values)
+    if there.all():
+        return values
+    whole = np.vstack([last, values])
+    place = np.where(np.vstack([np.ones_like(there[:1]), there]), np.arange(whole.shape[0])[:, None], 0)
+    return np.asarray(np.take_along_axis(whole, np.maximum.accumulate(place, axis=0), axis=0)[1:])
+
+
+class Passed:
+    """Samples that wait until the force at them is final, to be given out with their rates.
+
+    Parameters
+    ----------
+    columns
+        Number of channels, c.
+    interval
+        Time between samples [s].
+    """
+
+    def __init__(self, columns: int, *, interval: float) -> None:
+        self._interval = interval
+        self._rows = np.zeros((0, columns))
+        self._released = False
+
+    def push(self, rows: Array) -> None:
+        """Take samples, shape (m, c), NaN where missing."""
+        self._rows = np.concatenate([self._rows, rows])
+
+    def release(self, count: int) -> tuple[Array, Array]:
+        """The next samples, as they came, and their rates by central differences, both of shape (count, c)."""
+        start = 1 if self._released else 0
+        seen = self._rows[: start + count + 1]
+        filled = np.nan_to_num(held(seen, np.zeros(seen.shape[1])))
+        rates = np.zeros((count, seen.shape[1]))
+        if seen.shape[0] > 1:
+            rates = np.gradient(filled, self._interval, axis=0)[start : start + count]
+        rows = self._rows[start : start + count]
+        if count:
+            self._rows, self._released = self._rows[start + count - 1 :], True
+        return rows, rates
 
 
 class RecentReadings:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Final, Literal
 
 import numpy as np
@@ -217,19 +218,32 @@ class Watch:
             self._tone, self._count = 0j, 0
 
 
-def wide_process(reading: Reading) -> Learned:
-    """A process that excludes no force in a band around the natural frequency, from a few readings."""
+def wide_process(reading: Reading, *, frequency: float) -> Learned:
+    """A process that excludes no force in a band around a natural frequency [Hz], from a few readings."""
     present = reading.values[reading.present]
     # few readings may make the noise look smaller than it is
     judged = white_noise(present) * (1 + 4 / np.sqrt(present.size))
     noise = judged if reading.noise is None else reading.noise
     noise = max(noise, reading.least_noise)
-    edge = min(WIDE_BAND * reading.dynamics.natural_frequency, 0.4 / reading.interval)
+    edge = min(WIDE_BAND * frequency, 0.4 / reading.interval)
     rms = max(2 * float(np.std(present)), WIDE_LEVEL * noise)
-    spectrum = Spectrum(np.array([np.inf]), np.array([rms**2 / (2 * edge)]), (edge, WIDE_EXPONENT, 1.0))
+    level = rms**2 / (2 * edge)
+    unit = _wide_shape()
+    shaping = ShapingFilter(edge * unit.drift, edge * float(np.sqrt(level)) * unit.drive)
+    return Learned(_wide_spectrum(edge, level), shaping, noise)
+
+
+def _wide_spectrum(edge: float, level: float) -> Spectrum:
+    return Spectrum(np.array([np.inf]), np.array([level]), (edge, WIDE_EXPONENT, 1.0))
+
+
+@cache
+def _wide_shape() -> ShapingFilter:
+    """The process of a wide band to 1 Hz, of density 1: any other is this one on another clock."""
+    spectrum = _wide_spectrum(1.0, 1.0)
 
     def density(frequency: Array) -> Array:
         # the faint floor keeps the logarithm of the density within bounds
-        return np.asarray(spectrum.density(frequency) + 1e-12 * spectrum.levels[0] / (1 + (frequency / edge) ** 4))
+        return np.asarray(spectrum.density(frequency) + 1e-12 / (1 + frequency**4))
 
-    return Learned(spectrum, ShapingFilter.of_spectrum(density, centre=edge), noise)
+    return ShapingFilter.of_spectrum(density, centre=1.0)

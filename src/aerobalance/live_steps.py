@@ -7,13 +7,16 @@ off by and carries its uncertainty. A third one does so for the duration of a re
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.stats import norm
 
+from aerobalance import _live_kernels as kernels
 from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
-from aerobalance.live_filter import KnownShape, LiveFilter
+from aerobalance.live_filter import MOST_STEPS, KnownShape, LiveFilter
 from aerobalance.steps import RAMP_EVIDENCE, Step
 
 SHIFT: Final = 0.05
@@ -24,6 +27,127 @@ WINDOW: Final = 8
 
 TURNS: Final = 8
 """Iterations of Gauss and Newton at most."""
+
+STEP_LAGS: Final = 4
+"""Lags after which a step is no longer placed again."""
+
+
+@dataclass(slots=True, eq=False)
+class Followed:
+    """A step that still rings, its shapes in the filter, and the sample at which it is placed again."""
+
+    step: Step
+    shapes: list[KnownShape]
+    again: int
+
+    def places(self, live: LiveFilter) -> list[int]:
+        """Where its shapes are in the filter."""
+        return [place for place, shape in enumerate(live.shapes) if any(shape is mine for mine in self.shapes)]
+
+
+class Following:
+    """The steps of one stream: those that ring on are known shapes of its filter, of the others there is a list.
+
+    Parameters
+    ----------
+    dynamics
+        The balance.
+    interval
+        Time between samples [s].
+    """
+
+    def __init__(self, dynamics: Dynamics, *, interval: float) -> None:
+        self._dynamics, self._interval = dynamics, interval
+        self._followed: list[Followed] = []
+        self._past: list[Step] = []
+
+    @property
+    def all(self) -> tuple[Step, ...]:
+        """Every step, instants since the first reading [s]."""
+        return (*self._past, *(one.step for one in self._followed))
+
+    @property
+    def ringing_on(self) -> tuple[Followed, ...]:
+        """Those that the filter follows."""
+        return tuple(self._followed)
+
+    @property
+    def full(self) -> bool:
+        """Whether the filter has no room for another."""
+        return len(self._followed) == MOST_STEPS
+
+    def young(self, taken: int, *, lag: int) -> list[Followed]:
+        """Steps so young, by the samples taken, that they are still placed."""
+        oldest = (taken - STEP_LAGS * lag) * self._interval
+        return [one for one in self._followed if one.step.instant > oldest]
+
+    def doubt(self, first: int, count: int) -> Array:
+        """Variance of the force at samples as it is not known on which side of a step they lie, shape (count,)."""
+        time = (first + np.arange(count)) * self._interval
+        variance = np.zeros(count)
+        for step in (one.step for one in self._followed):
+            if step.duration <= 0:
+                after = norm.cdf((time - step.instant) / max(step.instant_uncertainty, 1e-12 * self._interval))
+                variance += step.height**2 * after * (1 - after)
+        return variance
+
+    def follow(self, live: LiveFilter, step: Step) -> None:
+        """Put a step into the filter."""
+        shapes = shapes_of(step, self._dynamics, interval=self._interval)
+        for shape in shapes:
+            live.add(shape)
+        self._followed.append(Followed(step, shapes, again=live.taken + 4))
+
+    def place_again(self, live: LiveFilter, one: Followed, *, lag: int) -> None:
+        """Place a step again, now that more readings tell of it; the next time when there are twice as many."""
+        age = live.taken - one.step.instant / self._interval
+        own = one.places(live)
+        step, evidence = place_step(live, self._dynamics, one.step, own=own, search=age < lag / 2, ramps=True)
+        one.step = replace(step, evidence=evidence)
+        shapes = shapes_of(one.step, self._dynamics, interval=self._interval)
+        if len(shapes) == len(own):
+            for place, shape in zip(own, shapes, strict=True):
+                live.replace(place, shape)
+        else:
+            for place in reversed(own):
+                live.drop(place)
+            for shape in shapes:
+                live.add(shape)
+        one.shapes = shapes
+        one.again = live.taken + max(round(age), 4) if age < STEP_LAGS * lag else kernels.FOREVER
+        live.look_again(after=0)
+
+    def move(self, fresh: LiveFilter, *, since: int) -> bool:
+        """Go on in another filter with the steps after a sample; whether there are any."""
+        kept = [one for one in self._followed if one.step.instant > since * self._interval]
+        self._past += [one.step for one in self._followed if one not in kept]
+        self._followed = kept
+        for one in kept:
+            for shape in one.shapes:
+                fresh.add(shape)
+        return bool(kept)
+
+    def take_back(self, steps: Collection[Followed]) -> None:
+        """Forget steps as if they had never been, before the filter is changed."""
+        self._followed = [one for one in self._followed if one not in steps]
+
+    def add_new(self, live: LiveFilter, steps: Collection[Step]) -> None:
+        """Follow those of some steps that are not known yet and lie within the readings kept."""
+        near = 1 / self._dynamics.natural_frequency
+        for step in steps:
+            known = any(abs(step.instant - other.step.instant) < near for other in self._followed)
+            if step.instant > (live.oldest + 2) * self._interval and not known and not self.full:
+                self.follow(live, step)
+
+    def let_go(self, live: LiveFilter) -> None:
+        """Count steps that no longer ring with the constant."""
+        for one in self.ringing_on:
+            places = one.places(live)
+            if all(live.rung_out(place) for place in places):
+                for place in reversed(places):
+                    live.remove(place)
+                self._past.append(one.step)
+                self._followed.remove(one)
 
 
 def shapes_of(step: Step, dynamics: Dynamics, *, interval: float) -> list[KnownShape]:

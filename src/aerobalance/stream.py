@@ -7,17 +7,16 @@ Learning takes longer than a sample may; `LiveForce.snapshot` and `LiveForce.ado
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.stats import norm
 
 from aerobalance import _live_kernels as kernels
 from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import PARAMETERS, Dynamics
-from aerobalance.live_filter import HISTORY, MOST_STEPS, PIECE, SCAN_LAGS, KnownShape, LiveFilter, false_alarm_evidence
+from aerobalance.live_filter import HISTORY, PIECE, SCAN_LAGS, LiveFilter, false_alarm_evidence
 from aerobalance.live_ground import LiveReadings, RecentReadings
 from aerobalance.live_state import (
     SHORTEST,
@@ -30,9 +29,10 @@ from aerobalance.live_state import (
     Watch,
     wide_process,
 )
-from aerobalance.live_steps import place_step, shapes_of
+from aerobalance.live_steps import STEP_LAGS, Followed, Following, place_step
 from aerobalance.prior import Learned, Reading
 from aerobalance.problems import FitError
+from aerobalance.smoother import FORCE, LOAD, LOAD_RATE
 from aerobalance.steps import Step
 
 LAG_PERIODS: Final = 5.0
@@ -46,18 +46,6 @@ WIDE_DOUBT: Final = 2.0
 
 FEW_STEPS: Final = 2
 """Steps within the time of `STEP_LAGS` that are taken for steps."""
-
-STEP_LAGS: Final = 4
-"""Lags after which a step is no longer placed again."""
-
-
-@dataclass(slots=True, eq=False)
-class _Followed:
-    """A step that still rings, its shapes in the filter, and the sample at which it is placed again."""
-
-    step: Step
-    shapes: list[KnownShape]
-    again: int
 
 
 class LiveForce:
@@ -89,6 +77,11 @@ class LiveForce:
         Time by which the load channel lags the ground channel beside the delay of the dynamics [s].
     gravity
         Local acceleration of gravity [m/s^2].
+    jolted
+        Whether a free oscillation that nothing explains may have begun wherever readings are missing.
+    highest
+        Natural frequency up to which, and somewhat beyond, the force is taken to reach while nothing is learned [Hz];
+        the balance's own if None.
     """
 
     def __init__(
@@ -105,6 +98,8 @@ class LiveForce:
         ground_noise: float = 0.0,
         ground_delay: float = 0.0,
         gravity: float = STANDARD_GRAVITY,
+        jolted: bool = False,
+        highest: float | None = None,
     ) -> None:
         if not 0 < interval < np.inf:
             raise ValueError(f"interval must be positive and finite, not {interval}")
@@ -118,7 +113,8 @@ class LiveForce:
         self.latency = round(time / interval)
         if self.latency < SHORTEST:
             raise ValueError(f"a lag of {time:g} s is {self.latency} samples; at least {SHORTEST} are needed")
-        self._noise = noise
+        self._noise, self._jolted = noise, jolted
+        self._highest = dynamics.natural_frequency if highest is None else highest
         self._input_density = (dynamics.mass * ground_noise) ** 2 * interval
         self._readings = LiveReadings(dynamics, interval=interval, limit=limit, delay=ground_delay, gravity=gravity)
         self._learning: Learning | None = None if learned is None else Learning(learned, (), 0, 0)
@@ -131,8 +127,7 @@ class LiveForce:
         self._filter: LiveFilter | None = None
         self._wide_again = self._placed_for = 0
         self._widen_at = 2 * self.latency
-        self._followed: list[_Followed] = []
-        self._past: list[Step] = []
+        self._steps = Following(dynamics, interval=interval)
         self._watch, self._ended = Watch(dynamics, interval=interval), False
 
     # ---- readings in, force out
@@ -228,7 +223,7 @@ class LiveForce:
 
         These samples are counted from the first reading, so that nothing hangs on how the readings are chunked.
         """
-        marks = [live.filled, (live.taken // STRETCH + 1) * STRETCH, *(one.again for one in self._followed)]
+        marks = [live.filled, (live.taken // STRETCH + 1) * STRETCH, *(one.again for one in self._steps.ringing_on)]
         if self._learn_at is not None:
             marks.append(self._learn_at)
         if self._learning is None:
@@ -244,9 +239,9 @@ class LiveForce:
         if happened != kernels.NOTHING and self._filter is not None:
             self._filter.give(self._filter.taken - self.lag)
             self._collect(parts)
-        for one in self._followed:
+        for one in self._steps.ringing_on:
             if self._filter is live and live.taken == one.again:
-                self._place_again(live, one)
+                self._steps.place_again(live, one, lag=self.lag)
         if self._filter is live and live.taken % STRETCH == 0:
             self._draw_up(live)
         if self._filter is live and self._learning is None and live.taken == self._widen_at:
@@ -260,59 +255,28 @@ class LiveForce:
         if self._filter is None:
             return
         begin, force, variance = self._filter.collect()
-        time = (begin + np.arange(force.size)) * self.interval
-        for one in self._followed:
-            step = one.step
-            if step.duration <= 0 and force.size:
-                after = norm.cdf((time - step.instant) / max(step.instant_uncertainty, 1e-12 * self.interval))
-                variance = variance + step.height**2 * after * (1 - after)
-        parts.append((force, variance))
+        parts.append((force, variance + self._steps.doubt(begin, force.size)))
 
     # ---- steps
 
     @property
     def steps(self) -> tuple[Step, ...]:
         """Steps of the force that were found, instants since the first reading [s]."""
-        return (*self._past, *(one.step for one in self._followed))
+        return self._steps.all
 
     def _take_up_step(self, live: LiveFilter) -> None:
-        if len(self._ringing) >= FEW_STEPS or len(self._followed) == MOST_STEPS:
+        young = self._steps.young(live.taken, lag=self.lag)
+        if len(young) >= FEW_STEPS or self._steps.full:
             # so many so soon are a load that fluctuates, not steps
-            self._fall_back(live, without=self._ringing)
+            self._fall_back(live, without=young)
             return
         guess = Step(live.likeliest_step(), 0.0)
         step, evidence = place_step(live, self.dynamics, guess, own=(), search=True, ramps=False)
         if evidence < live.threshold:
             live.look_again(after=live.taken)
             return
-        self._follow(live, replace(step, evidence=evidence))
+        self._steps.follow(live, replace(step, evidence=evidence))
         live.look_again(after=live.taken + self.lag // 4)
-
-    def _follow(self, live: LiveFilter, step: Step) -> None:
-        shapes = shapes_of(step, self.dynamics, interval=self.interval)
-        for shape in shapes:
-            live.add(shape)
-        self._followed.append(_Followed(step, shapes, again=live.taken + 4))
-
-    def _place_again(self, live: LiveFilter, one: _Followed) -> None:
-        """Place a step again, now that more readings tell of it; the next time when there are twice as many."""
-        age = live.taken - one.step.instant / self.interval
-        own = [place for place, shape in enumerate(live.shapes) if any(shape is mine for mine in one.shapes)]
-        search = age < self.lag / 2
-        step, evidence = place_step(live, self.dynamics, one.step, own=own, search=search, ramps=True)
-        one.step = replace(step, evidence=evidence)
-        shapes = shapes_of(one.step, self.dynamics, interval=self.interval)
-        if len(shapes) == len(own):
-            for place, shape in zip(own, shapes, strict=True):
-                live.replace(place, shape)
-        else:
-            for place in reversed(own):
-                live.drop(place)
-            for shape in shapes:
-                live.add(shape)
-        one.shapes = shapes
-        one.again = live.taken + max(round(age), 4) if age < STEP_LAGS * self.lag else kernels.FOREVER
-        live.look_again(after=0)
 
     # ---- what the force is taken for
 
@@ -321,7 +285,7 @@ class LiveForce:
         if np.count_nonzero(np.isfinite(values)) < FEWEST:
             values = self._begin  # a long gap
         reading = Reading(values, self.interval, self.dynamics, self._input_density, self._noise)
-        learned = self._learning.learned if self._learning else wide_process(reading)
+        learned = self._learning.learned if self._learning else wide_process(reading, frequency=self._highest)
         later = (np.arange(SCAN_LAGS * self.lag) + 1) * self.interval
         live = LiveFilter(
             reading.system(learned),
@@ -330,6 +294,10 @@ class LiveForce:
             first=first,
             step=self.dynamics.step_response(later),
         )
+        if self._jolted:
+            further = FORCE + learned.shaping.order
+            live.jolt[[LOAD, LOAD_RATE]] = reading.swing**2
+            live.jolt[further : further + 2 * len(self.dynamics.further_modes)] = reading.swing**2
         self._set_evidence(live)
         return live
 
@@ -346,43 +314,33 @@ class LiveForce:
         fresh.feed(values)
         fresh.run(live.taken, watch=False, give=False)
         fresh.start_giving(live.next_final)
-        kept = [one for one in self._followed if one.step.instant > (start + 2) * self.interval]
-        self._past += [one.step for one in self._followed if one not in kept]
-        self._followed = kept
-        for one in kept:
-            for shape in one.shapes:
-                fresh.add(shape)
+        kept = self._steps.move(fresh, since=start + 2)
         # what was not explained before may have been a step
         fresh.look_again(after=fresh.taken if kept else fresh.taken - self.lag)
         self._filter = fresh
 
     def _answer_strangeness(self, live: LiveFilter) -> None:
         """Readings are not explained: place the steps again that still ring, or else fall back on a wide band."""
-        if self._ringing and live.taken > self._placed_for + STEP_LAGS * self.lag:
+        young = self._steps.young(live.taken, lag=self.lag)
+        if young and live.taken > self._placed_for + STEP_LAGS * self.lag:
             self._placed_for = live.taken
-            for one in self._ringing:
-                self._place_again(live, one)
+            for one in young:
+                self._steps.place_again(live, one, lag=self.lag)
         else:
             self._fall_back(live)
 
-    def _fall_back(self, live: LiveFilter, *, without: Collection[_Followed] = ()) -> None:
+    def _fall_back(self, live: LiveFilter, *, without: Collection[Followed] = ()) -> None:
         """Take the force for a wide band, of a strength judged anew, and some steps for a part of it."""
         if live.taken < self._wide_again:
             live.look_again(after=live.taken)
             return
         self._wide_again = self._widen_at = live.taken + 2 * self.lag
-        self._followed = [one for one in self._followed if one not in without]
+        self._steps.take_back(without)
         if self._learning is not None:
             self._learning, self._process = None, "fallback"
             self._learn_from = max(live.taken - self.lag, 0)
             self._learn_at = None if self._auto is None else live.taken + self._auto
         self._change_process(live)
-
-    @property
-    def _ringing(self) -> list[_Followed]:
-        """Steps so young that they are still placed."""
-        oldest = 0.0 if self._filter is None else (self._filter.taken - STEP_LAGS * self.lag) * self.interval
-        return [one for one in self._followed if one.step.instant > oldest]
 
     def snapshot(self) -> Snapshot:
         """The last readings; `Snapshot.learn` may run in another thread, its result goes to `adopt`.
@@ -415,12 +373,7 @@ class LiveForce:
             raise ValueError("too few readings were pushed; give the process when the LiveForce is made")
         self._learning, self._process = learning, "learned"
         self._change_process(self._filter)
-        near = 1 / self.dynamics.natural_frequency
-        oldest = (self._filter.oldest + 2) * self.interval
-        for step in learning.steps:
-            known = any(abs(step.instant - other.step.instant) < near for other in self._followed)
-            if step.instant > oldest and not known and len(self._followed) < MOST_STEPS:
-                self._follow(self._filter, step)
+        self._steps.add_new(self._filter, learning.steps)
         self._filter.look_again(after=self._filter.taken)
 
     def relearn(self) -> None:
@@ -442,13 +395,12 @@ class LiveForce:
         """State of health from the last stretch; a step that no longer rings is counted with the constant."""
         self._watch.look(*live.residuals(live.taken - STRETCH, live.taken), stop=live.taken)
         self._set_evidence(live)
-        for one in list(self._followed):
-            places = [place for place, shape in enumerate(live.shapes) if any(shape is mine for mine in one.shapes)]
-            if all(live.rung_out(place) for place in places):
-                for place in reversed(places):
-                    live.remove(place)
-                self._past.append(one.step)
-                self._followed.remove(one)
+        if self._jolted:
+            values = live.readings(max(live.oldest, live.taken - STRETCH), live.taken)
+            known = values[np.isfinite(values)]
+            largest = float(np.ptp(known)) ** 2 if known.size else 0.0
+            live.jolt[live.jolt > 0] = max(float(live.jolt.max()), largest)
+        self._steps.let_go(live)
 
     @property
     def health(self) -> Health:

@@ -13,6 +13,7 @@ from typing import Final
 
 from aerobalance.acquire.setup import load_setup
 from aerobalance.monitor.access import Door, is_loopback
+from aerobalance.monitor.folder import Folder
 from aerobalance.monitor.setups import rig_setup
 
 DEFAULT_PORT: Final = 8765
@@ -87,8 +88,9 @@ def monitor(
             "use it on a network that you trust, or through a tunnel"
         )
     from aerobalance.monitor.server import Page, serve  # noqa: PLC0415 - the call is checked before it is loaded
+    from aerobalance.monitor.station import Beginning  # noqa: PLC0415
 
-    page = Page(chosen, place, setup_file=setup, door=door)
+    page = Page(Beginning(chosen, Folder(place), setup), door=door)
     name = "localhost" if is_loopback(reach.host) and ":" in reach.host else reach.host
     address = f"{'https' if secure else 'http'}://{name}:{port}/"
 

@@ -16,7 +16,7 @@ import numpy as np
 from aerobalance.acquire.feed import Feed
 from aerobalance.acquire.setup import parse_setup
 from aerobalance.acquire.source import Block
-from aerobalance.monitor.messages import News, SetZeros, TakeZeros, Trouble, Watch, Watching, Zeros
+from aerobalance.monitor.messages import Means, News, SetZeros, TakeMeans, TakeZeros, Trouble, Watch, Watching, Zeros
 from aerobalance.monitor.orphan import end_with_starter
 from aerobalance.monitor.panels import panel_of
 from aerobalance.monitor.view import View
@@ -70,6 +70,9 @@ class _Engine:
             self._watch(order)
         elif isinstance(order, SetZeros) and self._view is not None:
             self._view.set_zeros(order.zeros)
+        elif isinstance(order, TakeMeans) and self._view is not None:
+            spans = zip(self._view.panel.names, map(tuple, self._view.means.T.tolist()), strict=True)
+            self._control.send(Means(dict(spans), self._view.means_since))
         elif isinstance(order, TakeZeros) and self._view is not None:
             try:
                 self._control.send(Zeros(self._view.zeros()))
@@ -98,8 +101,8 @@ class _Engine:
                 components=panel.components,
                 half_ranges=dict(panel.half_ranges),
                 limits=dict(panel.limits),
-                masses={name: dynamics.mass for name, dynamics in panel.dynamics.items()},
-                frequencies={name: dynamics.natural_frequency for name, dynamics in panel.dynamics.items()},
+                masses=panel.masses,
+                frequencies=panel.frequencies,
             )
         )
 
@@ -180,8 +183,8 @@ def joined(blocks: Sequence[Block]) -> list[Block]:
     ]
 
 
-def _warm_up() -> None:
-    """Load the compiled loops before there is something to follow."""
+def warm_up() -> None:
+    """Load the compiled loops before there is something to follow; the first time, they are compiled."""
     dynamics = CABLE_CUT.dynamics
     live = LiveForce(dynamics, interval=1 / CABLE_CUT.rate.value, learn_after=None)
     readings = np.random.default_rng(0).standard_normal(600)
@@ -192,6 +195,6 @@ def run_engine(control: Pipe, learner: Pipe) -> None:
     """Follow sources as told: the body of a process. It ends with the server."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_starter()
-    _warm_up()
+    warm_up()
     with contextlib.suppress(EOFError, OSError):
         _Engine(control, learner).run()

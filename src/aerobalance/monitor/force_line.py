@@ -1,16 +1,18 @@
-"""The live force of one component, at a rate that suits its natural frequency, through gaps and new starts."""
+"""The live force at a rate that suits the natural frequencies, through gaps and new starts."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
 from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
-from aerobalance.live_state import Health, Learning, Snapshot
+from aerobalance.live_state import Health, Learning, LiveEstimate, Snapshot
 from aerobalance.motion import AT_REST, gravity_share
 from aerobalance.noise import white_noise
 from aerobalance.problems import FitError
@@ -74,7 +76,218 @@ class Piece:
     load: Array
 
 
-class ForceLine:
+class Line(Protocol):
+    """What the page asks of the force of one component."""
+
+    factor: int
+    interval: float
+
+    @property
+    def generation(self) -> int:
+        """Which stream it is, counted: what was learned of one that has ended is kept for the next start."""
+
+    @property
+    def moving(self) -> bool:
+        """Whether the ground end moves."""
+
+    @property
+    def health(self) -> Health | None:
+        """State of health; None before there is a force."""
+
+    @property
+    def lag(self) -> float:
+        """Time by which the force lags the readings [s]."""
+
+    def due(self) -> Snapshot | None:
+        """Return the readings to learn from, where it is time to."""
+
+    def adopt(self, learning: Learning, *, generation: int) -> None:
+        """Go on with what was learned, unless it is of a stream that has ended."""
+
+    def weight(self, means: Array) -> float:
+        """Weight along the component at mean readings of all channels, shape (c,): a zero must not take it off."""
+
+
+class Stream(ABC):
+    """Readings on their way to a live force: thinned out, their gaps bridged, begun anew where nothing else helps.
+
+    Parameters
+    ----------
+    rate
+        Sampling rate of the source [Hz].
+    frequency
+        Highest natural frequency [Hz].
+    loads, motion
+        Columns of the loads and of the other channels that are wanted.
+    watched
+        Which of the latter are accelerations of the ground end, to be taken as zero while they show nothing.
+    """
+
+    def __init__(
+        self, *, rate: float, frequency: float, loads: Sequence[int], motion: Sequence[int], watched: Sequence[int]
+    ) -> None:
+        self.factor = max(1, int(rate / (SAMPLES_A_PERIOD * frequency)))
+        self.interval = self.factor / rate
+        self._loads, self._wanted = len(loads), [*loads, *motion]
+        self._watched = [self._wanted.index(place) for place in watched]
+        self.moves = np.zeros(len(watched), dtype=np.bool_)
+        self.generation = 0
+        self._last = np.zeros(len(self._wanted))
+        self._waiting = np.empty((0, len(self._wanted)))
+        self._expected: int | None = None
+        self._latency = 0
+        self._running = False
+        self._reset(0)
+
+    @abstractmethod
+    def _begin(self) -> None:
+        """Make the live force anew, with what was learned."""
+
+    @abstractmethod
+    def _forget(self) -> None:
+        """Forget what was learned."""
+
+    @abstractmethod
+    def _force(self, rows: Array) -> Mapping[str, LiveEstimate]:
+        """Push thinned readings of the wanted channels into the live force, and note its latency."""
+
+    # ---- samples in, force out
+
+    def push(self, tick: int, values: Array) -> dict[str, Piece]:
+        """Take samples of all channels in SI units, shape (n, c), the first at `tick`; return what became final."""
+        wanted = values[:, self._wanted]
+        if self._expected is None or not 0 <= tick - self._expected <= self._bridged:
+            self._reset(tick)
+        elif tick > self._expected:
+            hole = np.repeat(self._last[None], tick - self._expected, axis=0)
+            hole[:, : self._loads] = np.nan
+            wanted = np.concatenate((hole, wanted))
+        self._expected = tick + values.shape[0]
+        if not wanted.shape[0]:
+            return {}
+        self._last = wanted[-1]
+        return self._take(self._thinner.push(wanted))
+
+    def _take(self, rows: Array) -> dict[str, Piece]:
+        self._see_ground(rows)
+        if not self._running:
+            self._waiting = np.concatenate((self._waiting, rows))
+            if self._waiting.shape[0] * self.interval < SETTLING:
+                return {}
+            rows, self._waiting = self._waiting, self._waiting[:0]
+            self._start()
+        try:
+            found = self._force(rows)
+        except (ArithmeticError, np.linalg.LinAlgError, FitError):
+            # readings that no filter can follow: begin anew, without what was learned from them
+            self._forget()
+            self._restart()
+            return {}
+        self.pushed += rows.shape[0]
+        return {name: self._piece(final) for name, final in found.items() if final.force.size}
+
+    def _piece(self, final: LiveEstimate) -> Piece:
+        tick = self._origin + self._thinner.first + (self._begun + final.first) * self.factor
+        return Piece(tick, self.factor, final.force, final.uncertainty, final.load)
+
+    # ---- beginning, and beginning anew
+
+    def _reset(self, tick: int) -> None:
+        """Begin with the sample at a tick."""
+        self._thinner = Thinner(len(self._wanted), self.factor)
+        self._origin, self._begun, self.pushed = tick, 0, 0
+        self._waiting = np.empty((0, len(self._wanted)))
+        self._running = False
+        self._recent = np.empty((0, len(self._watched)))
+        self._last = np.zeros(len(self._wanted))
+        self._looked = 0.0
+        self._moved = np.zeros(len(self._watched))
+        self.generation += 1
+
+    def restart(self) -> None:
+        """Begin anew, keeping what was learned: the readings are counted from another zero."""
+        if self._expected is not None:
+            self._reset(self._expected)
+
+    def _restart(self) -> None:
+        self._begun += self.pushed
+        self.pushed = 0
+        self.generation += 1
+        self._start()
+
+    def _start(self) -> None:
+        self._running = True
+        self._begin()
+
+    @property
+    def running(self) -> bool:
+        """Whether there is a live force."""
+        return self._running
+
+    @property
+    def lag(self) -> float:
+        """Time by which the force lags the readings [s]."""
+        return self._latency * self.interval + self._thinner.first * self.interval / self.factor
+
+    @property
+    def _bridged(self) -> int:
+        """Longest gap that is bridged, in ticks."""
+        return self._latency * self.factor if self._running else 0
+
+    # ---- does the ground end move?
+
+    def _see_ground(self, rows: Array) -> None:
+        """Take the accelerometers' noise for no motion, as it would only spoil the force."""
+        if not self._watched:
+            return
+        self._recent = np.concatenate((self._recent, rows[:, self._watched]))[-LOOKED_AT:]
+        time = (self._begun + self.pushed + self._waiting.shape[0] + rows.shape[0]) * self.interval
+        if time < SETTLING or (self._running and time - self._looked < LOOK):
+            return
+        self._looked = time
+        known = self._recent[np.isfinite(self._recent).all(axis=1)]
+        if known.shape[0] < 64:
+            return
+        limit = AT_REST * (1 + FEW / np.sqrt(known.shape[0]))
+        moves = np.array([np.var(column) >= limit * white_noise(column) ** 2 for column in known.T])
+        self._moved[moves] = time
+        moving = moves | (self.moves & (time - self._moved < CALM))
+        if (moving != self.moves).any():
+            self.moves = moving
+            if self._running:
+                self._restart()
+
+    @property
+    def ground_noise(self) -> Array:
+        """Noise of the accelerations that are used, shape (their number,); 0 for those that show nothing."""
+        found = np.zeros(len(self._watched))
+        if self._recent.shape[0] >= 8:
+            found[self.moves] = [white_noise(column) for column in self._recent.T[self.moves]]
+        return found
+
+
+class Schedule:
+    """When the process of a force is learned."""
+
+    def __init__(self) -> None:
+        self._generation = -1
+        self._next, self._fallen = FIRST_LEARNING, False
+
+    def due(self, health: Health, *, time: float, generation: int) -> bool:
+        """Whether it is time to, so long after a start [s]."""
+        if generation != self._generation:
+            self._generation, self._next, self._fallen = generation, FIRST_LEARNING, False
+        fallen = health.process == "fallback"
+        if fallen and not self._fallen:
+            self._next = time + FIRST_LEARNING
+        self._fallen = fallen
+        if time < self._next or (self._next > LAST_LEARNING and not health.learning_due):
+            return False
+        self._next = max(2 * self._next, time + FIRST_LEARNING)
+        return True
+
+
+class ForceLine(Stream):
     """One component.
 
     Parameters
@@ -89,152 +302,56 @@ class ForceLine:
 
     def __init__(self, dynamics: Dynamics, *, rate: float, columns: Columns) -> None:
         self.dynamics, self._columns = dynamics, columns
-        self.factor = max(1, int(rate / (SAMPLES_A_PERIOD * dynamics.natural_frequency)))
-        self.interval = self.factor / rate
-        self._wanted = [columns.load, *(place for place in columns[1:4] if place is not None)]
-        self.moving = columns.coupling == "dc"
         self._learning: Learning | None = None
-        self.generation = 0
-        self._expected: int | None = None
+        self._schedule = Schedule()
         self._live: LiveForce | None = None
-        self._waiting = self._last = self._recent = np.empty(0)
-        self._reset(0)
-
-    # ---- samples in, force out
-
-    def push(self, tick: int, values: Array) -> Piece | None:
-        """Take samples of all channels in SI units, shape (n, c), the first at `tick`; return what became final."""
-        wanted = values[:, self._wanted]
-        if self._expected is None or not 0 <= tick - self._expected <= self._bridged:
-            self._reset(tick)
-        elif tick > self._expected:
-            hole = np.repeat(self._last[None], tick - self._expected, axis=0)
-            hole[:, 0] = np.nan
-            wanted = np.concatenate((hole, wanted))
-        self._expected = tick + values.shape[0]
-        if not wanted.shape[0]:
-            return None
-        self._last = wanted[-1]
-        return self._take(self._thinner.push(wanted))
-
-    def _take(self, rows: Array) -> Piece | None:
-        self._see_ground(rows)
-        if self._live is None:
-            self._waiting = np.concatenate((self._waiting, rows))
-            if self._waiting.shape[0] * self.interval < SETTLING:
-                return None
-            rows, self._waiting = self._waiting, self._waiting[:0]
-            self._live = self._made()
-        live = self._live
-        ground, pitch, roll = self._motion(rows)
-        try:
-            found = live.push(rows[:, 0], ground_acceleration=ground, pitch=pitch, roll=roll)
-        except (ArithmeticError, np.linalg.LinAlgError, FitError):
-            # readings that no filter can follow: begin anew, without what was learned from them
-            self._learning = None
-            self._restart()
-            return None
-        self._pushed += rows.shape[0]
-        if not found.force.size:
-            return None
-        tick = self._origin + self._thinner.first + (self._begun + found.first) * self.factor
-        return Piece(tick, self.factor, found.force, found.uncertainty, found.load)
-
-    def _motion(self, rows: Array) -> tuple[Array | None, Array | None, Array | None]:
-        places = {name: None if place is None else rows[:, self._wanted.index(place)] for name, place in self._ends}
-        if not self.moving:
-            places["ground"] = None
-        if self._columns.coupling == "dc" and places["ground"] is not None:
-            return places["ground"], None, None
-        return places["ground"], places["pitch"], places["roll"]
+        self._reads_gravity = columns.coupling == "dc" and columns.ground is not None
+        watched = [] if self._reads_gravity or columns.ground is None else [columns.ground]
+        motion = [place for place in columns[1:4] if place is not None]
+        frequency = dynamics.natural_frequency
+        super().__init__(rate=rate, frequency=frequency, loads=[columns.load], motion=motion, watched=watched)
 
     @property
-    def _ends(self) -> tuple[tuple[str, int | None], ...]:
-        return (("ground", self._columns.ground), ("pitch", self._columns.pitch), ("roll", self._columns.roll))
+    def moving(self) -> bool:
+        """Whether the ground end moves."""
+        return self._reads_gravity or bool(self.moves.any())
 
-    # ---- beginning, and beginning anew
-
-    def _reset(self, tick: int) -> None:
-        """Begin with the sample at a tick."""
-        self._thinner = Thinner(len(self._wanted), self.factor)
-        self._origin, self._begun, self._pushed = tick, 0, 0
-        self._waiting = np.empty((0, len(self._wanted)))
-        self._live = None
-        self._recent = np.empty(0)
-        self._last = np.zeros(len(self._wanted))
-        self._looked, self._moved = 0.0, 0.0
-        self._learn_at, self._fallen = FIRST_LEARNING, False
-        self.generation += 1
-
-    def restart(self) -> None:
-        """Begin anew, keeping what was learned: the readings are counted from another zero."""
-        if self._expected is not None:
-            self._reset(self._expected)
-
-    def _restart(self) -> None:
-        self._begun += self._pushed
-        self._pushed, self._learn_at = 0, FIRST_LEARNING
-        self.generation += 1
-        self._live = self._made()
-
-    def _made(self) -> LiveForce:
-        noise = 0.0
-        if self.moving and self._recent.size >= 8:
-            noise = white_noise(self._recent)
-        return LiveForce(
+    def _begin(self) -> None:
+        self._live = LiveForce(
             self.dynamics,
             interval=self.interval,
             learned=self._learning.learned if self._learning else None,
             learn_after=None,
             span=LEARNED_FROM * self.interval,
-            ground_noise=noise,
+            ground_noise=float(np.sum(self.ground_noise)),
         )
+        self._latency = self._live.latency
 
-    @property
-    def _bridged(self) -> int:
-        """Longest gap that is bridged, in ticks."""
-        return 0 if self._live is None else self._live.latency * self.factor
+    def _forget(self) -> None:
+        self._learning = None
 
-    # ---- does the ground end move?
-
-    def _see_ground(self, rows: Array) -> None:
-        """Take the accelerometer's noise for no motion, as it would only spoil the force."""
-        if self._columns.ground is None or self._columns.coupling == "dc":
-            return
-        values = rows[:, self._wanted.index(self._columns.ground)]
-        self._recent = np.concatenate((self._recent, values))[-LOOKED_AT:]
-        time = (self._begun + self._pushed + self._waiting.shape[0] + rows.shape[0]) * self.interval
-        settled = self._live is not None
-        if time < SETTLING or (settled and time - self._looked < LOOK):
-            return
-        self._looked = time
-        known = self._recent[np.isfinite(self._recent)]
-        if known.size < 64:
-            return
-        limit = AT_REST * (1 + FEW / np.sqrt(known.size))
-        moves = bool(np.var(known) >= limit * white_noise(known) ** 2)
-        self._moved = time if moves else self._moved
-        moving = moves or (self.moving and time - self._moved < CALM)
-        if moving != self.moving:
-            self.moving = moving
-            if self._live is not None:
-                self._restart()
+    def _force(self, rows: Array) -> dict[str, LiveEstimate]:
+        if self._live is None:
+            return {}
+        ground, pitch, roll = (
+            None if place is None else rows[:, self._wanted.index(place)] for place in self._columns[1:4]
+        )
+        if not self.moving:
+            ground = None
+        if self._reads_gravity:
+            pitch = roll = None
+        return {
+            self.dynamics.component: self._live.push(rows[:, 0], ground_acceleration=ground, pitch=pitch, roll=roll)
+        }
 
     # ---- learning
 
     def due(self) -> Snapshot | None:
         """Return the readings to learn from, where it is time to."""
-        live = self._live
-        if live is None:
+        live = self._live if self.running else None
+        time = self.pushed * self.interval
+        if live is None or not self._schedule.due(live.health, time=time, generation=self.generation):
             return None
-        time = self._pushed * self.interval
-        fallen = live.health.process == "fallback"
-        if fallen and not self._fallen:
-            self._learn_at = time + FIRST_LEARNING
-        self._fallen = fallen
-        if time < self._learn_at or (self._learn_at > LAST_LEARNING and not live.health.learning_due):
-            return None
-        self._learn_at = max(2 * self._learn_at, time + FIRST_LEARNING)
         try:
             return live.snapshot()
         except FitError:
@@ -251,19 +368,17 @@ class ForceLine:
     @property
     def health(self) -> Health | None:
         """State of health; None before there is a force."""
-        return None if self._live is None else self._live.health
-
-    @property
-    def lag(self) -> float:
-        """Time by which the force lags the readings [s]."""
-        latency = 0 if self._live is None else self._live.latency
-        return latency * self.interval + self._thinner.first * self.interval / self.factor
+        return self._live.health if self._live is not None and self.running else None
 
     def weight(self, means: Array) -> float:
         """Weight along the component at mean readings of all channels, shape (c,): a zero must not take it off."""
-        pitch, roll = self._columns.pitch, self._columns.roll
+        pitch, roll = attitude(means, self._columns.pitch, self._columns.roll)
         if pitch is None:
             return 0.0
-        angles = np.array([means[pitch], 0.0 if roll is None else means[roll]])
-        share = gravity_share(self.dynamics.component, pitch=angles[:1], roll=angles[1:])
+        share = gravity_share(self.dynamics.component, pitch=pitch, roll=roll)
         return float(self.dynamics.mass * STANDARD_GRAVITY * share[0])
+
+
+def attitude(means: Array, pitch: int | None, roll: int | None) -> tuple[Array | None, Array]:
+    """Mean pitch and roll, shape (1,) each [rad]; no pitch where none is read, and a roll of zero."""
+    return None if pitch is None else means[[pitch]], np.zeros(1) if roll is None else means[[roll]]

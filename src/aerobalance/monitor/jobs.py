@@ -30,16 +30,16 @@ class Task:
     number
         What to call it.
     verb
-        ``info``, ``decay``, ``rig`` or ``force``.
-    recording
-        The recording.
+        ``info``, ``decay``, ``rig``, ``force`` or ``together``, which identifies all components that ring together.
+    recordings
+        The recordings; all but ``together`` take one.
     settings
         What else is to be said: ``component``, ``mass``, ``dynamics``, ``balance``.
     """
 
     number: int
     verb: str
-    recording: str
+    recordings: tuple[str, ...]
     settings: Mapping[str, str]
 
 
@@ -100,14 +100,14 @@ def outcome_of(task: Task) -> Outcome:
 def _info(task: Task) -> Outcome:
     from aerobalance.commands.recordings import info  # noqa: PLC0415 - each verb loads what it needs
 
-    return Outcome(task.number, True, account=info(Path(task.recording)))
+    return Outcome(task.number, True, account=info(Path(task.recordings[0])))
 
 
 def _identify(task: Task) -> Outcome:
     from aerobalance.commands.identify import identify_decay, identify_rig  # noqa: PLC0415
     from aerobalance.monitor.identified import write_identified  # noqa: PLC0415
 
-    path = Path(task.recording)
+    path = Path(task.recordings[0])
     component = task.settings.get("component", "AF")
     mass = task.settings.get("mass", "")
     out = path.with_name(f"{path.stem}-dynamics.json")
@@ -120,12 +120,21 @@ def _identify(task: Task) -> Outcome:
     return Outcome(task.number, True, account=account, report=report.name, files=(out.name,))
 
 
+def _together(task: Task) -> Outcome:
+    from aerobalance.commands.identify_coupled import identify_decays  # noqa: PLC0415
+
+    paths = [Path(name) for name in task.recordings]
+    out = paths[0].with_name(f"{paths[0].stem}-dynamics.json")
+    account = identify_decays(paths, out, mass=task.settings.get("mass"))
+    return Outcome(task.number, True, account=account, files=(out.name,))
+
+
 def _force(task: Task) -> Outcome:
     from aerobalance.commands.force import force  # noqa: PLC0415
     from aerobalance.commands.loads import BalanceFiles  # noqa: PLC0415
-    from aerobalance.io.hdf5_file import contents  # noqa: PLC0415
+    from aerobalance.io.hdf5_contents import contents  # noqa: PLC0415
 
-    path = Path(task.recording)
+    path = Path(task.recordings[0])
     out = path.with_name(f"{path.stem}-force.csv")
     report = path.with_name(f"{path.stem}-force.html")
     files = None
@@ -142,4 +151,5 @@ _VERBS: Final[Mapping[str, Callable[[Task], Outcome]]] = {
     "decay": _identify,
     "rig": _identify,
     "force": _force,
+    "together": _together,
 }

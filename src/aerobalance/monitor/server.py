@@ -22,15 +22,17 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
-from aerobalance.acquire.setup import Setup, setup_from
+from aerobalance.acquire.rig_values import RigName
+from aerobalance.acquire.setup import setup_from
 from aerobalance.monitor.access import REPORT_POLICY, Door, Guard
 from aerobalance.monitor.board import Board, plain
-from aerobalance.monitor.folder import Folder
+from aerobalance.monitor.checks import Kind
 from aerobalance.monitor.form import form_of
 from aerobalance.monitor.messages import News, Watching
-from aerobalance.monitor.setups import rig_setup
+from aerobalance.monitor.setups import check_files, rig_setup
 from aerobalance.monitor.state import state_of
-from aerobalance.monitor.station import Station
+from aerobalance.monitor.station import Beginning, Station
+from aerobalance.monitor.tasks import TOGETHER
 from aerobalance.monitor.viewer import Viewer
 from aerobalance.problems import FitError, ReadError
 
@@ -66,8 +68,9 @@ class _Control(_Body):
 
 
 class _Job(_Body):
-    verb: Annotated[str, Field(pattern="^(info|decay|rig|force)$")]
+    verb: Annotated[str, Field(pattern="^(info|decay|rig|force|together)$")]
     recording: Short
+    others: Annotated[list[Short], Field(max_length=TOGETHER)] = []
     component: Annotated[str, Field(pattern="^[A-Z]{2}$")] | None = None
     mass: Annotated[str, Field(max_length=30, pattern=r"^[0-9.eE+-]*$")] | None = None
     dynamics: Short | None = None
@@ -79,11 +82,15 @@ class _Apply(_Body):
 
 
 class _Rig(_Body):
-    rig: Annotated[str, Field(pattern="^(vibration|cable_cut|six)$")]
+    rig: RigName
 
 
 class _Use(_Body):
     recording: Short
+
+
+class _Check(_Body):
+    kind: Kind
 
 
 class _Empty(_Body):
@@ -95,24 +102,20 @@ class Page:
 
     Parameters
     ----------
-    setup
-        The test set-up to begin with.
-    folder
-        The project folder.
-    setup_file
-        Where the set-up was read from, or None.
+    begin
+        What it begins with.
     door
         Who may use it.
     """
 
-    def __init__(self, setup: Setup, folder: Path, *, setup_file: Path | None, door: Door) -> None:
+    def __init__(self, begin: Beginning, *, door: Door) -> None:
         self.board = Board()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._version = 0
         self._state_text = ""
         self._state_of = -1
         self._viewers = 0
-        self._wish = (setup, Folder(folder), setup_file)
+        self._begin = begin
         self.station: Station
         self.ending = asyncio.Event()
         self.app: ASGIApp = Guard(
@@ -140,12 +143,14 @@ class Page:
             "mark": (_Mark, lambda it: self.station.mark(it.text)),
             "zero": (_Empty, lambda _: self.station.zero()),
             "clear_zero": (_Empty, lambda _: self.station.clear_zero()),
+            "test": (_Check, lambda it: self.station.checks.press(it.kind)),
+            "give_up": (_Empty, lambda _: self.station.checks.give_up()),
             "control": (_Control, lambda it: self.station.control(it.name, it.value)),
             "job": (_Job, self._job),
             "use": (_Use, lambda it: self.station.use_dynamics(it.recording)),
-            "cancel": (_Empty, lambda _: self.station.jobs.cancel()),
+            "cancel": (_Empty, lambda _: self.station.tasks.cancel()),
             "setup": (_Apply, self._apply),
-            "check": (_Apply, lambda it: self.station.check_files(setup_from(it.setup))),
+            "check": (_Apply, lambda it: check_files(setup_from(it.setup), self.station.folder)),
             "rig": (_Rig, self._rig),
             "sweep": (_Empty, lambda _: self.station.begin_sweep()),
             "restart": (_Empty, lambda _: self.station.open()),
@@ -156,8 +161,7 @@ class Page:
     @contextlib.asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
         self._loop = asyncio.get_running_loop()
-        setup, folder, setup_file = self._wish
-        self.station = Station(setup, folder, setup_file=setup_file, heard=self._heard, changed=self._changed)
+        self.station = Station(self._begin, heard=self._heard, changed=self._changed)
         self.station.marker = self._marked
         opening = threading.Thread(target=self.station.open, daemon=True)
         opening.start()
@@ -226,7 +230,7 @@ class Page:
         return JSONResponse(plain(form_of(self.station.setup, hello)))
 
     async def _get_task(self, request: Request) -> Response:
-        task = self.station.tasks.get(request.path_params["number"])
+        task = self.station.tasks.listed.get(request.path_params["number"])
         return JSONResponse(plain(task)) if task else JSONResponse({"error": "there is no such task"}, 404)
 
     async def _report(self, request: Request) -> Response:
@@ -267,7 +271,7 @@ class Page:
 
     def _job(self, wish: _Job) -> int:
         settings = {key: value for key in ("component", "mass", "dynamics") if (value := getattr(wish, key))}
-        return self.station.run(wish.verb, wish.recording, settings)
+        return self.station.tasks.run(wish.verb, [wish.recording, *wish.others], settings)
 
     def _apply(self, wish: _Apply) -> None:
         self.station.apply(setup_from(wish.setup), name=wish.name)

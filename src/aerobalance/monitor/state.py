@@ -19,7 +19,7 @@ def state_of(station: Station) -> dict[str, Any]:
         "zeros": dict(station.zeros),
         "messages": list(station.messages),
         "tasks": [
-            {key: value for key, value in task.items() if key != "account"} for task in station.tasks.copy().values()
+            {key: value for key, value in task.items() if key != "account"} for task in station.tasks.listed.values()
         ],
         "recordings_version": station.listed_version,
         "setup": {
@@ -28,6 +28,7 @@ def state_of(station: Station) -> dict[str, Any]:
             "dynamics": station.setup.files.dynamics,
         },
         "sweep": station.sweep,
+        "check": station.checks.shown,
         "folder": station.folder.path.name,
     }
 
@@ -46,5 +47,5 @@ def _record(station: Station) -> dict[str, Any]:
     progress = station.progress
     if progress is None:
         return {"state": "none"}
-    names = ("state", "reason", "blocks", "samples", "seconds", "gaps", "lost", "events", "free", "full")
+    names = ("state", "reason", "blocks", "samples", "seconds", "gaps", "lost", "events", "touched", "free", "full")
     return {name: getattr(progress, name) for name in names} | {"file": Path(progress.path).name}

@@ -10,17 +10,18 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from aerobalance.acquire.recorder import Progress, Tell
 from aerobalance.acquire.session import Recorder, Session
-from aerobalance.acquire.setup import Setup, Simulated, save_setup, setup_text
+from aerobalance.acquire.setup import Setup, save_setup, setup_text
+from aerobalance.monitor.checks import Checks
 from aerobalance.monitor.folder import Folder
-from aerobalance.monitor.jobs import Outcome, Task
-from aerobalance.monitor.messages import Answer, News, SetZeros, TakeZeros, Watch, Watching, Zeros
-from aerobalance.monitor.setups import check_set_up, setup_of_record
+from aerobalance.monitor.messages import Answer, Means, News, SetZeros, TakeZeros, Watch, Watching, Zeros
+from aerobalance.monitor.setups import check_files, check_set_up, first_controls, setup_of_record
 from aerobalance.monitor.sweep import Sweep
-from aerobalance.monitor.workers import Engine, Jobs
+from aerobalance.monitor.tasks import Tasks
+from aerobalance.monitor.workers import Engine
 from aerobalance.problems import FitError, ReadError
 
 POLLED: Final = 0.1
@@ -42,17 +43,21 @@ class Source:
     number: int = 0
 
 
+class Beginning(NamedTuple):
+    """What a page begins with: a test set-up, the project folder, and where the set-up was read from, or None."""
+
+    setup: Setup
+    folder: Folder
+    setup_file: Path | None
+
+
 class Station:
     """Everything behind the page.
 
     Parameters
     ----------
-    setup
-        The test set-up to begin with.
-    folder
-        The project folder.
-    setup_file
-        Where the set-up was read from, or None.
+    begin
+        What it begins with.
     heard
         Takes what the engine has found, in a thread of its own.
     changed
@@ -60,15 +65,9 @@ class Station:
     """
 
     def __init__(
-        self,
-        setup: Setup,
-        folder: Folder,
-        *,
-        setup_file: Path | None,
-        heard: Callable[[Watching | News], None],
-        changed: Callable[[], None],
+        self, begin: Beginning, *, heard: Callable[[Watching | News], None], changed: Callable[[], None]
     ) -> None:
-        self.setup, self.folder, self.setup_file = setup, folder, setup_file
+        self.setup, self.folder, self.setup_file = begin
         self._heard, self.changed = heard, changed
         self._lock = threading.RLock()
         self._closed = False
@@ -82,12 +81,12 @@ class Station:
         self.watching: Watching | None = None
         self.messages: deque[dict[str, Any]] = deque(maxlen=MESSAGES)
         self._message_numbers = itertools.count(1)
-        self.tasks: dict[int, dict[str, Any]] = {}
         self.marker: Callable[[str, str], None] = lambda *_: None
         self.listed_version = 0
         self.sweep: dict[str, Any] | None = None
+        self.checks = Checks(self)
         self.engine = Engine(self._answer)
-        self.jobs = Jobs(self._task)
+        self.tasks = Tasks(self)
         threading.Thread(target=self._watch_over, daemon=True).start()
 
     # ---- source
@@ -111,6 +110,7 @@ class Station:
             number = next(self._numbers)
             self.source = Source("starting", "the source is starting", number)
             self.zeros, self.recorder, self.progress, self.watching = {}, None, None, None
+            self.checks.forget()
             self.changed()
             try:
                 self.session = Session(setup, self.folder.path)
@@ -118,7 +118,7 @@ class Station:
                 self.source = Source("failed", str(problem), number)
                 self.say(f"the source cannot be used: {problem}", kind="error")
                 return
-            self.controls = _first_controls(setup)
+            self.controls = first_controls(setup)
             watch = Watch(number, self.session.address, setup_text(setup), str(self.folder.path), {})
             self.engine.remember(watch)
             self.engine.order(watch)
@@ -135,13 +135,14 @@ class Station:
             The source has no such control.
         """
         with self._lock:
-            session = self._running()
+            session = self.running()
             if name not in session.hello.controls:
                 raise ValueError(f"this source has no control {name[:40]!r}")
             session.control(name, value)
             self.controls[name] = value
 
-    def _running(self) -> Session:
+    def running(self) -> Session:
+        """Return the session of the source that runs; raises ValueError where none does."""
         if self.session is None or self.source.state != "running":
             raise ValueError(f"there is no source running: {self.source.text}")
         return self.session
@@ -162,7 +163,7 @@ class Station:
             It cannot be begun; the message says why.
         """
         with self._lock:
-            session = self._running()
+            session = self.running()
             if self.recording:
                 raise ValueError("a record is under way already")
             path = self.folder.new_recording(name)
@@ -175,6 +176,8 @@ class Station:
                 raise
             self.recorder = recorder
             self._mark(f"record {path.name} begins", kind="start")
+            for note in self.checks.notes:
+                recorder.tell(Tell("note", note))
             self.changed()
 
     def stop(self) -> Progress | None:
@@ -188,10 +191,15 @@ class Station:
 
     def mark(self, text: str) -> None:
         """Put an event on the charts and into the record."""
+        self.note(text or "mark")
+
+    def note(self, text: str, *, shown: bool = True) -> None:
+        """Put a note into the record that runs, and on the charts."""
         with self._lock:
-            self._mark(text or "mark")
+            if shown:
+                self._mark(text)
             if self.recorder is not None and self.recording:
-                self.recorder.tell(Tell("note", text or "mark"))
+                self.recorder.tell(Tell("note", text))
 
     def call(self) -> None:
         """Begin the record now, whatever its trigger waits for."""
@@ -222,6 +230,9 @@ class Station:
         if progress.gaps:
             text += f", {progress.gaps} gap(s), {progress.lost} samples lost"
         self.say(text, kind="error" if bad else "done")
+        if progress.touched:
+            text = f"{name}: model and support touched {progress.touched} time(s), see its events"
+            self.say(f"{text}; the loads read then carry the force of the contact", kind="error")
         self._mark(f"record {name} ends", kind="end")
         self.listed_version += 1
         self.changed()
@@ -230,7 +241,7 @@ class Station:
 
     def zero(self) -> None:
         """Take off what the loads read now, the weight apart."""
-        self._running()
+        self.running()
         if self.recording:
             raise ValueError("a record is under way; its zero stays as it is until it has ended")
         self.engine.order(TakeZeros())
@@ -242,6 +253,7 @@ class Station:
         self._set_zeros({})
 
     def _set_zeros(self, zeros: dict[str, float]) -> None:
+        self.checks.give_up()
         with self._lock:
             self.zeros = zeros
             if self.session is not None:
@@ -265,7 +277,7 @@ class Station:
         with self._lock:
             if self.recording:
                 raise ValueError("a record is under way; stop it before the set-up is changed")
-            self.check_files(setup)
+            check_files(setup, self.folder)
             if name is not None:
                 path = self.folder.file(name if name.endswith(".toml") else f"{name}.toml")
                 if path.exists():
@@ -289,82 +301,6 @@ class Station:
         self.apply(self.setup.model_copy(update={"files": files}), name=None)
         self.say(f"the live force is worked out with {name}", kind="done")
 
-    def check_files(self, setup: Setup) -> None:
-        """Refuse files outside the project folder.
-
-        Raises
-        ------
-        ReadError
-            One is; the message names its key.
-        """
-        wanted = {f"files.{key}": value for key, value in setup.files.model_dump(exclude_none=True).items()}
-        source = setup.source.model_dump(exclude_none=True)
-        wanted |= {f"source.{key}": source[key] for key in ("file", "map") if key in source}
-        for key, value in wanted.items():
-            try:
-                self.folder.check(Path(value))
-            except ValueError as problem:
-                raise ReadError("set-up", key, str(problem)) from None
-
-    # ---- tasks
-
-    def run(self, verb: str, recording: str, settings: dict[str, str]) -> int:
-        """Do something with a recording; return the number of the task.
-
-        Raises
-        ------
-        ValueError
-            There is no such recording, or something is missing.
-        """
-        path = self.folder.recording(recording)
-        if self.recording and self.progress is not None and Path(self.progress.path) == path and verb != "info":
-            raise ValueError(f"{recording} is still being written; stop the record first")
-        chosen = dict(settings)
-        if "dynamics" in chosen:
-            chosen["dynamics"] = str(self.folder.file(chosen["dynamics"]))
-        elif verb == "force":
-            chosen["dynamics"] = str(self._dynamics_for(path))
-        if verb == "force" and self.setup.files.balance is not None and path.suffix in (".h5", ".hdf5"):
-            chosen["balance"] = str(self.folder.path / self.setup.files.balance)
-        task = self.jobs.add(verb, str(path), chosen)
-        with self._lock:
-            self.tasks[task.number] = {"number": task.number, "verb": verb, "recording": path.name, "state": "waiting"}
-            for old in sorted(self.tasks)[:-20]:
-                del self.tasks[old]
-        self.changed()
-        return task.number
-
-    def _dynamics_for(self, path: Path) -> Path:
-        """The dynamics identified from the recording itself, or else those of the set-up."""
-        own = path.with_name(f"{path.stem}-dynamics.json")
-        if own.is_file():
-            return own
-        given = self.setup.files.dynamics
-        if given is not None:
-            return self.folder.path / given
-        raise ValueError(f"identify {path.name} first, or name dynamics in the set-up: the force needs them")
-
-    def _task(self, task: Task, outcome: Outcome | None) -> None:
-        with self._lock:
-            entry = self.tasks.get(task.number)
-            if entry is None:
-                return
-            entry["began"] = entry.get("began", time.time())
-            if outcome is None:
-                entry["state"] = "running"
-            else:
-                entry |= {
-                    "state": "done" if outcome.done else "failed",
-                    "text": outcome.text,
-                    "report": outcome.report,
-                    "files": list(outcome.files),
-                    "account": outcome.account,
-                }
-                self.listed_version += 1
-                if not outcome.done:
-                    self.say(f"{task.verb} of {Path(task.recording).name}: {outcome.text}", kind="error")
-        self.changed()
-
     # ---- what is heard, and what is watched over
 
     def _answer(self, answer: Answer) -> None:
@@ -374,7 +310,10 @@ class Station:
                 self._heard(answer)
                 self.changed()
         elif isinstance(answer, News):
+            self.checks.watch(answer.update.remarks)
             self._heard(answer)
+        elif isinstance(answer, Means):
+            self.checks.heard(answer)
         elif isinstance(answer, Zeros):
             self._set_zeros(dict(answer.zeros))
         elif answer.number in (-1, self.source.number):
@@ -396,6 +335,7 @@ class Station:
                     self.source = Source("ended", said.text, self.source.number)
                     self.say(f"the source ended: {said.text}", kind="error" if gone else "done")
                 elif said.kind == "done":
+                    self.checks.done(said.text)
                     self._mark(said.text, kind="control")
                     if self.recorder is not None and self.recording:
                         self.recorder.tell(Tell("note", said.text))
@@ -421,7 +361,7 @@ class Station:
 
     def processes(self) -> dict[str, int | None]:
         """Numbers of the processes behind the page, for whoever looks after the computer."""
-        running = {"engine": self.engine.process, "jobs": self.jobs.process}
+        running = {"engine": self.engine.process, "jobs": self.tasks.process}
         if self.session is not None:
             running["source"] = self.session.process
         if self.recorder is not None:
@@ -437,7 +377,7 @@ class Station:
         if self._closed:
             return
         self._closed = True
-        self.jobs.close()
+        self.tasks.close()
         self.engine.close()
         # a source that is just starting holds the lock, and has nothing yet that could be lost
         if self._lock.acquire(timeout=PATIENCE):
@@ -448,10 +388,3 @@ class Station:
                     self.session.close()
             finally:
                 self._lock.release()
-
-
-def _first_controls(setup: Setup) -> dict[str, float]:
-    source = setup.source
-    if isinstance(source, Simulated) and source.rig == "vibration":
-        return {"frequency": source.frequency, "amplitude": source.amplitude}
-    return {}

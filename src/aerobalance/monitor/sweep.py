@@ -90,7 +90,7 @@ class Sweep:
             station.stop()  # says so where the record has ended before the run was done
             station.control("frequency", self._before)
             settings = {"component": self._component, "mass": f"{self._mass:g}"}
-            task = station.run("rig", self._name, settings)
+            task = station.tasks.run("rig", [self._name], settings)
             self._tell(f"{self._name}: identification", task=task)
         except (FitError, ValueError) as problem:
             self._tell(f"ended early: {problem}")

@@ -7,7 +7,7 @@ import itertools
 import multiprocessing
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.context import SpawnProcess
 from typing import TYPE_CHECKING, Any, Final
 
@@ -124,7 +124,7 @@ class Jobs:
         self._pipe: Pipe | None = None
         threading.Thread(target=self._run, daemon=True).start()
 
-    def add(self, verb: str, recording: str, settings: Mapping[str, str]) -> Task:
+    def add(self, verb: str, recordings: Sequence[str], settings: Mapping[str, str]) -> Task:
         """Add a task.
 
         Raises
@@ -135,7 +135,7 @@ class Jobs:
         with self._changed:
             if len(self._waiting) >= 8:
                 raise ValueError("eight tasks wait already; let them end first")
-            task = Task(next(self._numbers), verb, recording, settings)
+            task = Task(next(self._numbers), verb, tuple(recordings), settings)
             self._waiting.append(task)
             self._changed.notify_all()
         return task
