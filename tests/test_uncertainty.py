@@ -9,10 +9,11 @@ import pytest
 from aerobalance.channel import QUANTITIES, Channel
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.contributions import Noise, Systematic
+from aerobalance.draws import drawn_dynamics, drawn_numbers
 from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import ForceEstimate, Job, with_balance
 from aerobalance.force import reconstruct
-from aerobalance.monte_carlo import drawn_dynamics, drawn_numbers, monte_carlo
+from aerobalance.monte_carlo import monte_carlo
 from aerobalance.motion import GroundMotion
 from aerobalance.prior import Learned
 from aerobalance.problems import DoubtWarning, FitError

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -66,6 +66,64 @@ def write_comparison(
         "origin": provenance(inputs),
     }
     write_page(path, "compare.html.j2", content)
+
+
+def write_coupled_comparison(
+    path: Path,
+    account: dict[str, Any],
+    found: Mapping[str, Sequence[RivalEstimate]],
+    *,
+    recording: Recording,
+    balances: Mapping[str, Dynamics],
+    truths: Mapping[str, Truth],
+    inputs: Sequence[Path],
+) -> None:
+    """Write the comparison of components that ring together; the arguments are those of `write_comparison`.
+
+    Estimates, truths and what each component shows under its own load (`balances`) are by component.
+    """
+    name = next(iter(found))
+    window = shown_part(recording, balances[name], found[name], truths.get(name))
+    content = {
+        "found": account,
+        "this": THIS,
+        "judged": bool(truths),
+        "figure": components_figure(found, recording=recording, truths=truths, window=window),
+        "window": [float(recording.time[window.start]), float(recording.time[window.stop - 1])],
+        "origin": provenance(inputs),
+    }
+    write_page(path, "compare_coupled.html.j2", content)
+
+
+def components_figure(
+    found: Mapping[str, Sequence[RivalEstimate]],
+    *,
+    recording: Recording,
+    truths: Mapping[str, Truth],
+    window: slice,
+) -> str:
+    """Draw one row per component: truth, raw reading, the best way of one component and this estimator."""
+    colours, names = PLACE_HOLDERS, list(found)
+    figure, axes = empty_figure(colours, (7.6, 0.8 + 1.5 * len(names)), rows=len(names), share=True)
+    time = recording.time[window]
+    for ax, name in zip(axes, names, strict=True):
+        rows, truth = found[name], truths.get(name)
+        if truth is not None:
+            ax.plot(time, truth.values[window], color=colours.ink, linewidth=3.2, alpha=0.3, label="truth")
+        lines = [(row, colours.first, 0.8, "raw reading") for row in rows if row.name == "raw reading"]
+        one = [row for row in rows if not row.name.endswith("coupled")]
+        lines += [(row, colours.third, 1.0, "best of one component") for row in best(one, truth)[:1]]
+        lines += [(row, colours.second, 1.4, THIS) for row in rows if row.name == THIS]
+        for row, colour, wide, label in lines:
+            ax.plot(time, row.values[window], color=colour, linewidth=wide, label=label)
+        reference = truth.values if truth is not None else lines[-1][0].values
+        ends = _limits(reference[window], [row.values[window] for row, *_ in lines])
+        ax.set(ylabel=f"{name} [{si_unit(name).replace('*', '·')}]", ylim=ends, xlim=(time[0], time[-1]))
+    axes[-1].set(xlabel="time [s]")
+    legend(axes[0], colours, "lower center", columns=4)
+    axes[0].get_legend().set_bbox_to_anchor((0.5, 1.0))  # type: ignore[union-attr]
+    figure.align_ylabels()
+    return inline(figure, "rivals", "The forces and moments by the rivals and by this estimator")
 
 
 def best(found: Sequence[RivalEstimate], truth: Truth | None) -> list[RivalEstimate]:

@@ -118,13 +118,18 @@ def noise_of(
     """
     recording.channel(dynamics.component)
     motion = GroundMotion.of(recording, dynamics.component, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
-    reading = Job.of(recording, dynamics, motion).reading()
+    return noise_of_job(Job.of(recording, dynamics, motion))
+
+
+def noise_of_job(job: Job) -> NoiseSpectrum:
+    """Spectrum of the noise of a component that has been made ready, its record being one of noise alone."""
+    reading = job.reading()
     return noise_spectrum_of(
         reading.values,
-        dynamics,
+        job.dynamics,
         interval=reading.interval,
         input_density=reading.input_density,
-        name=recording.name,
+        name=job.recording.name,
     )
 
 

@@ -16,20 +16,27 @@ References
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import repeat
 from typing import Final
 
 import numpy as np
 
 from aerobalance.channel import Array
+from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.contributions import Noise, Systematic
+from aerobalance.coupled import CoupledDynamics
+from aerobalance.coupled_force import filled_by
+from aerobalance.coupled_record import CoupledRecord, LoneJob, bridged
+from aerobalance.draws import drawn_coupled, drawn_dynamics, drawn_numbers
 from aerobalance.dynamics import Dynamics
-from aerobalance.estimate import PARAMETERS_NAME, ForceEstimate, Job
-from aerobalance.force import Method, with_motion
+from aerobalance.estimate import ForceEstimate, Job
+from aerobalance.force import Method, estimated
 from aerobalance.motion import GroundMotion
 from aerobalance.prior import Learned, Reading
-from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Recording
 from aerobalance.smoothing import Estimator
 from aerobalance.steps import Step, shape_of
@@ -150,75 +157,116 @@ def monte_carlo(
     FitError
         The parameters are so uncertain that a draw of them is not physical.
     """
-    if draws < FEWEST_DRAWS:
-        raise ValueError(f"draws must be at least {FEWEST_DRAWS}, not {draws}")
+    _check(draws)
     if motion is None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DoubtWarning)  # said when the force was worked out
             motion = GroundMotion.of(recording, dynamics.component)
-    job = _Job(recording, dynamics, estimate, motion, draws, np.random.default_rng(seed))
-    errors = job.by_inverse(method, bandwidth) if estimate.learned is None else job.by_smoother(estimate.learned)
-    return _summed_up(estimate, errors, draws=draws, seed=seed)
+    job = Job.of(recording, dynamics, motion)
+
+    def changed(generator: np.random.Generator) -> Iterator[Job]:
+        if not dynamics.covariance.any():
+            return repeat(job, draws)
+        return (replace(job, dynamics=other) for other in drawn_dynamics(generator, dynamics, draws))
+
+    trial = _Trial(job, estimate, changed, draws, np.random.default_rng(seed))
+    return trial.run(seed, method=method, bandwidth=bandwidth)
 
 
-def drawn_numbers(generator: np.random.Generator, covariance: Array, draws: int) -> Array:
-    """Draws of normal numbers, shape (draws, p), whose mean is zero and whose covariance is exactly that given."""
-    level, vectors = np.linalg.eigh(covariance)
-    kept = level > 1e-14 * max(float(level.max(initial=0.0)), 0.0)
-    root = vectors[:, kept] * np.sqrt(level[kept])
-    normals = generator.normal(size=(draws, int(np.count_nonzero(kept))))
-    if not normals.size:
-        return np.zeros((draws, level.size))
-    normals -= normals.mean(axis=0)
-    normals = np.linalg.solve(np.linalg.cholesky(normals.T @ normals / (draws - 1)), normals.T).T
-    return np.asarray(normals @ root.T)
+def monte_carlo_of_coupled(
+    recording: Recording,
+    dynamics: CoupledDynamics,
+    estimates: Mapping[str, ForceEstimate],
+    *,
+    draws: int,
+    seed: int,
+    gravity: float = STANDARD_GRAVITY,
+    gravity_uncertainty: float = 0.0,
+    method: Method = "smoother",
+    bandwidth: float | None = None,
+) -> dict[str, MonteCarlo]:
+    """Check the uncertainty of coupled components: every draw takes the record apart anew with the matrices drawn.
 
-
-def drawn_dynamics(generator: np.random.Generator, dynamics: Dynamics, draws: int) -> list[Dynamics]:
-    """Draws of the dynamics from the covariance of their parameters.
+    Parameters
+    ----------
+    recording, dynamics, gravity, gravity_uncertainty, method, bandwidth
+        What the estimates were worked out from, and how.
+    estimates
+        The forces with their uncertainty to first order, of all components.
+    draws, seed
+        As in `monte_carlo`; every component has draws of its own.
 
     Raises
     ------
     FitError
-        A draw is not physical.
+        The matrices or the mass are so uncertain that a draw of them is not physical.
     """
-    # correlations first, as the units of the parameters lie ten decades apart
-    deviation = np.sqrt(np.diag(dynamics.covariance))
-    unit = np.where(deviation > 0, deviation, 1.0)
-    changes = drawn_numbers(generator, dynamics.covariance / np.outer(unit, unit), draws) * unit
-    try:
-        return [dynamics.with_parameters(dynamics.values + change) for change in changes]
-    except ValueError as error:
-        raise FitError(
-            f"the dynamics of {dynamics.component} are so uncertain that a draw is not physical ({error}); "
-            "identify them better"
-        ) from None
+    _check(draws)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)  # said when the force was worked out
+        record = CoupledRecord.of(recording, dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
+        filled = bridged(record.loads)
+        if record.rings_together and not np.isfinite(record.loads).all():
+            filled = filled_by(estimates, record, filled=filled)
+        found = {}
+        for name, estimate in estimates.items():
+            job = record.job(name, filled)
+            changed = partial(_changed_record, record, job, filled, draws)
+            trial = _Trial(job, estimate, changed, draws, np.random.default_rng(seed))
+            found[name] = trial.run(seed, method=method, bandwidth=bandwidth)
+    return found
+
+
+def _check(draws: int) -> None:
+    if draws < FEWEST_DRAWS:
+        raise ValueError(f"draws must be at least {FEWEST_DRAWS}, not {draws}")
+
+
+def _changed_record(
+    record: CoupledRecord, job: LoneJob, filled: Array, draws: int, generator: np.random.Generator
+) -> Iterator[Job]:
+    """The component taken apart with one draw of the dynamics after the other."""
+    matrices = record.dynamics.covariance.any()
+    mass = record.dynamics.mass is not None and record.dynamics.mass.covariance.any()
+    if not (matrices or (mass and record.platform.specific_force.any())):
+        return repeat(job, draws)
+    changed = drawn_coupled(generator, record.dynamics, job.lone.rows(record.dynamics), draws)
+    return (record.taken_with(other).job(job.dynamics.component, filled) for other in changed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Job:
+class _Trial:
     """An estimate, what it was worked out from, and where the draws come from."""
 
-    recording: Recording
-    dynamics: Dynamics
+    job: Job
     estimate: ForceEstimate
-    motion: GroundMotion
+    changed: Callable[[np.random.Generator], Iterator[Job]]
     draws: int
     generator: np.random.Generator
+
+    def run(self, seed: int, *, method: Method, bandwidth: float | None) -> MonteCarlo:
+        """All draws, summed up."""
+        learned = self.estimate.learned
+        errors = self.by_inverse(method, bandwidth) if learned is None else self.by_smoother(learned)
+        return _summed_up(self.estimate, errors, draws=self.draws, seed=seed)
+
+    @property
+    def parameters(self) -> str:
+        """Name of what the dynamics contribute."""
+        return next(part.name for part in self.estimate.contributions if part.source == "dynamics")
 
     def by_smoother(self, learned: Learned) -> Iterator[Mapping[str, Array]]:
         """Errors of the smoother's force by contribution, one draw after the other."""
         hum = tuple(line.frequency for line in self.estimate.hum)
-        reading = Job.of(self.recording, self.dynamics, self.motion).reading(hum=hum)
+        reading = self.job.reading(hum=hum)
         steps = self.estimate.steps
         nominal = Estimator.of(reading, learned=learned, steps=steps)
         found = nominal.run(reading.filled[:, None])[:, 0]
-        exact = not self.dynamics.covariance.any()
-        changed = drawn_dynamics(self.generator, self.dynamics, self.draws)
-        for balance, others in zip(changed, self.others(), strict=True):
+        for job, others in zip(self.changed(self.generator), self.others(), strict=True):
+            exact = job is self.job
             estimator, drawn = nominal, reading
             if not exact:
-                drawn = Job.of(self.recording, balance, self.motion).reading(hum=hum)
+                drawn = job.reading(hum=hum)
                 estimator = Estimator.of(drawn, learned=learned, steps=steps)
             truth, simulated = estimator.simulate(self.generator)
             series = np.column_stack([drawn.filled, simulated, simulated])
@@ -226,7 +274,7 @@ class _Job:
             smooth = estimator.smooth(series - (estimator.columns @ sizes) * [1, 0, 1])
             moved = smooth[:, 0] + estimator.forms @ sizes[:, 0] - found
             yield {
-                PARAMETERS_NAME: np.zeros_like(found) if exact else moved,
+                self.parameters: np.zeros_like(found) if exact else moved,
                 " and ".join(NOISES): truth - smooth[:, 1],
                 SIZES[0]: smooth[:, 1] - smooth[:, 2] - estimator.forms @ sizes[:, 1],
                 SIZES[1]: _changed_sides(reading, steps, sizes[:, 1]),
@@ -235,30 +283,29 @@ class _Job:
 
     def by_inverse(self, method: Method, bandwidth: float | None) -> Iterator[Mapping[str, Array]]:
         """Errors of a direct inverse by contribution, one draw after the other: the readings get more noise."""
-        load = self.recording.channel(self.dynamics.component)
         noise, first = self.estimate.noise, self.estimate.values
-
-        def run(balance: Dynamics, more: Array, shaking: Array) -> Array:
-            channel = replace(load, values=load.values + more, noise=noise)
-            noisy = replace(self.recording, channels={**self.recording.channels, load.name: channel})
-            moved = replace(self.motion, specific_force=self.motion.specific_force + shaking)
-            return with_motion(noisy, balance, moved, method=method, bandwidth=bandwidth).values
-
         zero = np.zeros(first.size)
-        for balance, others in zip(
-            drawn_dynamics(self.generator, self.dynamics, self.draws), self.others(), strict=True
-        ):
+
+        def run(job: Job, more: Array, shaking: Array) -> Array:
+            load = job.recording.channel(job.dynamics.component)
+            channel = replace(load, values=load.values + more, noise=noise)
+            noisy = replace(job.recording, channels={**job.recording.channels, load.name: channel})
+            moved = replace(job.motion, specific_force=job.motion.specific_force + shaking)
+            again = replace(job, recording=noisy, motion=moved)
+            return estimated(again, method=method, bandwidth=bandwidth, hum="mains").values
+
+        for job, others in zip(self.changed(self.generator), self.others(), strict=True):
             normals = self.generator.normal(size=(2, first.size))
-            quiet = run(balance, zero, zero)
+            quiet = run(job, zero, zero)
             yield {
-                PARAMETERS_NAME: quiet - first,
-                " and ".join(NOISES): run(balance, noise * normals[0], self.motion.noise * normals[1]) - quiet,
+                self.parameters: quiet - first,
+                " and ".join(NOISES): run(job, noise * normals[0], job.motion.noise * normals[1]) - quiet,
                 **others,
             }
 
     def others(self) -> Iterator[Mapping[str, Array]]:
         """Errors that the force takes over as they are: a gain, a zero, an offset, and what is drawn as noise."""
-        done = (PARAMETERS_NAME, *SIZES, *NOISES)
+        done = (self.parameters, *SIZES, *NOISES)
         parts = [part for part in self.estimate.contributions if part.name not in done]
         held = {part.name: part for part in parts if isinstance(part, Systematic)}
         numbers = {name: drawn_numbers(self.generator, part.covariance, self.draws) for name, part in held.items()}

@@ -6,7 +6,7 @@ ground's motion is taken off where Eq. (17) of [Gorbushin2020]_ does it. None is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -222,7 +222,7 @@ def _design(response: MeasuredResponse, rate: float) -> Array:
 
 def central_differences(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
     """Eq. (17) of [Gorbushin2020]_ with the paper's derivatives."""
-    whole = _whole(recording, dynamics)
+    whole = without_gaps(recording, dynamics.component)
     estimate = reconstruct(whole, dynamics, method="paper", gravity=settings.gravity)
     left = _one_mode(dynamics, "M, b and k are those of the first")
     return RivalEstimate(
@@ -233,7 +233,9 @@ def central_differences(recording: Recording, dynamics: Dynamics, settings: Sett
 def band_limited(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
     """Eq. (17) of [Gorbushin2020]_ limited to a band, customarily twice the natural frequency."""
     bandwidth = _corner(recording, settings, 2 * dynamics.natural_frequency)
-    estimate = reconstruct(_whole(recording, dynamics), dynamics, bandwidth=bandwidth, gravity=settings.gravity)
+    estimate = reconstruct(
+        without_gaps(recording, dynamics.component), dynamics, bandwidth=bandwidth, gravity=settings.gravity
+    )
     return RivalEstimate("band-limited inverse", estimate.values, estimate.method, ZERO_PHASE, tuning=bandwidth)
 
 
@@ -270,7 +272,13 @@ TUNED: Final = (
 
 
 def estimates(
-    recording: Recording, dynamics: Dynamics, *, settings: Settings | None = None, truth: Truth | None = None
+    recording: Recording,
+    dynamics: Dynamics,
+    *,
+    settings: Settings | None = None,
+    truth: Truth | None = None,
+    rivals: Mapping[str, Estimator] = RIVALS,
+    tuned: Sequence[str] = TUNED,
 ) -> list[RivalEstimate]:
     """Run every rival on one record; with a truth, those with a tuning number a second time at their best.
 
@@ -284,6 +292,8 @@ def estimates(
         Gravity and a measured response, where there is one; its tuning number is not used.
     truth
         What was applied; the second setting of a rival is the one with the least rms deviation from it.
+    rivals, tuned
+        The rivals by name, and which of them have a tuning number.
     """
     settings = replace(settings or Settings(), tuning=None)
     recording = corrected(recording)
@@ -292,10 +302,10 @@ def estimates(
     if settings.response is None:
         settings = replace(settings, response=model_response(dynamics, recording.rate))
     found = []
-    for name, rival in RIVALS.items():
+    for name, rival in rivals.items():
         customary = _attempt(name, rival, recording, dynamics, settings)
         found.append(customary)
-        if truth is not None and customary.ran and name in TUNED:
+        if truth is not None and customary.ran and name in tuned:
             found.append(_at_its_best(rival, recording, dynamics, settings, truth=truth))
     return found
 
@@ -394,9 +404,9 @@ def _weight(recording: Recording, dynamics: Dynamics, settings: Settings) -> Arr
     return np.asarray(dynamics.mass * settings.gravity * gravity_share(dynamics.component, pitch=pitch, roll=roll))
 
 
-def _whole(recording: Recording, dynamics: Dynamics) -> Recording:
-    """Fill the gaps of the load by straight lines."""
-    channel = recording.channel(dynamics.component)
+def without_gaps(recording: Recording, component: str) -> Recording:
+    """Fill the gaps of one component's load by straight lines."""
+    channel = recording.channel(component)
     if not channel.missing.any():
         return recording
     channels = {**recording.channels, channel.name: replace(channel, values=_filled(channel.values))}

@@ -45,6 +45,9 @@ ATTITUDES: Final = ((0, 0), (-15, 0), (15, 0), (0, 90), (0, -90), (10, 45), (-10
 PULLED: Final = 0.3
 """Size of the releases of the identification, over half range: a release rings with up to twice its size."""
 
+BEARABLE: Final = 0.7
+"""Largest load that a release may ring with in any component, over half range: the weight comes on top."""
+
 FELT: Final = 0.15
 """Rms of the load felt under the gusts of the run, over half range, in the component that feels most of them."""
 
@@ -63,7 +66,7 @@ ENDS: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class _Folder:
+class Folder:
     """Where the files are, and the source of all randomness."""
 
     path: Path
@@ -93,12 +96,12 @@ def run_six(out: Path, *, seed: int | None = None) -> Account:
         The folder cannot be made or written to.
     """
     seed = seed_for(out, seed)
-    folder = _Folder(out, np.random.default_rng(seed))
+    folder = Folder(out, np.random.default_rng(seed))
     balance = random_balance(folder.generator)
     with doubts() as collected:
-        files = _calibrated(folder, balance)
-        mass = _weighed(folder, balance, files)
-        dynamics = _identified(folder, balance, files, mass)
+        files = calibrated(folder, balance)
+        mass = weighed(folder, balance, files)
+        dynamics = identified(folder, balance, files, mass)
         run, simulation = _run(folder, balance)
         found = force.force(run, out / "force.csv", dynamics=dynamics, files=files)
         diagonal = _diagonal(run, dynamics, files)
@@ -125,27 +128,30 @@ def run_six(out: Path, *, seed: int | None = None) -> Account:
     return {**account, "summary": summary(account)}
 
 
-def _calibrated(folder: _Folder, balance: CoupledBalance) -> BalanceFiles:
+def calibrated(folder: Folder, balance: CoupledBalance) -> BalanceFiles:
     """Calibrate the balance; its zero is read with the model on, level, before the run."""
     stand = CalibrationStand(balance.matrix, noise=1e-4 * float(balance.matrix.output_scale.min()), repeats=REPEATS)
     schedule = folder.path / "calibration.csv"
     write_balfit_schedule(schedule, stand.run(int(folder.generator.integers(1 << 31))).schedule)
     matrix = folder.path / "balance.json"
     calibration.calibrate(schedule, matrix, model="auto")
-    zero, _ = folder.record("zero", _still(balance, 0.0, 0.0), 0.5)
+    zero, _ = folder.record("zero", still(balance, 0.0, 0.0), 0.5)
     return BalanceFiles.of(matrix, zero=[zero])
 
 
-def _still(balance: CoupledBalance, pitch: float, roll: float) -> SixComponentRig:
+def still(balance: CoupledBalance, pitch: float, roll: float) -> SixComponentRig:
+    """The balance at rest at an attitude [deg]."""
+
     def steady(angle: float) -> Any:
         return lambda time: np.full(time.shape, np.deg2rad(angle))
 
     return SixComponentRig(balance, pitch=steady(pitch), roll=steady(roll))
 
 
-def _weighed(folder: _Folder, balance: CoupledBalance, files: BalanceFiles) -> Path:
+def weighed(folder: Folder, balance: CoupledBalance, files: BalanceFiles) -> Path:
+    """Weigh the balance with its model at the attitudes, and give mass.json."""
     paths = [
-        folder.record(f"weighing_{number}", _still(balance, pitch, roll), 0.1)[0]
+        folder.record(f"weighing_{number}", still(balance, pitch, roll), 0.1)[0]
         for number, (pitch, roll) in enumerate(ATTITUDES, 1)
     ]
     mass = folder.path / "mass.json"
@@ -153,13 +159,13 @@ def _weighed(folder: _Folder, balance: CoupledBalance, files: BalanceFiles) -> P
     return mass
 
 
-def _identified(folder: _Folder, balance: CoupledBalance, files: BalanceFiles, mass: Path) -> Path:
+def identified(folder: Folder, balance: CoupledBalance, files: BalanceFiles, mass: Path) -> Path:
     """Six releases, each along one component, and what they say."""
     paths = []
     for place, name in enumerate(COMPONENTS):
         load = np.zeros(len(COMPONENTS))
         load[place] = PULLED * balance.half_range[place]
-        rig = replace(_still(balance, 0.0, 0.0), releases=(Release(load, instant=0.1),))
+        rig = replace(still(balance, 0.0, 0.0), releases=(Release(bearable(balance, load), instant=0.1),))
         recorded, _ = folder.record(f"release_{name}", rig, 1.0)
         paths.append(folder.path / f"release_{name}_loads.h5")
         loads_command.loads(recorded, paths[-1], files=replace(files, mass=mass))
@@ -169,15 +175,25 @@ def _identified(folder: _Folder, balance: CoupledBalance, files: BalanceFiles, m
     return dynamics
 
 
-def _run(folder: _Folder, balance: CoupledBalance) -> tuple[Path, SixSimulation]:
+def bearable(balance: CoupledBalance, load: Array) -> Array:
+    """A load to be let go, made smaller where it would ring beyond what the balance bears; shape (6,) [N, N*m]."""
+    poles, shapes, weights = balance.dynamics.modal_form
+    time = np.arange(0, 0.2, 1e-4)
+    swing = shapes * (-(weights @ load) / poles)
+    felt = np.real(np.exp(np.outer(time, poles)) @ swing.T)
+    largest = float(np.max(np.abs(felt) / balance.half_range))
+    return np.asarray(load * min(1.0, BEARABLE / largest))
+
+
+def _run(folder: Folder, balance: CoupledBalance) -> tuple[Path, SixSimulation]:
     """Gusts through all resonances, a release, and a sting that shakes."""
     top = 1.2 * max(mode.natural_frequency for mode in balance.dynamics.modes)
     band = Band(0, top)
-    gusts = FELT / _felt(balance, band) * balance.half_range
+    gusts = FELT / largest_felt(balance, band) * balance.half_range
     size = balance.half_range * np.array([0.3, 0.25, 0.2, 0.25, 0.2, 0.3]) / 2
     rig = SixComponentRig(
         balance,
-        releases=(Release(size, instant=INSTANT),),
+        releases=(Release(bearable(balance, size), instant=INSTANT),),
         applied=broadband(folder.generator, band, rms=gusts, period=2 * DURATION),
         base=random_motion(folder.generator, Band(2, 40), rms=np.array([1, 1, 1, 1, 1, 1]), period=2 * DURATION),
         pitch=lambda time: np.zeros(time.shape),
@@ -186,7 +202,7 @@ def _run(folder: _Folder, balance: CoupledBalance) -> tuple[Path, SixSimulation]
     return folder.record("run", rig, DURATION)
 
 
-def _felt(balance: CoupledBalance, band: Band) -> float:
+def largest_felt(balance: CoupledBalance, band: Band) -> float:
     """Largest rms of a load felt over half range, when all loads applied have the rms of half range."""
     frequency = np.linspace(0, band.highest, 4001)
     response = balance.dynamics.response(frequency) * balance.half_range / balance.half_range[:, None]

@@ -10,7 +10,6 @@ import typer
 from aerobalance.cli.account import show
 from aerobalance.cli.options import (
     Balance,
-    Component,
     Gravity,
     Json,
     LoadForm,
@@ -100,6 +99,7 @@ def force(
 ) -> None:
     """Work out the force that was applied, with the standard uncertainty of every sample, its budget and a check."""
     from aerobalance.commands import force as command
+    from aerobalance.commands.known import Check
     from aerobalance.commands.loads import BalanceFiles
 
     if balance is None and (zero or zero_after or tare):
@@ -118,7 +118,7 @@ def force(
             noise_record=noise_record,
             files=None if balance is None else BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare),
             channel_map=channel_map,
-            check=None if monte_carlo is None else command.Check(monte_carlo, seed),
+            check=None if monte_carlo is None else Check(monte_carlo, seed),
             report=report,
         ),
         as_json,
@@ -129,7 +129,10 @@ def force(
 @app.command(epilog=example("plan --dynamics dynamics.json --noise 2 --rate 1600 --force 200"))
 def plan(
     dynamics: Annotated[Path, typer.Option("--dynamics", help="The dynamics.json that identify wrote.")],
-    noise: Annotated[float, typer.Option("--noise", help="Standard uncertainty of one reading of the load, in N.")],
+    noise: Annotated[
+        list[str],
+        typer.Option("--noise", help="Standard uncertainty of one reading of the load: 2, or NF=2 (repeatable)."),
+    ],
     rate: Annotated[float, typer.Option("--rate", help="Sampling rate in Hz.")],
     component: Annotated[
         str | None, typer.Option("--component", help="Which component, where there are more.")
@@ -137,8 +140,12 @@ def plan(
     acceleration_noise: Annotated[
         float, typer.Option("--acceleration-noise", help="The same of the ground accelerometer, in m/s^2.")
     ] = 0.0,
+    turn_noise: Annotated[
+        float, typer.Option("--turn-noise", help="The same of the ground's angular acceleration, in rad/s^2.")
+    ] = 0.0,
     force: Annotated[
-        float | None, typer.Option("--force", help="Root mean square of the force expected, in N.")
+        list[str] | None,
+        typer.Option("--force", help="Root mean square of the force expected: 200, or NF=200 (repeatable)."),
     ] = None,
     bandwidth: Annotated[
         list[float] | None, typer.Option("--bandwidth", help="Highest frequency of the force in Hz (repeatable).")
@@ -147,15 +154,20 @@ def plan(
 ) -> None:
     """Before the test: attainable uncertainty against bandwidth, and which sensor limits it."""
     from aerobalance.commands import plan as command
+    from aerobalance.commands.shared import amounts
 
+    noises, forces = amounts(noise, "--noise"), amounts(force or (), "--force")
+    if noises is None:
+        raise ValueError("--noise is needed")
     show(
         lambda: command.plan(
             dynamics,
-            noise=noise,
+            noise=noises,
             rate=rate,
             component=component,
             acceleration_noise=acceleration_noise,
-            force=force,
+            turn_noise=turn_noise,
+            force=forces,
             bandwidths=bandwidth or (),
         ),
         as_json,
@@ -171,14 +183,20 @@ def compare(
     truth: Annotated[
         Path | None, typer.Option("--truth", help="Force really applied, on the record's clock: time [s],AF [N].")
     ] = None,
-    component: Component = "AF",
+    component: Annotated[
+        str | None,
+        typer.Option("--component", help="Which component; AF if left out, or all that ring together."),
+    ] = None,
     step: Annotated[
         Path | None,
         typer.Option("--step", help="Record of one step or impulse, for the black-box inverse; else the model's own."),
     ] = None,
     half_range: Annotated[
-        float | None,
-        typer.Option("--half-range", help="What percentages refer to; half of the truth's span if left out."),
+        list[str] | None,
+        typer.Option(
+            "--half-range",
+            help="What percentages refer to, 2000 or NF=2000 (repeatable); half of the truth's span if left out.",
+        ),
     ] = None,
     out: Out = None,
     gravity: Gravity = STANDARD_GRAVITY,
@@ -192,10 +210,12 @@ def compare(
     """Show this estimator and its rivals side by side on one record, with their errors where the truth is given."""
     from aerobalance.commands import compare as command
     from aerobalance.commands.loads import BalanceFiles
+    from aerobalance.commands.shared import amounts
 
     if balance is None and (zero or zero_after or tare):
         raise ValueError("--zero, --zero-after and --tare go with --balance: they are of gauge outputs")
 
+    ranges = amounts(half_range or (), "--half-range")
     show(
         lambda: command.compare(
             rec,
@@ -203,7 +223,7 @@ def compare(
             truth=truth,
             component=component,
             step=step,
-            half_range=half_range,
+            half_range=ranges,
             gravity=gravity,
             files=None if balance is None else BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare),
             channel_map=channel_map,

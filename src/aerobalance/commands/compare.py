@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from aerobalance.commands.known import Known, Separate
+from aerobalance.commands.known import Coupled, Known, read_known
 from aerobalance.commands.loads import BalanceFiles, Reduction, from_gauges, loads_account
 from aerobalance.commands.shared import Account, check_out, doubts, known_component, recording_of
 from aerobalance.components import STANDARD_GRAVITY, si_unit
@@ -36,9 +36,9 @@ def compare(
     *,
     dynamics: Path,
     truth: Path | None = None,
-    component: str = "AF",
+    component: str | None = None,
     step: Path | None = None,
-    half_range: float | None = None,
+    half_range: float | Mapping[str, float] | None = None,
     gravity: float = STANDARD_GRAVITY,
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
@@ -46,19 +46,38 @@ def compare(
 ) -> Account:
     """Every rival on one record: a table, a page, and errors where the truth is given.
 
-    With `files` the record holds gauge outputs, and so does `step`.
+    With `files` the record holds gauge outputs, and so does `step`. Where the components ring together all of them
+    are compared unless one is named; else it is AF unless another is named.
     """
-    known_component(component)
+    if component is not None:
+        known_component(component)
     inputs = [file for file in (path, dynamics, truth, step, channel_map, *_paths(files)) if file is not None]
     check_out(out, *inputs)
-    if half_range is not None and not 0 < half_range < np.inf:
-        raise ValueError(f"--half-range must be positive, not {half_range:g}")
-    known = read_dynamics(dynamics)
-    if component not in known:
-        raise FitError(f"{dynamics} has no {component}; it has {', '.join(known)}")
-    balance = known[component]
+    known = read_known(dynamics)
+    source = Source(known, files, gravity, channel_map)
+    if isinstance(known, Coupled):
+        from aerobalance.commands.compare_coupled import compare_coupled  # noqa: PLC0415 - it takes parts of this
+
+        if step is not None:
+            raise ValueError("--step is for components each for itself: a step of one rings in all that are coupled")
+        return compare_coupled(
+            path,
+            known.dynamics,
+            source=source,
+            inputs=inputs,
+            truth=truth,
+            component=component,
+            half_range=_by_component(half_range),
+            out=out,
+        )
+    parts = read_dynamics(dynamics)
+    component = component or "AF"
+    if component not in parts:
+        raise FitError(f"{dynamics} has no {component}; it has {', '.join(parts)}")
+    if isinstance(half_range, Mapping):
+        half_range = half_range.get(component)
+    balance = parts[component]
     with doubts() as collected:
-        source = _Source(Separate(known), files, gravity, channel_map)
         recording, reduced = source.recording(path)
         recording.channel(component)
         applied = None
@@ -89,11 +108,17 @@ def compare(
     return {**account, "summary": summary(account)}
 
 
+def _by_component(half_range: float | Mapping[str, float] | None) -> Mapping[str, float]:
+    if half_range is None or isinstance(half_range, Mapping):
+        return half_range or {}
+    raise ValueError("--half-range of components that ring together is given by component: NF=2000")
+
+
 def _paths(files: BalanceFiles | None) -> tuple[Path, ...]:
     return () if files is None else files.paths
 
 
-class _Source(NamedTuple):
+class Source(NamedTuple):
     """How a file becomes loads felt."""
 
     known: Known
@@ -102,6 +127,7 @@ class _Source(NamedTuple):
     channel_map: Path | None
 
     def recording(self, path: Path) -> tuple[Recording, Reduction | None]:
+        """Read a file, and turn gauge outputs into loads felt."""
         recording = recording_of(path, self.channel_map)
         if self.files is None:
             return recording, None

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from aerobalance.commands.known import Known, Separate, Settings, read_known
+from aerobalance.commands.known import Check, Settings, read_known
 from aerobalance.commands.loads import BalanceFiles, from_gauges, loads_account
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of
 from aerobalance.commands.uncertainty import (
@@ -28,14 +26,9 @@ from aerobalance.io import (
     write_force,
 )
 from aerobalance.loads import static_uncertainty
-from aerobalance.monte_carlo import MonteCarlo, monte_carlo
-from aerobalance.motion import GroundMotion
 from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Force, Recording
-
-DEFAULT_SEED = 1
-"""Seed of Monte Carlo where none is given, so that the same inputs give the same result."""
+from aerobalance.recording import Force
 
 
 def force(
@@ -61,8 +54,6 @@ def force(
     check_out(out, *inputs)
     check_out(report, *inputs, out)
     known = read_known(dynamics)
-    if check is not None and not isinstance(known, Separate):
-        raise ValueError(f"--monte-carlo is for components each for itself; those of {dynamics} ring together")
     settings = Settings(method, bandwidth, gravity, gravity_uncertainty, hum)
     with doubts() as collected:
         recording = recording_of(path, channel_map)
@@ -80,7 +71,7 @@ def force(
             calm = recording_of(noise_record, channel_map)
             if files is not None:
                 calm, _ = from_gauges(calm, files, known, gravity=gravity, channel_map=channel_map)
-            noises = known.noises(calm, settings)
+            noises = known.noises(calm, settings, run=recording)
         estimates = known.forces(recording, settings, noises=noises)
         if reduction is not None:
             forces = {name: estimate.values for name, estimate in estimates.items()}
@@ -88,7 +79,10 @@ def force(
             estimates = {name: with_balance(estimate, static[name]) for name, estimate in estimates.items()}
         for text in known.doubts(recording, estimates):
             warnings.warn(f"{recording.name}: {text}", DoubtWarning, stacklevel=2)
-        checked = {} if check is None else _checked(recording, known, estimates, check=check, settings=settings)
+        checked = {} if check is None else known.checked(recording, estimates, settings, check=check)
+        for name, result in checked.items():
+            for text in result.doubts:
+                warnings.warn(f"{recording.name}: {name}: {text}", DoubtWarning, stacklevel=2)
     parts = list(estimates.values())
     write_force(
         out,
@@ -148,46 +142,6 @@ def hum_of(text: str) -> Hum:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
         raise ValueError(f"--hum must be mains, keep or frequencies in Hz such as 50,100, not {text}") from None
-
-
-def _checked(
-    recording: Recording, known: Known, estimates: Mapping[str, ForceEstimate], *, check: Check, settings: Settings
-) -> dict[str, MonteCarlo]:
-    """Check the uncertainty of every component by Monte Carlo, and warn where it differs."""
-    if not isinstance(known, Separate):
-        return {}
-    found = {}
-    for name, estimate in estimates.items():
-        found[name] = monte_carlo(
-            recording,
-            known.parts[name],
-            estimate,
-            motion=GroundMotion.of(
-                recording, name, gravity=settings.gravity, gravity_uncertainty=settings.gravity_uncertainty
-            ),
-            draws=check.draws,
-            seed=check.seed,
-            method=settings.method,
-            bandwidth=settings.bandwidth,
-        )
-        for text in found[name].doubts:
-            warnings.warn(f"{recording.name}: {name}: {text}", DoubtWarning, stacklevel=2)
-    return found
-
-
-class Check(NamedTuple):
-    """A Monte Carlo check that is wanted.
-
-    Attributes
-    ----------
-    draws
-        Number of draws.
-    seed
-        Seed that they come from.
-    """
-
-    draws: int
-    seed: int = DEFAULT_SEED
 
 
 def force_account(estimate: ForceEstimate, origins: Origins) -> Account:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_force import reconstruct_coupled
+from aerobalance.coupled_force import noise_of_coupled, reconstruct_coupled
 from aerobalance.coupled_misfit import misfits_of_coupled
 from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import ForceEstimate
@@ -20,10 +20,13 @@ from aerobalance.force import Method, noise_of, reconstruct, without_hum
 from aerobalance.hum import Hum
 from aerobalance.io.coupled_file import read_any_dynamics
 from aerobalance.misfit import misfit_of
-from aerobalance.motion import gravity_share
+from aerobalance.monte_carlo import MonteCarlo, monte_carlo, monte_carlo_of_coupled
+from aerobalance.motion import GroundMotion, gravity_share
 from aerobalance.noise_spectrum import NoiseSpectrum
-from aerobalance.problems import FitError
 from aerobalance.recording import Recording
+
+DEFAULT_SEED: Final = 1
+"""Seed of Monte Carlo where none is given, so that the same inputs give the same result."""
 
 
 class Settings(NamedTuple):
@@ -44,6 +47,21 @@ class Settings(NamedTuple):
     hum: Hum = "mains"
 
 
+class Check(NamedTuple):
+    """A Monte Carlo check that is wanted.
+
+    Attributes
+    ----------
+    draws
+        Number of draws.
+    seed
+        Seed that they come from.
+    """
+
+    draws: int
+    seed: int = DEFAULT_SEED
+
+
 class Known(Protocol):
     """What a command asks of dynamics of either kind."""
 
@@ -57,13 +75,18 @@ class Known(Protocol):
     def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
         """Weight of the moving mass along a component at given attitudes, shape (n,) [N, N*m]."""
 
-    def noises(self, calm: Recording, settings: Settings) -> dict[str, NoiseSpectrum]:
-        """Spectra of the noise, by component, from a record of noise alone."""
+    def noises(self, calm: Recording, settings: Settings, *, run: Recording) -> dict[str, NoiseSpectrum]:
+        """Spectra of the noise of a run, by component, from a record of noise alone."""
 
     def forces(
         self, recording: Recording, settings: Settings, *, noises: Mapping[str, NoiseSpectrum]
     ) -> dict[str, ForceEstimate]:
         """Forces applied, by component."""
+
+    def checked(
+        self, recording: Recording, estimates: Mapping[str, ForceEstimate], settings: Settings, *, check: Check
+    ) -> dict[str, MonteCarlo]:
+        """The uncertainty of every component checked by Monte Carlo."""
 
     def doubts(self, recording: Recording, estimates: Mapping[str, ForceEstimate]) -> list[str]:
         """What a recording says against the dynamics."""
@@ -94,8 +117,8 @@ class Separate:
         """Weight of the component's own moving mass."""
         return self.parts[name].mass * gravity * gravity_share(name, pitch=pitch, roll=roll)
 
-    def noises(self, calm: Recording, settings: Settings) -> dict[str, NoiseSpectrum]:
-        """Spectra of the noise of the components in the record."""
+    def noises(self, calm: Recording, settings: Settings, *, run: Recording) -> dict[str, NoiseSpectrum]:
+        """Spectra of the noise of the components in the record; the run has no part in them."""
         return {
             name: noise_of(
                 calm, self.parts[name], gravity=settings.gravity, gravity_uncertainty=settings.gravity_uncertainty
@@ -110,6 +133,25 @@ class Separate:
         return {
             name: reconstruct(recording, self.parts[name], noise=noises.get(name), **settings._asdict())
             for name in self.names_in(recording)
+        }
+
+    def checked(
+        self, recording: Recording, estimates: Mapping[str, ForceEstimate], settings: Settings, *, check: Check
+    ) -> dict[str, MonteCarlo]:
+        """The check of one component after the other."""
+        gravity = {"gravity": settings.gravity, "gravity_uncertainty": settings.gravity_uncertainty}
+        return {
+            name: monte_carlo(
+                recording,
+                self.parts[name],
+                estimate,
+                motion=GroundMotion.of(recording, name, **gravity),
+                draws=check.draws,
+                seed=check.seed,
+                method=settings.method,
+                bandwidth=settings.bandwidth,
+            )
+            for name, estimate in estimates.items()
         }
 
     def doubts(self, recording: Recording, estimates: Mapping[str, ForceEstimate]) -> list[str]:
@@ -150,15 +192,37 @@ class Coupled:
             return np.zeros_like(pitch)
         return self.dynamics.mass.weight(pitch, roll, gravity=gravity)[:, COMPONENTS.index(name)]
 
-    def noises(self, calm: Recording, settings: Settings) -> dict[str, NoiseSpectrum]:
-        """Not to be had: what a component taken apart has of noise comes from all channels."""
-        raise FitError("--noise-record is for components each for itself; the noise of coupled ones is taken as white")
+    def noises(self, calm: Recording, settings: Settings, *, run: Recording) -> dict[str, NoiseSpectrum]:
+        """Spectra of the noise of the components as they are taken apart in the run."""
+        return noise_of_coupled(
+            calm,
+            self.dynamics,
+            run=run,
+            gravity=settings.gravity,
+            gravity_uncertainty=settings.gravity_uncertainty,
+        )
 
     def forces(
         self, recording: Recording, settings: Settings, *, noises: Mapping[str, NoiseSpectrum]
     ) -> dict[str, ForceEstimate]:
         """All components at once."""
-        return reconstruct_coupled(recording, self.dynamics, **settings._asdict())
+        return reconstruct_coupled(recording, self.dynamics, noise=noises, **settings._asdict())
+
+    def checked(
+        self, recording: Recording, estimates: Mapping[str, ForceEstimate], settings: Settings, *, check: Check
+    ) -> dict[str, MonteCarlo]:
+        """The check of every component."""
+        return monte_carlo_of_coupled(
+            recording,
+            self.dynamics,
+            estimates,
+            draws=check.draws,
+            seed=check.seed,
+            gravity=settings.gravity,
+            gravity_uncertainty=settings.gravity_uncertainty,
+            method=settings.method,
+            bandwidth=settings.bandwidth,
+        )
 
     def doubts(self, recording: Recording, estimates: Mapping[str, ForceEstimate]) -> list[str]:
         """Modes of the record that the dynamics do not have, or have elsewhere."""

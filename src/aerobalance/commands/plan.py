@@ -2,27 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 from aerobalance.commands.shared import Account, doubts, table_text
 from aerobalance.components import si_unit
+from aerobalance.coupled_planning import Sensors
 from aerobalance.dynamics import Dynamics
+from aerobalance.io.coupled_file import dynamics_kind, read_coupled
 from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.planning import Attainable, attainable, live_lag, usual_bandwidths
+
+QUIETER: Final = "a quieter amplifier, more excitation or a higher sampling rate"
+"""What helps against the noise of a reading."""
+
+Amount = float | Mapping[str, float]
+"""One number, or one for each component."""
 
 
 def plan(
     dynamics: Path,
     *,
-    noise: float,
+    noise: Amount,
     rate: float,
     component: str | None = None,
     acceleration_noise: float = 0.0,
-    force: float | None = None,
+    turn_noise: float = 0.0,
+    force: Amount | None = None,
     bandwidths: Sequence[float] = (),
 ) -> Account:
-    """Attainable uncertainty against bandwidth and sampling rate."""
+    """Attainable uncertainty against bandwidth and sampling rate.
+
+    `turn_noise`, and noise and force by component, are for components that ring together.
+    """
+    if not 0 < rate < float("inf"):
+        raise ValueError(f"--rate must be positive, not {rate:g}")
+    if dynamics_kind(dynamics) == "coupled":
+        from aerobalance.commands.plan_coupled import plan_coupled  # noqa: PLC0415 - it takes parts of this
+
+        if not isinstance(noise, Mapping) or not (force is None or isinstance(force, Mapping)):
+            raise ValueError("the components ring together: give --noise and --force by component, NF=0.5 and so on")
+        return plan_coupled(
+            read_coupled(dynamics),
+            Sensors(noise, acceleration_noise, turn_noise),
+            rate=rate,
+            component=component,
+            force=force,
+            bandwidths=bandwidths,
+        )
     known = read_dynamics(dynamics)
     if component is None:
         if len(known) > 1:
@@ -30,8 +58,7 @@ def plan(
         component = next(iter(known))
     if component not in known:
         raise ValueError(f"{dynamics} has no {component}; it has {', '.join(known)}")
-    if not 0 < rate < float("inf"):
-        raise ValueError(f"--rate must be positive, not {rate:g}")
+    noise, force = _own(noise, component, "--noise"), None if force is None else _own(force, component, "--force")
     chosen = known[component]
     sensors = {"noise": noise, "acceleration_noise": acceleration_noise, "force": force}
     with doubts() as collected:
@@ -63,6 +90,15 @@ def plan(
     return {**account, "summary": _summary(account)}
 
 
+def _own(amount: Amount, component: str, option: str) -> float:
+    """The number for one component."""
+    if not isinstance(amount, Mapping):
+        return amount
+    if component not in amount:
+        raise ValueError(f"{option} is given for {', '.join(amount)}, not for {component}")
+    return amount[component]
+
+
 def _edge(dynamics: Dynamics, rate: float) -> float:
     """Bandwidth at which sampling rates are compared: through resonance, where the rate allows it."""
     return min(1.25 * dynamics.natural_frequency, rate / 2)
@@ -83,7 +119,7 @@ def _row(row: Attainable) -> Account:
 def _advice(row: Attainable, dynamics: Dynamics, force: float | None) -> str:
     """Say what to improve first."""
     improve = {
-        "noise of the balance reading": "a quieter amplifier, more excitation or a higher sampling rate",
+        "noise of the balance reading": QUIETER,
         "noise of the ground accelerometer": "a quieter accelerometer on the ground end (or a stiffer support)",
         "mass, stiffness, damping, delay": "weighing and identification: a longer record, or several releases",
     }[row.limited_by]

@@ -93,6 +93,32 @@ def known_component(component: str) -> None:
         raise ValueError(f"--component must be one of {', '.join(COMPONENTS)}, not {component}")
 
 
+def amounts(texts: Sequence[str], option: str) -> float | dict[str, float] | None:
+    """What an option of the command line says: one positive number, numbers by component (``NF=2000``), or nothing.
+
+    Raises
+    ------
+    ValueError
+        A text is neither, or there is more than one number without a component.
+    """
+    found: dict[str, float] = {}
+    for text in texts:
+        name, _, number = text.rpartition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = -1.0
+        if not 0 < value < np.inf or (name and name not in COMPONENTS):
+            raise ValueError(
+                f"{option} must be positive, one number or by component such as NF=2000 "
+                f"({', '.join(COMPONENTS)}), not {text}"
+            )
+        found[name] = value
+    if "" in found and len(texts) > 1:
+        raise ValueError(f"{option} is one number, or numbers by component such as NF=2000, not both")
+    return found.get("", found or None)
+
+
 def table_text(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Lay out a table for people: the first column to the left, the others to the right."""
     table = Table(box=None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Final, NoReturn, TypedDict, TypeVar, Unpack
@@ -25,6 +25,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _Model = TypeVar("_Model", bound=BaseModel)
+_Entry = TypeVar("_Entry")
 
 
 class Loose(BaseModel):
@@ -212,6 +213,22 @@ def load(path: Path, kind: str, model: type[_Model]) -> _Model:
     except ValidationError as error:
         where, what = first_fault(error, model)
         raise ReadError(path, where, what) from None
+
+
+def entries_of(
+    path: Path, components: Mapping[str, _Entry], allowed: Collection[str], *, what: str = "component"
+) -> Iterator[tuple[str, str, _Entry]]:
+    """Components of an artefact one after the other: name, key in the file, and what stands there.
+
+    Raises
+    ------
+    ReadError
+        A name is not among those allowed.
+    """
+    for name, entry in components.items():
+        if name not in allowed:
+            raise ReadError(path, f"components.{name}", f"is no {what}; allowed: {', '.join(allowed)}")
+        yield name, f"components.{name}", entry
 
 
 def check_unit(path: Path, where: str, value: Value, unit: str) -> None:

@@ -20,7 +20,6 @@ from aerobalance.io.artefacts import (
     Loose,
     NotNegative,
     Origin,
-    Positive,
     PositiveValue,
     Value,
     check_unit,
@@ -28,7 +27,7 @@ from aerobalance.io.artefacts import (
     load,
     write_artefact,
 )
-from aerobalance.io.dynamics_file import FREQUENCY_AGREEMENT, read_dynamics
+from aerobalance.io.dynamics_file import ListedMode, check_mode, read_dynamics
 from aerobalance.problems import ReadError
 
 KIND: Final = "coupled dynamics"
@@ -75,11 +74,6 @@ class RigidMassPart(Loose):
     covariance: Covariance | None = None
 
 
-class _Mode(Loose):
-    natural_frequency: Positive
-    damping_ratio: Finite
-
-
 class _CoupledFile(Loose):
     kind: Literal["coupled dynamics"] = "coupled dynamics"
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1
@@ -88,7 +82,7 @@ class _CoupledFile(Loose):
     damping: _Matrix
     covariance: Covariance | None = None
     mass: RigidMassPart | None = None
-    modes: list[_Mode] = Field(default_factory=list)
+    modes: list[ListedMode] = Field(default_factory=list)
 
 
 def matrix_units(components: Sequence[str], kind: Matrix) -> list[list[str]]:
@@ -136,7 +130,7 @@ def coupled_payload(dynamics: CoupledDynamics) -> dict[str, object]:
 
 
 def _mass_payload(mass: RigidMass) -> dict[str, object]:
-    values = _mass_values(mass)
+    values = mass.values.tolist()
     deviations = np.sqrt(np.diag(mass.covariance))
     units = ("kg", *("m",) * 3, *("kg*m^2",) * 6)
     entries = [
@@ -152,11 +146,6 @@ def _mass_payload(mass: RigidMass) -> dict[str, object]:
     return payload
 
 
-def _mass_values(mass: RigidMass) -> list[float]:
-    """Mass, centre and moments of inertia in the order of the covariance."""
-    return [mass.mass, *mass.centre.tolist(), *(float(mass.inertia[place]) for place in _INERTIA.values())]
-
-
 def _mass_names() -> tuple[str, ...]:
     return ("mass", *(f"centre.{axis}" for axis in _CENTRE), *(f"inertia.{axes}" for axes in _INERTIA))
 
@@ -168,18 +157,7 @@ def write_coupled(
     details: Mapping[str, object] | None = None,
     **origin: Unpack[Origin],
 ) -> None:
-    """Write dynamics.json of coupled components.
-
-    Parameters
-    ----------
-    path
-        The file.
-    dynamics
-        What it is to hold.
-    details
-        How the fit went; written under ``fit``.
-    origin
-        What it was computed from.
+    """Write dynamics.json of coupled components; the arguments are those of `write_dynamics`.
 
     Raises
     ------
@@ -280,22 +258,16 @@ def rigid_mass_from(path: Path, given: RigidMassPart) -> RigidMass:
     )
 
 
-def _check_modes(path: Path, given: Sequence[_Mode], dynamics: CoupledDynamics) -> None:
+def _check_modes(path: Path, given: Sequence[ListedMode], dynamics: CoupledDynamics) -> None:
     """Refuse modes that contradict the matrices: one or the other was altered by mistake."""
     if not given:
         return
     modes = dynamics.modes
     if len(given) != len(modes):
         raise ReadError(path, "modes", f"are {len(given)}, but the matrices have {len(modes)}; leave modes out")
+    words = "the matrices give", "correct what is wrong, or leave modes out"
     for number, (stated, own) in enumerate(zip(given, modes, strict=True)):
-        for name in ("natural_frequency", "damping_ratio"):
-            found, allowed = getattr(stated, name), getattr(own, name)
-            if abs(found - allowed) > FREQUENCY_AGREEMENT * allowed:
-                raise ReadError(
-                    path,
-                    f"modes[{number}].{name}",
-                    f"is {found:g}, but the matrices give {allowed:g}; correct what is wrong, or leave modes out",
-                )
+        check_mode(path, f"modes[{number}]", stated, own, words=words)
 
 
 def dynamics_kind(path: Path | str) -> Kind | None:

@@ -22,6 +22,7 @@ from aerobalance.io.artefacts import (
     Value,
     check_unit,
     checked_covariance,
+    entries_of,
     load,
     write_artefact,
 )
@@ -34,8 +35,14 @@ SHARE_AGREEMENT: Final = 1e-6
 """Departure from 1 of the sum of the shares of the modes that rounding in a file may make."""
 
 
-class _Mode(Loose):
+class ListedMode(Loose):
+    """What every dynamics.json says of a mode."""
+
     natural_frequency: Positive
+    damping_ratio: Finite
+
+
+class _Mode(ListedMode):
     u_natural_frequency: NotNegative = 0.0
     damping_ratio: NotNegative
     u_damping_ratio: NotNegative = 0.0
@@ -146,10 +153,7 @@ def read_dynamics(path: Path | str) -> dict[str, Dynamics]:
     file = Path(path)
     contents = load(file, "dynamics", _DynamicsFile)
     result = {}
-    for name, entry in contents.components.items():
-        key = f"components.{name}"
-        if name not in COMPONENTS:
-            raise ReadError(file, key, f"is no component; allowed: {', '.join(COMPONENTS)}")
+    for name, key, entry in entries_of(file, contents.components, COMPONENTS):
         units = dynamics_units(name)
         given = {parameter: getattr(entry, parameter) for parameter in PARAMETERS}
         for parameter, value in given.items():
@@ -177,19 +181,27 @@ def read_dynamics(path: Path | str) -> dict[str, Dynamics]:
     return result
 
 
+def check_mode(path: Path, key: str, given: ListedMode, own: Mode, *, words: tuple[str, str]) -> None:
+    """Refuse a mode that is not what the rest of the file gives; the words say what gives it, and what to do.
+
+    Raises
+    ------
+    ReadError
+        With the key.
+    """
+    for name in ("natural_frequency", "damping_ratio"):
+        found, allowed = getattr(given, name), getattr(own, name)
+        if abs(found - allowed) > FREQUENCY_AGREEMENT * allowed:
+            raise ReadError(path, f"{key}.{name}", f"is {found:g}, but {words[0]} {allowed:g}; {words[1]}")
+
+
 def _check_modes(path: Path, key: str, modes: Sequence[_Mode], dynamics: Dynamics) -> None:
     """Refuse modes whose first is not that of mass and stiffness, or whose shares do not add to 1."""
     if not modes:
         return
     first, own = modes[0], dynamics.modes[0]
-    for name, allowed in (("natural_frequency", own.natural_frequency), ("damping_ratio", own.damping_ratio)):
-        if abs(getattr(first, name) - allowed) > FREQUENCY_AGREEMENT * allowed:
-            raise ReadError(
-                path,
-                f"{key}.modes[0].{name}",
-                f"is {getattr(first, name):g}, but mass, stiffness and damping give {allowed:g}; the first mode is "
-                "theirs",
-            )
+    words = "mass, stiffness and damping give", "the first mode is theirs"
+    check_mode(path, f"{key}.modes[0]", first, own, words=words)
     if abs(first.share - own.share) > SHARE_AGREEMENT:
         raise ReadError(
             path, f"{key}.modes", f"have shares that add to {sum(mode.share for mode in modes):g}; they must add to 1"

@@ -19,10 +19,10 @@ from aerobalance.io.artefacts import (
     Value,
     check_unit,
     checked_covariance,
+    entries_of,
     load,
     write_artefact,
 )
-from aerobalance.problems import ReadError
 from aerobalance.weighing import AXES, MovingMass
 
 
@@ -88,10 +88,7 @@ def read_mass(path: Path | str) -> dict[str, MovingMass]:
     file = Path(path)
     contents = load(file, "mass", MassFile)
     result = {}
-    for name, entry in contents.components.items():
-        key = f"components.{name}"
-        if name not in AXES:
-            raise ReadError(file, key, f"is no component that can be weighed; allowed: {', '.join(AXES)}")
+    for name, key, entry in entries_of(file, contents.components, AXES, what="component that can be weighed"):
         check_unit(file, f"{key}.mass.unit", entry.mass, mass_unit(name))
         check_unit(file, f"{key}.offset.unit", entry.offset, si_unit(name))
         others = dict(entry.misalignment)

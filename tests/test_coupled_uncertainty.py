@@ -1,0 +1,188 @@
+"""Monte Carlo and records of noise for components that ring together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerobalance.channel import Array, Channel
+from aerobalance.components import COMPONENTS, si_unit
+from aerobalance.coupled import CoupledDynamics, RigidMass
+from aerobalance.coupled_force import noise_of_coupled, reconstruct_coupled
+from aerobalance.coupled_record import CoupledRecord
+from aerobalance.draws import drawn_coupled
+from aerobalance.monte_carlo import monte_carlo_of_coupled
+from aerobalance.problems import FitError
+from aerobalance.recording import Recording
+
+RATE, COUNT = 4000.0, 2000
+SIZE = np.array([1000.0, 50.0])
+NOISE = 1e-4 * SIZE
+UNIT = np.outer(SIZE, 1 / SIZE)
+
+
+def pair() -> CoupledDynamics:
+    """NF and PM that ring together at some 60 and 170 Hz, with uncertain matrices and an uncertain mass."""
+    w = 2 * np.pi * np.array([65.0, 150.0])
+    inertia = np.array([[1.0, 0.25], [0.35, 1.0]]) / np.outer(w, w)
+    damping = np.array([[0.03, 0.004], [0.006, 0.05]]) / np.sqrt(np.outer(w, w))
+    deviation = np.concatenate([2e-4 * np.sqrt(inertia**2).ravel(), 2e-2 * damping.ravel()])
+    units = np.tile(UNIT.ravel(), 2)
+    mass = RigidMass(6.0, np.array([0.01, 0.0, 0.002]), np.diag([0.01, 0.05, 0.05]))
+    known = np.diag((2e-3 * np.array([6.0, 0.01, 0, 0.002, 0.01, 0.05, 0.05, 0, 0, 0])) ** 2)
+    return CoupledDynamics(
+        ("NF", "PM"),
+        inertia * UNIT,
+        damping * UNIT,
+        np.diag((deviation * units) ** 2),
+        replace(mass, covariance=known),
+    )
+
+
+def fresh() -> tuple[np.random.Generator, int]:
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    return np.random.default_rng(seed), seed
+
+
+def band(generator: np.random.Generator, edge: float, *, count: int, rate: float, columns: int) -> Array:
+    """Noise of a flat spectrum up to an edge, of rms 1, shape (count, columns)."""
+    frequency = np.fft.rfftfreq(2 * count, 1 / rate)
+    shape = (frequency.size, columns)
+    phasors = (generator.normal(size=shape) + 1j * generator.normal(size=shape)) * (
+        (frequency > 0) & (frequency < edge)
+    )[:, None]
+    series = np.fft.irfft(phasors, 2 * count, axis=0)[:count]
+    return np.asarray(series / series.std(axis=0))
+
+
+def recording_of(loads: Array, **more: Array) -> Recording:
+    channels = {name: Channel(name, column, si_unit(name)) for name, column in zip(("NF", "PM"), loads.T, strict=True)}
+    channels |= {name: Channel(name, values, "rad") for name, values in more.items()}
+    return Recording.from_columns(np.arange(len(loads)) / RATE, channels, name="run")
+
+
+def shaken(
+    generator: np.random.Generator, dynamics: CoupledDynamics, *, pitching: bool = True
+) -> tuple[Array, Array, Array]:
+    """Force on NF and PM up to 250 Hz, while the balance pitches; the loads felt without noise, and the pitch."""
+    fine = 8
+    force = 0.03 * SIZE * band(generator, 250, count=fine * COUNT, rate=fine * RATE, columns=2)
+    pitch = pitching * (0.1 + 0.05 * np.sin(2 * np.pi * 3 * np.arange(fine * COUNT) / (fine * RATE)))
+    assert dynamics.mass is not None
+    weight = pitching * dynamics.mass.weight(pitch)[:, [COMPONENTS.index(name) for name in dynamics.components]]
+    felt = dynamics.load_felt(force + weight, interval=1 / (fine * RATE))
+    return force[::fine], felt[::fine], pitch[::fine]
+
+
+@pytest.mark.parametrize("options", [{}, {"bandwidth": 300.0}, {"method": "paper"}])
+def test_monte_carlo_agrees_with_the_first_order(options: dict[str, object]) -> None:
+    generator, seed = fresh()
+    dynamics = pair()
+    _, felt, pitch = shaken(generator, dynamics)
+    recording = recording_of(felt + NOISE * generator.normal(size=felt.shape), pitch=pitch)
+    found = reconstruct_coupled(recording, dynamics, **options)
+    checked = monte_carlo_of_coupled(recording, dynamics, found, draws=25, seed=seed, **options)
+    assert list(checked) == ["NF", "PM"]
+    for name, result in checked.items():
+        rows = {row.name: row for row in result.contributions}
+        # the sets drawn have exactly their covariance, but for 24 of 25 in the mean square: what is left is curvature
+        assert rows["inertia, damping and mass"].ratio == pytest.approx(np.sqrt(24 / 25), rel=0.03), (name, seed)
+        assert rows["inertia, damping and mass"].drawn > 0
+        # ten per cent is what is promised; the scatter of 25 draws of noise is beside that
+        whole = result.contributions[-1]
+        assert abs(whole.ratio - 1) < 0.1 + 4 * whole.scatter, (name, seed)
+
+
+def test_gaps_are_filled_in_the_draws_as_in_the_force() -> None:
+    generator, seed = fresh()
+    dynamics = replace(pair(), mass=None)
+    _, felt, _ = shaken(generator, pair(), pitching=False)
+    loads = (felt + NOISE * generator.normal(size=felt.shape))[:1200]
+    loads[500:520, 1] = np.nan
+    recording = recording_of(loads)
+    found = reconstruct_coupled(recording, dynamics)
+    checked = monte_carlo_of_coupled(recording, dynamics, found, draws=12, seed=seed)
+    for name, result in checked.items():
+        row = next(row for row in result.contributions if row.name == "inertia, damping and mass")
+        assert row.ratio == pytest.approx(np.sqrt(11 / 12), rel=0.03), (name, seed)
+
+
+def test_drawn_matrices_have_exactly_the_covariance_of_the_row() -> None:
+    dynamics = pair()
+    root = np.random.default_rng(5).normal(size=(8, 8)) * np.sqrt(np.diag(dynamics.covariance))
+    tied = replace(dynamics, covariance=root.T @ root / 8)
+    rows = np.array([0, 1, 4, 5])  # NF of both matrices
+    drawn = drawn_coupled(np.random.default_rng(3), tied, rows, 40)
+    numbers = np.array([np.concatenate([item.inertia.ravel(), item.damping.ravel()]) for item in drawn])
+    size = np.sqrt(np.diag(tied.covariance))
+    scaled = (numbers - numbers.mean(axis=0)) / size
+    expected = tied.covariance / np.outer(size, size)
+    assert scaled[:, rows].T @ scaled / 39 == pytest.approx(expected[rows], abs=1e-6)
+    masses = np.array([item.mass.values for item in drawn])  # type: ignore[union-attr]
+    assert tied.mass is not None
+    assert np.cov(masses.T) == pytest.approx(tied.mass.covariance, abs=1e-9)
+
+
+def test_more_numbers_than_draws_are_drawn_all_the_same() -> None:
+    dynamics = pair()
+    drawn = drawn_coupled(np.random.default_rng(3), dynamics, np.arange(8), 10)
+    assert len(drawn) == 10
+
+
+def test_matrices_that_are_hardly_known_are_refused() -> None:
+    dynamics = pair()
+    wild = replace(dynamics, covariance=dynamics.covariance * 1e8)
+    with pytest.raises(FitError, match="not physical"):
+        drawn_coupled(np.random.default_rng(3), wild, np.array([0, 1, 4, 5]), 40)
+
+
+def colored(generator: np.random.Generator, corners: tuple[float, float], count: int) -> Array:
+    """Noise of both channels, white and 1/f below their corners, shape (count, 2)."""
+    frequency = np.fft.rfftfreq(4 * count, 1 / RATE)[1:]
+    columns = []
+    for corner, deviation in zip(corners, NOISE, strict=True):
+        size = np.sqrt((1 + corner / frequency) * deviation**2 * 4 * count / 2)
+        phasors = size * (generator.normal(size=frequency.size) + 1j * generator.normal(size=frequency.size))
+        columns.append(np.fft.irfft(np.concatenate([[0], phasors]), 4 * count)[count : 2 * count])
+    return np.column_stack(columns)
+
+
+def test_noise_of_a_component_taken_apart_is_what_its_balance_makes_of_all_channels() -> None:
+    generator, seed = fresh()
+    dynamics, corners = pair(), (60.0, 0.0)
+    run = recording_of(0.01 * SIZE * generator.normal(size=(COUNT, 2)))
+    run = replace(
+        run,
+        channels={
+            name: replace(run.channel(name), noise=float(u)) for name, u in zip(("NF", "PM"), NOISE, strict=True)
+        },
+    )
+    found = noise_of_coupled(recording_of(colored(generator, corners, 40_000)), dynamics, run=run)
+    frequency = np.array([8.0, 20.0, 400.0, 1000.0])
+    lones = CoupledRecord.of(run, dynamics).lones
+    for place, (name, spectrum) in enumerate(found.items()):
+        density = (1 + np.array(corners) / frequency[:, None]) * NOISE**2 / RATE
+        row = np.abs(dynamics.inverse_response(frequency)[:, place]) ** 2
+        expected = np.sum(row * density, axis=1) * np.abs(lones[place].dynamics.response(frequency)) ** 2
+        # 10 s of noise, its 1/f part from the ordinates below the mode: 30 % at 8 and 20 Hz, 5 % where it is white
+        # (thousands of ordinates), the spectrum being no exact 1/f near the mode
+        assert spectrum.density(frequency) == pytest.approx(expected, rel=0.5), (name, seed)
+        assert spectrum.density(frequency)[2:] == pytest.approx(expected[2:], rel=0.2), (name, seed)
+
+
+def test_uncertainty_with_a_record_of_noise_is_that_of_the_errors() -> None:
+    generator, seed = fresh()
+    dynamics = replace(pair(), covariance=np.zeros((8, 8)))
+    force, felt, _ = shaken(generator, dynamics, pitching=False)
+    corners = (40.0, 40.0)
+    run = recording_of(felt + colored(generator, corners, COUNT))
+    spectra = noise_of_coupled(recording_of(colored(generator, corners, 40_000)), dynamics, run=run)
+    found = reconstruct_coupled(run, dynamics, noise=spectra)
+    inner = slice(COUNT // 20, -COUNT // 20)
+    for place, (name, estimate) in enumerate(found.items()):
+        error = (estimate.values - force[:, place])[inner]
+        ratio = float(np.sqrt(np.mean(error**2) / np.mean(estimate.uncertainty[inner] ** 2)))
+        assert 0.6 < ratio < 1.6, (name, seed)
+        assert "record of noise" in estimate.method
