@@ -167,3 +167,30 @@ def test_live_force_within_ten_seconds(tmp_path, record) -> None:
     print(f"live force {took:.1f} s after the command")  # noqa: T201
     record("10 s over the time from the command to the live force", 10 / took, 1.0)
     assert took <= 10
+
+
+def test_told_to_end_with_viewers_and_a_record(tmp_path, record) -> None:
+    """Median and longest of several: a viewer may be in the middle of a message."""
+    times = []
+    for number in range(8):
+        with program(tmp_path, None) as (base, process, _):
+            while not state_of(base)["numbers"].get("estimates"):
+                time.sleep(0.1)
+            post(base, "record", name=f"run{number}")
+            live = base.replace("http", "ws") + "/live"
+
+            async def ended(live: str = live, base: str = base, process: subprocess.Popen = process) -> float:
+                async with websockets.connect(live, origin=base) as one, websockets.connect(live, origin=base) as two:
+                    for _ in range(10):
+                        await one.recv()
+                    await two.recv()
+                    begin = time.monotonic()
+                    process.send_signal(signal.SIGTERM)
+                    await asyncio.to_thread(process.wait, 30)
+                    return time.monotonic() - begin
+
+            times.append(asyncio.run(ended()))
+            assert process.returncode == 0
+    print(f"ended after {np.median(times):.2f} s (median), {max(times):.2f} s at the longest")  # noqa: T201
+    record("2 s over the longest time to end with two viewers and a record", 2 / max(times), 1.0)
+    assert max(times) < 2
