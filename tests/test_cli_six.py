@@ -66,22 +66,10 @@ def test_force_says_which_component_lacks(
     assert not (tmp_path / "f.csv").exists()
 
 
-def test_force_refuses_what_is_for_one_component(
-    cut: tuple[Path, CoupledBalance, SixSimulation, int], capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    folder, *_ = cut
-    run = str(folder / "run.h5")
-    arguments = ["force", run, "--dynamics", str(folder / "dynamics.json"), "-o", str(tmp_path / "f.csv")]
-    assert main([*arguments, "--monte-carlo", "20"]) == 2
-    assert "ring together" in capsys.readouterr().err
-    assert main([*arguments, "--noise-record", run]) == 1
-    assert "each for itself" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--component", "all", "--modes", "2"], "--modes is for one component"),
+        (["--component", "all", "--modes", "2"], "modes must be auto or 6 to 9"),
         (["--component", "all", "--half-range", "NF=x"], "like NF=2000"),
         (["--component", "all", "--half-range", "NF=2000"], "PM, SF, YM, RM, AF are needed too"),
         (["--component", "AF"], "Missing option '--mass'"),

@@ -15,7 +15,7 @@ from aerobalance.coupled import CoupledDynamics, RigidMass
 from aerobalance.dynamics import Dynamics
 from aerobalance.identification.coupled_model import compare_coupled, coupled_from_stiffness
 from aerobalance.identification.decay import identify_decay
-from aerobalance.identification.force_error import motion_power, predicted_force_error, true_force_error
+from aerobalance.identification.force_error import predicted_force_error, true_force_error
 from aerobalance.identification.free_motion import FreeMotion
 from aerobalance.identification.mass_matrix import centre_agreement, rigid_mass_of
 from aerobalance.identification.release_fit import whitener_of
@@ -179,8 +179,7 @@ def test_error_is_that_of_the_covariance():
     # the variance of a residual that has m degrees of freedom is known to sqrt(2 / m)
     spread = norm.isf(NEVER) * np.sqrt(2 / (fit.degrees_of_freedom / 6))
     assert fit.residual_deviation / (1e-4 * HALF_RANGE) == pytest.approx(np.ones(6), abs=spread), seed
-    power = motion_power(true, sizes=fit.applied)
-    square = (true_force_error(fit.dynamics, true, power=power) / fit.force_error) ** 2
+    square = (true_force_error(fit.dynamics, true, sizes=fit.applied) / fit.force_error) ** 2
     # at worst one direction in twelve carries it all: the square of one normal deviate
     assert square.max() < chi2.isf(NEVER / 6, 1), seed
 

@@ -19,6 +19,7 @@ from aerobalance.rigs import (
     Sensor,
     SixComponentRig,
     broadband,
+    driven_motion,
     oscillation,
     random_balance,
     random_motion,
@@ -409,3 +410,24 @@ def test_what_is_no_band_is_refused():
         Band(10, 5)
     with pytest.raises(ValueError, match="repeats itself"):
         broadband(np.random.default_rng(1), Band(10.1, 10.5), rms=np.ones(6), period=0.3)
+
+
+def test_a_driven_turn_is_the_integral_of_its_acceleration():
+    """Rate and angle of a sweep against differences of each other; neither has a mean, so the ground end stays."""
+    along = np.array([1.0, 2.0, 0.0, 0.0, -1.0, 0.5])
+    duration, step = 0.5, 1e-6
+
+    def drive(time):
+        return np.where((time >= 0) & (time <= duration), np.sin(2 * np.pi * (50 + 100 * time) * time), 0.0)
+
+    base = driven_motion(drive, along=along, duration=duration)
+    time = np.linspace(0.01, 0.49, 97)
+    turns = [PLACE[name] for name in MOMENTS]
+    np.testing.assert_allclose(base.acceleration(time), drive(time)[:, None] * along, atol=1e-15)
+    for function, expected in ((base.rate, base.acceleration(time)[:, turns]), (base.angle, base.rate(time))):
+        slope = (function(time + step) - function(time - step)) / (2 * step)
+        # rounding of the difference, 1e-16 / 1e-6, and the cubic between points of 50 us at up to 250 Hz: 1e-6
+        np.testing.assert_allclose(slope, expected, atol=1e-5)
+    whole = np.linspace(0, duration, 50_001)
+    assert np.abs(np.mean(base.rate(whole), axis=0)).max() < 1e-5
+    assert np.abs(np.mean(base.angle(whole), axis=0)).max() < 1e-6

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from aerobalance.components import COMPONENTS
 from aerobalance.identification.coupled_identification import CoupledIdentification
-from aerobalance.identification.force_error import motion_power, true_force_error
+from aerobalance.identification.force_error import true_force_error
 from aerobalance.identification.releases import identify_releases
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
@@ -96,8 +96,7 @@ def test_force_error_is_the_predicted_one(number: int, record) -> None:
         except FitError:  # a mode below the noise: the release to add is named, and there is no result to judge
             assert number < 6
             continue
-        power = motion_power(balance.dynamics, sizes=fit.applied)
-        real.append(true_force_error(fit.dynamics, balance.dynamics, power=power) / balance.half_range)
+        real.append(true_force_error(fit.dynamics, balance.dynamics, sizes=fit.applied) / balance.half_range)
         predicted.append(fit.force_error / balance.half_range)
         if len(real) == BALANCES:
             break

@@ -19,16 +19,20 @@ from aerobalance.cli.options import (
     Model,
     Modes,
     Out,
-    Rec,
     Way,
     Zero,
     example,
 )
 from aerobalance.components import STANDARD_GRAVITY
 
+HalfRange = Annotated[
+    list[str] | None,
+    typer.Option("--half-range", help="With all: half of range, 'NF=2000' in N or N*m (repeatable)."),
+]
+
 app = typer.Typer()
 identify = typer.Typer(
-    help="Stiffness and damping of a balance, from a release, a shaken rig or a published table.",
+    help="Stiffness and damping of a balance, from a release, a shaken rig, a published table or a stiffness.",
     epilog=f"Example: {PROGRAM} identify decay cut.csv --component AF --mass 177.87 -o dynamics.json",
     no_args_is_help=True,
 )
@@ -146,11 +150,14 @@ def identify_decay(
         str,
         typer.Option("--component", help="NF, PM, SF, YM, RM or AF; all for six that ring together, from releases."),
     ] = "AF",
-    modes: Modes = "1",
-    half_range: Annotated[
-        list[str] | None,
-        typer.Option("--half-range", help="With all: half of range, 'NF=2000' in N or N*m (repeatable)."),
+    modes: Annotated[
+        str | None,
+        typer.Option(
+            "--modes",
+            help="How many modes: a number, or auto for those the data show. If left out 1; auto for --component all.",
+        ),
     ] = None,
+    half_range: HalfRange = None,
     channel_map: Map = None,
     as_json: Json = False,
 ) -> None:
@@ -158,11 +165,11 @@ def identify_decay(
     if component == "all":
         from aerobalance.commands import identify_coupled
 
-        if modes != "1":
-            raise ValueError("--modes is for one component; with --component all there is a mode for each")
         ranges = identify_coupled.half_ranges(half_range or ())
         show(
-            lambda: identify_coupled.identify_decays(recs, out, mass=mass, half_range=ranges, channel_map=channel_map),
+            lambda: identify_coupled.identify_decays(
+                recs, out, mass=mass, half_range=ranges, modes=modes or "auto", channel_map=channel_map
+            ),
             as_json,
             doing="fitting the releases",
             plain="summary",
@@ -170,17 +177,12 @@ def identify_decay(
         return
     from aerobalance.commands import identify
 
-    if len(recs) > 1:
-        raise ValueError(
-            f"{len(recs)} recordings were given; one component is identified from one (or --component all)"
-        )
+    rec = _only(recs, half_range)
     if mass is None:
         raise ValueError("Missing option '--mass': a release tells mass over stiffness only")
-    if half_range:
-        raise ValueError("--half-range goes with --component all")
     show(
         lambda: identify.identify_decay(
-            recs[0], out, component=component, mass=mass, modes=modes, channel_map=channel_map
+            rec, out, component=component, mass=mass, modes=modes or "1", channel_map=channel_map
         ),
         as_json,
         doing="fitting the decay",
@@ -189,25 +191,62 @@ def identify_decay(
 
 @identify.command("rig", epilog=example("identify rig sweep.csv --component AF --mass 0.68 -o dynamics.json"))
 def identify_rig(
-    rec: Rec,
+    recs: Annotated[
+        list[Path], typer.Argument(metavar="REC...", help="A recording; several shakes with --component all.")
+    ],
     mass: Annotated[
         str | None,
         typer.Option("--mass", help="Moving mass in kg: a number, or a mass.json; identified when not given."),
     ] = None,
     out: Out = None,
-    component: Component = "AF",
+    component: Annotated[
+        str,
+        typer.Option("--component", help="NF, PM, SF, YM, RM or AF; all for six that ring together."),
+    ] = "AF",
     modes: Modes = "1",
+    half_range: HalfRange = None,
     channel_map: Map = None,
     as_json: Json = False,
 ) -> None:
     """Identify from a shaken ground end: stepped sine, sweep or random."""
+    if component == "all":
+        from aerobalance.commands import identify_coupled, identify_shaking
+
+        if modes != "1":
+            raise ValueError("--modes is for one component; with --component all there is a mode for each")
+        ranges = identify_coupled.half_ranges(half_range or ())
+        show(
+            lambda: identify_shaking.identify_shaken(recs, out, mass=mass, half_range=ranges, channel_map=channel_map),
+            as_json,
+            doing="fitting the shaken records",
+            plain="summary",
+        )
+        return
     from aerobalance.commands import identify
 
+    rec = _only(recs, half_range)
     show(
         lambda: identify.identify_rig(rec, out, component=component, mass=mass, modes=modes, channel_map=channel_map),
         as_json,
         doing="fitting the response",
     )
+
+
+def _only(recs: list[Path], half_range: list[str] | None) -> Path:
+    """The one recording that one component is identified from.
+
+    Raises
+    ------
+    ValueError
+        There are several, or half ranges, which are for all components.
+    """
+    if len(recs) > 1:
+        raise ValueError(
+            f"{len(recs)} recordings were given; one component is identified from one (or --component all)"
+        )
+    if half_range:
+        raise ValueError("--half-range goes with --component all")
+    return recs[0]
 
 
 @identify.command("frf", epilog=example("identify frf table.csv --component AF --mass 0.68 -o dynamics.json"))
@@ -222,3 +261,36 @@ def identify_frf(
     from aerobalance.commands import identify
 
     show(lambda: identify.identify_frf(table, out, component=component, mass=mass), as_json, doing="fitting the table")
+
+
+@identify.command(
+    "stiffness", epilog=example("identify stiffness K.csv --mass mass.json --ratios 0.01 -o dynamics.json")
+)
+def identify_stiffness(
+    table: Annotated[
+        Path, typer.Argument(metavar="K", help="Stiffness: csv table of load over displacement, or JSON with u.")
+    ],
+    mass: Annotated[
+        Path,
+        typer.Option("--mass", help="Mass, centre of gravity and inertia with uncertainties: TOML or JSON."),
+    ],
+    ratios: Annotated[
+        str | None,
+        typer.Option("--ratios", help="Damping ratio, '0.01' or '0.01+-0.002'; one for each mode, by commas, or all."),
+    ] = None,
+    compare: Annotated[
+        Path | None,
+        typer.Option("--compare", help="dynamics.json of releases or shaking to compare with; gives missing ratios."),
+    ] = None,
+    out: Out = None,
+    as_json: Json = False,
+) -> None:
+    """Work out six components from weighed mass, inertia and a stiffness, and compare with those identified."""
+    from aerobalance.commands import identify_stiffness
+
+    show(
+        lambda: identify_stiffness.from_stiffness(table, out, mass=mass, ratios=ratios, compare=compare),
+        as_json,
+        doing="working out the dynamics",
+        plain="summary",
+    )

@@ -44,7 +44,7 @@ def identify_decay(
     weighed = parse_mass(mass, component)
     if weighed is None:
         raise ValueError("--mass is needed: a free decay tells stiffness and damping only in proportion to the mass")
-    wanted = _number_of_modes(modes)
+    wanted = number_of_modes(modes)
     with doubts() as collected:
         recording = recording_of(path, channel_map)
         fit = fit_decay(recording, component=component, mass=weighed, modes=wanted)
@@ -54,7 +54,7 @@ def identify_decay(
     )
 
 
-def _number_of_modes(given: str) -> int | Literal["auto"]:
+def number_of_modes(given: str) -> int | Literal["auto"]:
     """Read --modes.
 
     Raises
@@ -130,7 +130,7 @@ def identify_rig(
     known_component(component)
     check_out(out, path, channel_map, mass_file(mass))
     weighed = parse_mass(mass, component)
-    wanted = _number_of_modes(modes)
+    wanted = number_of_modes(modes)
     with doubts() as collected:
         recording = recording_of(path, channel_map)
         fit = fit_rig(recording, component=component, mass=weighed, modes=wanted)

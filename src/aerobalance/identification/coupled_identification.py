@@ -12,6 +12,7 @@ from aerobalance.components import si_unit
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.dynamics import Mode
 from aerobalance.identification.free_motion import Complex
+from aerobalance.identification.hidden_coordinates import static_shares
 from aerobalance.identification.mass_matrix import RigidMassFit
 from aerobalance.identification.release_advice import ReleaseAdvice, combination_text
 from aerobalance.identification.release_model import Kind
@@ -62,21 +63,19 @@ class ReleaseFound:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CoupledIdentification:
-    """What a set of releases tells about coupled components.
+class CoupledResult:
+    """What recordings tell about coupled components, from releases or from shaking.
 
     Attributes
     ----------
     dynamics
-        A and D with their covariance, and the rigid mass where a weighed mass was given.
+        A and D with their covariance, and the rigid mass where it is known.
     modes, u_natural_frequency, u_damping_ratio
         Modes, the slowest first, and their standard uncertainties, shape (modes,) [Hz] and [1].
     mode_shapes
         Loads felt in every mode over half of range, rows, the largest of a row 1; shape (modes, n).
     combinations
         Combination of loads, each over half of range, that sets off a mode and no other, rows; shape (modes, n).
-    releases
-        What was found of every release.
     half_range, half_range_given
         Half of range by component, shape (n,) [N, N*m], and whether it was given; otherwise the largest change of
         load in the recordings stands for it.
@@ -94,10 +93,6 @@ class CoupledIdentification:
         frequencies [Hz].
     force_error
         Rms error of the force under that load from the uncertainty of A and D alone, shape (n,) [N, N*m].
-    advice
-        What one further release would bring.
-    rigid
-        The rigid mass behind A, and its tests; None where no mass was given or none was found.
     notes
         What a reader of the result should know, each a sentence.
     """
@@ -108,7 +103,6 @@ class CoupledIdentification:
     u_damping_ratio: Array
     mode_shapes: Complex
     combinations: Array
-    releases: tuple[ReleaseFound, ...]
     half_range: Array
     half_range_given: bool
     residual_deviation: Array
@@ -118,38 +112,97 @@ class CoupledIdentification:
     applied: Array
     band: tuple[float, float]
     force_error: Array
+    notes: tuple[str, ...]
+
+    @property
+    def shares(self) -> Array:
+        """Part of the loads felt at rest that each mode carries, shape (modes,)."""
+        return static_shares(self.dynamics.modal_form)
+
+    @property
+    def further(self) -> tuple[int, ...]:
+        """Places of the modes of the model or sting: those of least share, one for each hidden coordinate."""
+        return tuple(sorted(int(place) for place in np.argsort(self.shares)[: self.dynamics.hidden]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoupledIdentification(CoupledResult):
+    """What a set of releases tells about coupled components.
+
+    Attributes
+    ----------
+    releases
+        What was found of every release.
+    advice
+        What one further release would bring.
+    rigid
+        The rigid mass behind A, and its tests; None where no mass was given or none was found.
+    """
+
+    releases: tuple[ReleaseFound, ...]
     advice: ReleaseAdvice
     rigid: RigidMassFit | None
-    notes: tuple[str, ...]
+
+
+def doubt_about_error(found: CoupledResult, *, left_by: str, energy: Array, remedy: str, after: float) -> list[str]:
+    """Say that the force error that the recordings leave is large, and what would bring it down.
+
+    Parameters
+    ----------
+    found
+        What was found.
+    left_by
+        The recordings in words.
+    energy
+        How strongly each mode was excited, shape (modes,).
+    remedy, after
+        What to add, and the largest force error that it would leave, over half of range.
+    """
+    names = found.dynamics.components
+    relative = found.force_error / found.half_range
+    if relative.max() <= TOO_LARGE:
+        return []
+    range_text = "half of range" if found.half_range_given else "the largest load in the recordings"
+    large = ", ".join(
+        f"{name} {error:.2g} {si_unit(name)} ({100 * part:.2g} %)"
+        for name, error, part in zip(names, found.force_error, relative, strict=True)
+        if part > TOO_LARGE
+    )
+    weak = int(np.argmin(energy))
+    text = (
+        f"the {left_by} leave a force error of more than {100 * TOO_LARGE:g} % of {range_text} under a broadband "
+        f"load of {100 * APPLIED:g} % rms to {found.band[1]:.4g} Hz: {large}; least excited is the mode at "
+        f"{found.modes[weak].natural_frequency:.4g} Hz (by {combination_text(found.combinations[weak], names)}); "
+        f"{remedy} brings it down to {100 * after:.2g} %"
+    )
+    return [text]
+
+
+def doubt_about_colour(found: CoupledResult) -> list[str]:
+    """Say that the residuals near the modes are more than noise."""
+    names = found.dynamics.components
+    coloured = [f"{name} ({value:.1f})" for name, value in zip(names, found.colour, strict=True) if value > 2]
+    if not coloured:
+        return []
+    text = (
+        f"the residuals near the modes are stronger than white noise in {', '.join(coloured)} (power over white); "
+        "something else moves too, and the uncertainties are enlarged accordingly"
+    )
+    return [text]
 
 
 def doubts_about(found: CoupledIdentification) -> list[str]:
-    """What is doubtful about the identification."""
-    notes = []
-    names, sizes = found.dynamics.components, found.half_range
-    range_text = "half of range" if found.half_range_given else "the largest load in the recordings"
-    relative = found.force_error / sizes
-    if relative.max() > TOO_LARGE:
-        large = ", ".join(
-            f"{name} {error:.2g} {si_unit(name)} ({100 * part:.2g} %)"
-            for name, error, part in zip(names, found.force_error, relative, strict=True)
-            if part > TOO_LARGE
-        )
-        weak = int(np.argmin(np.sum([release.visibility**2 for release in found.releases], axis=0)))
-        best = names.index(found.advice.best)
-        notes.append(
-            f"the releases leave a force error of more than {100 * TOO_LARGE:g} % of {range_text} under a broadband "
-            f"load of {100 * APPLIED:g} % rms to {found.band[1]:.4g} Hz: {large}; least excited is the mode at "
-            f"{found.modes[weak].natural_frequency:.4g} Hz (by {combination_text(found.combinations[weak], names)}); "
-            f"a release along {names[best]} of {found.advice.sizes[best]:.3g} {si_unit(names[best])} brings it down "
-            f"to {100 * float((found.advice.errors[best] / sizes).max()):.2g} %"
-        )
-    coloured = [f"{name} ({value:.1f})" for name, value in zip(names, found.colour, strict=True) if value > 2]
-    if coloured:
-        notes.append(
-            f"the residuals near the modes are stronger than white noise in {', '.join(coloured)} (power over white); "
-            "something else moves too, and the uncertainties are enlarged accordingly"
-        )
+    """What is doubtful about the identification from releases."""
+    names = found.dynamics.components
+    best = names.index(found.advice.best)
+    notes = doubt_about_error(
+        found,
+        left_by="releases",
+        energy=np.sum([release.visibility**2 for release in found.releases], axis=0),
+        remedy=f"a release along {names[best]} of {found.advice.sizes[best]:.3g} {si_unit(names[best])}",
+        after=float((found.advice.errors[best] / found.half_range).max()),
+    )
+    notes += doubt_about_colour(found)
     free = [release.name for release in found.releases if release.kind == "free"]
     if free:
         notes.append(

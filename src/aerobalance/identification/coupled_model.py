@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +13,10 @@ from scipy.linalg import eigh
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS
 from aerobalance.coupled import CoupledDynamics, RigidMass
+from aerobalance.identification.mass_matrix import Departure
+
+INDEPENDENT: Final = 1e-10
+"""Variance of a combination of elements, over the largest, below which it is rounding."""
 
 _LOWER = np.tril_indices(6)
 
@@ -101,12 +106,33 @@ def compare_coupled(first: CoupledDynamics, second: CoupledDynamics) -> tuple[El
         raise ValueError(
             f"the dynamics have different components: {', '.join(first.components)} and {', '.join(second.components)}"
         )
+    if first.inertia.shape != second.inertia.shape:
+        raise ValueError("one of the dynamics has modes beyond the components; element by element they differ by them")
     ours = np.concatenate([first.inertia.ravel(), first.damping.ravel()])
     theirs = np.concatenate([second.inertia.ravel(), second.damping.ravel()])
     u = np.sqrt(np.diag(first.covariance) + np.diag(second.covariance))
     ratio = np.divide(theirs - ours, u, out=np.full(u.size, np.nan), where=u > 0)
     rows = zip(first.parameters, ours, theirs, u, ratio, strict=True)
     return tuple(ElementDifference(name, float(a), float(b), float(c), float(d)) for name, a, b, c, d in rows)
+
+
+def agreement(first: CoupledDynamics, second: CoupledDynamics, *, damping: bool) -> Departure | None:
+    """Test whether A, and D where it is found twice, are the same; None where neither has an uncertainty.
+
+    Combinations of elements in which neither has one must not be told apart by rounding, and are left out.
+    """
+    count = first.inertia.size * (2 if damping else 1)
+    ours = np.concatenate([first.inertia.ravel(), first.damping.ravel()])[:count]
+    theirs = np.concatenate([second.inertia.ravel(), second.damping.ravel()])[:count]
+    together = (first.covariance + second.covariance)[:count, :count]
+    u = np.sqrt(np.diag(together))
+    known = u > 0
+    if not known.any():
+        return None
+    z = (theirs - ours)[known] / u[known]
+    values, directions = np.linalg.eigh(together[np.ix_(known, known)] / np.outer(u[known], u[known]))
+    told = values > INDEPENDENT * values[-1]
+    return Departure.of(float(np.sum((directions.T @ z)[told] ** 2 / values[told])), int(np.count_nonzero(told)))
 
 
 def _matrices(inputs: Array) -> Array:

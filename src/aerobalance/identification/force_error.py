@@ -22,7 +22,8 @@ def predicted_force_error(
 ) -> Array:
     """Error of the force that comes from the uncertainty of the dynamics alone, rms by component.
 
-    The force is taken from noise-free loads felt by F = X + D X' + A X'', so what remains is dD X' + dA X''. No
+    The force is taken from noise-free loads felt by F = X + D X' + A X'', so what remains is dD X' + dA X'', and where
+    there are hidden coordinates Y what their errors leave in F. No
     smoother stands between, which would damp the error where noise dominates.
 
     Parameters
@@ -39,26 +40,59 @@ def predicted_force_error(
     error
         Rms error of every component, shape (n,) [N, N*m].
     """
-    return error_of(dynamics.covariance, motion_power(dynamics, sizes=sizes, band=band))
+    return error_of(dynamics.covariance, force_weights(dynamics, sizes=sizes, band=band))
 
 
-def error_of(covariance: Array, power: Array) -> Array:
-    """Rms error of the force by component, from the covariance of the dynamics and the power of `motion_power`."""
-    n = power.shape[0] // 2
-    whole = covariance.reshape(2, n, n, 2, n, n)
-    rows = np.einsum("aibcid->iabcd", whole)  # of row i of inertia and damping
-    square = np.einsum("iabcd,abcd->i", rows, power.reshape(2, n, 2, n))
+def error_of(covariance: Array, weights: Array) -> Array:
+    """Rms error of the force by component, from the covariance of the dynamics and what `force_weights` gives."""
+    square = np.einsum("ipq,pq->i", weights, covariance)
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
-def true_force_error(dynamics: CoupledDynamics, truth: CoupledDynamics, *, power: Array) -> Array:
+def true_force_error(
+    dynamics: CoupledDynamics, truth: CoupledDynamics, *, sizes: ArrayLike, band: tuple[float, float] | None = None
+) -> Array:
     """Rms error of the force by component when these dynamics stand for the true ones, shape (n,)."""
-    rows = np.hstack([dynamics.inertia - truth.inertia, dynamics.damping - truth.damping])
-    return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, power, rows), 0.0)))
+    frequency, weight, sizes = _load(truth, sizes, band)
+    change = dynamics.inverse_response(frequency) - truth.inverse_response(frequency)
+    error = change @ (truth.response(frequency) * sizes)
+    return np.asarray(np.sqrt(np.einsum("f,fij->i", weight, np.abs(error) ** 2)))
 
 
-def motion_power(dynamics: CoupledDynamics, *, sizes: ArrayLike, band: tuple[float, float] | None = None) -> Array:
-    """Mean products of the loads' second and first derivatives under a load white in a band, shape (2 n, 2 n)."""
+def force_weights(dynamics: CoupledDynamics, *, sizes: ArrayLike, band: tuple[float, float] | None = None) -> Array:
+    """What turns errors of A and D into squares of errors of the force under a load white in a band.
+
+    The force is F = L (Z + D Z' + A Z''), where Z are the loads felt and the hidden coordinates that go with them, and
+    L = [1, -P_12 P_22^-1] with the blocks of P = 1 + D s + A s^2. Without hidden coordinates F = X + D X' + A X''.
+
+    Returns
+    -------
+    weights
+        Shape (n, 2 N^2, 2 N^2), with rows and columns in the order of `CoupledDynamics.parameters`.
+    """
+    n, size = len(dynamics.components), len(dynamics.inertia)
+    frequency, weight, sizes = _load(dynamics, sizes, band)
+    s = 2j * np.pi * frequency
+    whole = dynamics.equation(s)
+    moved = np.linalg.inv(whole)[:, :, :n] * sizes
+    both = np.concatenate([s[:, None, None] ** 2 * moved, s[:, None, None] * moved], axis=1)
+    power = np.einsum("f,fak,fbk->fab", weight, both, both.conj(), optimize=True)
+    taken = np.zeros((frequency.size, n, size), dtype=np.complex128)
+    taken[:, :, :n] = np.eye(n)
+    if dynamics.hidden:
+        taken[:, :, n:] = -np.swapaxes(
+            np.linalg.solve(np.swapaxes(whole[:, n:, n:], 1, 2), np.swapaxes(whole[:, :n, n:], 1, 2)), 1, 2
+        )
+    found = np.empty((n, 2 * size * size, 2 * size * size))
+    for row in range(n):
+        left = np.einsum("fa,fb->fab", taken[:, row], taken[:, row].conj()).reshape(frequency.size, -1)
+        table = np.real(left.T @ power.reshape(frequency.size, -1)).reshape(size, size, 2, size, 2, size)
+        found[row] = np.transpose(table, (2, 0, 3, 4, 1, 5)).reshape(found[row].shape)
+    return found
+
+
+def _load(dynamics: CoupledDynamics, sizes: ArrayLike, band: tuple[float, float] | None) -> tuple[Array, Array, Array]:
+    """Frequencies, weights of a mean over the band, and the sizes of the load, checked."""
     n = len(dynamics.components)
     sizes = np.asarray(sizes, dtype=np.float64)
     if sizes.shape != (n,) or not (np.isfinite(sizes).all() and (sizes >= 0).all()):
@@ -67,11 +101,7 @@ def motion_power(dynamics: CoupledDynamics, *, sizes: ArrayLike, band: tuple[flo
     if not 0 <= low < high:
         raise ValueError(f"band must rise from zero or more, not {low:g} to {high:g} Hz")
     frequency, weight = _grid(dynamics, low, high)
-    s = 2j * np.pi * frequency[:, None, None]
-    felt = dynamics.response(frequency) * sizes
-    both = np.concatenate([s**2 * felt, s * felt], axis=1)
-    flat = np.transpose(both * np.sqrt(weight / (high - low))[:, None, None], (1, 0, 2)).reshape(2 * n, -1)
-    return np.asarray(np.real(flat @ flat.conj().T))
+    return frequency, weight / (high - low), sizes
 
 
 def highest_of(dynamics: CoupledDynamics) -> float:

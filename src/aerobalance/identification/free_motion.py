@@ -1,9 +1,11 @@
 """Free motion of coupled components in closed form, with its derivatives by the matrices behind it.
 
 With X counted from its final rest, A X'' + D X' + X = 0 is X'' = -A^-1 (X + D X'). Its motion is a sum of
-exponentials exp(p t), one for each of the 2 n poles, and its derivatives by the elements of A^-1 and A^-1 D hold only
+exponentials exp(p t), one for each of the 2 N poles, and its derivatives by the elements of A^-1 and A^-1 D hold only
 exp(p t) and t exp(p t). So whatever a release or a change of the matrices does to the readings lies in the span of a
 few columns of samples, and a fit works on coefficients of these columns instead of on samples.
+
+Where the model or the sting bends, N coordinates move of which the n components are the first; only these are felt.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ class Coefficients:
     Attributes
     ----------
     plain, late
-        a and b by pole, component and function, shape (2 n, n, k).
+        a and b by pole, component and function, shape (2 N, n, k).
     constant
         c by component and function, shape (n, k).
     """
@@ -51,36 +53,40 @@ class FreeMotion:
     Attributes
     ----------
     poles
-        Poles p, shape (2 n,).
+        Poles p, shape (2 N,).
     shapes
-        Loads felt in every mode, columns, shape (n, 2 n).
+        Coordinates in every mode, columns, the loads felt first, shape (N, 2 N).
     shares
-        What turns loads and their rates at an instant into the size of every mode, shape (2 n, 2 n).
+        What turns the coordinates and their rates at an instant into the size of every mode, shape (2 N, 2 N).
+    components
+        Number of components n.
     """
 
     poles: Complex
     shapes: Complex
     shares: Complex
+    components: int
 
     @classmethod
-    def of(cls, spring: Array, brake: Array) -> FreeMotion:
-        """Motion of X'' = -spring X - brake X', with spring = A^-1 and brake = A^-1 D, both (n, n)."""
-        n = spring.shape[0]
-        whole = np.zeros((2 * n, 2 * n))
-        whole[:n, n:] = np.eye(n)
-        whole[n:, :n] = -spring
-        whole[n:, n:] = -brake
-        poles, vectors = np.linalg.eig(whole)
+    def of(cls, spring: Array, brake: Array, *, components: int | None = None) -> FreeMotion:
+        """Motion of X'' = -spring X - brake X', with spring = A^-1 and brake = A^-1 D, both (N, N)."""
+        poles, vectors = np.linalg.eig(generator_of(spring, brake))
         poles, vectors = poles.astype(np.complex128), vectors.astype(np.complex128)
-        return cls(poles, vectors[:n], np.linalg.inv(vectors))
+        size = spring.shape[0]
+        return cls(poles, vectors[:size], np.linalg.inv(vectors), size if components is None else components)
 
     @property
     def size(self) -> int:
-        """Number of components n."""
+        """Number of coordinates N."""
         return int(self.shapes.shape[0])
 
+    @property
+    def felt(self) -> Complex:
+        """Loads felt in every mode, columns, shape (n, 2 N)."""
+        return self.shapes[: self.components]
+
     def columns(self, time: Array) -> Array:
-        """Columns that span every motion and its derivatives, at times of shape (m,): shape (m, 4 n + 1)."""
+        """Columns that span every motion and its derivatives, at times of shape (m,): shape (m, 4 N + 1)."""
         up = self.poles.imag >= 0
         waves = np.exp(time[:, None] * self.poles[up])
         steep = time[:, None] * waves
@@ -88,7 +94,7 @@ class FreeMotion:
         return np.hstack([waves.real, waves.imag, steep.real, steep.imag, ones])
 
     def on_columns(self, functions: Coefficients) -> Array:
-        """Coefficients of real functions on `columns`, shape (4 n + 1, n, k)."""
+        """Coefficients of real functions on `columns`, shape (4 N + 1, n, k)."""
         up = self.poles.imag >= 0
         twice = np.where(self.poles[up].imag > 0, 2.0, 1.0)[:, None, None]
         alone = np.where(self.poles[up].imag > 0, 1.0, 0.0)[:, None, None]
@@ -97,37 +103,37 @@ class FreeMotion:
         return np.concatenate(parts)
 
     def sizes(self, loads: Array, rates: Array) -> Complex:
-        """Size of every mode with these loads from rest and rates at time zero, shape (2 n,)."""
+        """Size of every mode with these coordinates from rest and rates at time zero, shape (2 N,)."""
         return np.asarray(self.shares @ np.concatenate([loads, rates]))
 
     def motion(self, sizes: Complex) -> Coefficients:
         """The motion with modes of these sizes, one function."""
-        plain = (self.shapes * sizes).T[:, :, None]
-        return Coefficients(plain, np.zeros_like(plain), np.zeros((self.size, 1)))
+        plain = (self.felt * sizes).T[:, :, None]
+        return Coefficients(plain, np.zeros_like(plain), np.zeros((self.components, 1)))
 
     def by_state(self) -> Coefficients:
-        """Derivatives of the motion by loads and rates at time zero, 2 n functions."""
-        plain = self.shapes.T[:, :, None] * self.shares[:, None, :]
-        return Coefficients(plain, np.zeros_like(plain), np.zeros((self.size, 2 * self.size)))
+        """Derivatives of the motion by coordinates and rates at time zero, 2 N functions."""
+        plain = self.felt.T[:, :, None] * self.shares[:, None, :]
+        return Coefficients(plain, np.zeros_like(plain), np.zeros((self.components, 2 * self.size)))
 
     def by_time(self, motion: Coefficients) -> Coefficients:
         """Derivative of a motion by the instant at which it began."""
         return Coefficients(-self.poles[:, None, None] * motion.plain, motion.late, motion.constant)
 
     def by_matrices(self, sizes: Complex) -> Coefficients:
-        """Derivatives of the motion by the elements of spring and brake, row by row, 2 n^2 functions.
+        """Derivatives of the motion by the elements of spring and brake, row by row, 2 N^2 functions.
 
         The change dG of the generator moves mode l into mode k by W_k dG V_l (exp(p_k t) - exp(p_l t)) / (p_k - p_l),
         and by W_k dG V_k t exp(p_k t) into itself.
         """
-        n, poles = self.size, self.poles
+        size, n, poles = self.size, self.components, self.poles
         difference = poles[:, None] - poles[None, :]
         close = np.abs(difference) < CLOSE * np.abs(poles).max()
         inverse = np.where(close, 0.0, 1 / np.where(close, 1.0, difference))
-        into = -self.shares[:, n:]
-        # from whom: loads of the modes for spring, their rates for brake
+        into = -self.shares[:, size:]
+        # from whom: coordinates of the modes for spring, their rates for brake
         carried = np.stack([self.shapes * sizes, self.shapes * (poles * sizes)])
-        gained = self.shapes.T[:, :, None] * into[:, None, :]  # mode k, component, row of the matrix
+        gained = self.felt.T[:, :, None] * into[:, None, :]  # mode k, component, row of the matrix
         arrived = np.einsum("kl,mjl->mkj", inverse, carried)
         left = np.einsum("kl,kci->lci", inverse, gained)
         plain = np.einsum("kci,mkj->kcmij", gained, arrived) - np.einsum("lci,mjl->lcmij", left, carried)
@@ -135,5 +141,15 @@ class FreeMotion:
         late = np.einsum("kci,mkj->kcmij", gained, together) / 2
         received = np.einsum("kl,kci->lci", close.astype(np.float64), gained)
         late = late + np.einsum("lci,mjl->lcmij", received, carried) / 2
-        shape = (2 * n, n, 2 * n * n)
-        return Coefficients(plain.reshape(shape), late.reshape(shape), np.zeros((n, 2 * n * n)))
+        shape = (2 * size, n, 2 * size * size)
+        return Coefficients(plain.reshape(shape), late.reshape(shape), np.zeros((n, 2 * size * size)))
+
+
+def generator_of(spring: Array, brake: Array) -> Array:
+    """Matrix that gives the rates of coordinates and rates, shape (2 N, 2 N)."""
+    size = spring.shape[0]
+    whole = np.zeros((2 * size, 2 * size))
+    whole[:size, size:] = np.eye(size)
+    whole[size:, :size] = -spring
+    whole[size:, size:] = -brake
+    return whole

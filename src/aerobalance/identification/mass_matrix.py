@@ -7,6 +7,7 @@ C = D A^-1 M as well there are fifteen more. Both are tested, not imposed.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,7 +16,8 @@ from scipy.stats import chi2
 
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS
-from aerobalance.coupled import VECTORS, CoupledDynamics, RigidMass
+from aerobalance.coupled import CoupledDynamics, RigidMass
+from aerobalance.identification.mass_numbers import mass_basis, rigid_of
 from aerobalance.problems import FitError
 
 LEAST_PROBABILITY: Final = 0.001
@@ -27,8 +29,13 @@ LEVER: Final = 0.1
 BARELY_FIXED: Final = 1e13
 """Condition of the equations beyond which they leave a part of the mass matrix open."""
 
+SETTLED: Final = 1e-8
+"""Change of the adjusted values, over the largest of them, at which an adjustment has settled."""
+
+Equations = Callable[[Array, Array], tuple[Array, Array, Array]]
+"""Departures from equations at values and unknowns, and their derivatives by both."""
+
 _UPPER: Final = np.triu_indices(6, 1)
-_SYMMETRIC: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +151,14 @@ def centre_agreement(rigid: RigidMass, centre: Array, *, covariance: Array) -> D
     return Departure.of(float(difference @ np.linalg.pinv(together, hermitian=True) @ difference), 3)
 
 
+def lever_scale(dynamics: CoupledDynamics) -> Array:
+    """What brings A and D, row by row, to units of newton, newton times the lever, and one; shape (72,)."""
+    lever = np.array([LEVER if name in MOMENTS else 1.0 for name in COMPONENTS])
+    slowest = float(np.median(np.abs(dynamics.poles)))
+    ratio = (lever[None, :] / lever[:, None]).ravel()
+    return np.concatenate([ratio * slowest**2, ratio * slowest])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
     """The dynamics in units of newton and newton times the lever: values (72,), their covariance, and the mass."""
@@ -155,10 +170,7 @@ class _Problem:
 
     @classmethod
     def of(cls, dynamics: CoupledDynamics, mass: float) -> _Problem:
-        lever = np.array([LEVER if name in MOMENTS else 1.0 for name in COMPONENTS])
-        slowest = float(np.median(np.abs(dynamics.poles)))
-        ratio = (lever[None, :] / lever[:, None]).ravel()
-        scale = np.concatenate([ratio * slowest**2, ratio * slowest])
+        scale = lever_scale(dynamics)
         values = np.concatenate([dynamics.inertia.ravel(), dynamics.damping.ravel()]) * scale
         covariance = dynamics.covariance * np.outer(scale, scale)
         if not covariance.any():
@@ -167,30 +179,27 @@ class _Problem:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Adjusted:
-    """Unknowns (static moments and inertia over mass and levers) that fulfil the equations at adjusted values."""
+class Adjusted:
+    """Unknowns that fulfil equations at adjusted values.
+
+    Attributes
+    ----------
+    unknowns, covariance
+        Shape (k,) and (k, k).
+    values, values_covariance
+        Shape (n,) and (n, n).
+    cross
+        Covariance of unknowns and values, shape (k, n).
+    square
+        Sum of squares of the change of the values.
+    """
 
     unknowns: Array
     covariance: Array
     values: Array
     values_covariance: Array
+    cross: Array
     square: float
-
-
-def _basis() -> Array:
-    """Mass matrices of a unit mass and of unit values of the nine unknowns, in lever units, shape (10, 6, 6)."""
-    turn = np.zeros((6, 6))
-    for row, name in enumerate(COMPONENTS):
-        turn[row, slice(3, 6) if name in MOMENTS else slice(0, 3)] = VECTORS[name]
-    wholes = np.zeros((10, 6, 6))
-    wholes[0, :3, :3] = np.eye(3)
-    for axis in range(3):
-        across = np.cross(np.eye(3), np.eye(3)[axis])
-        wholes[1 + axis, :3, 3:] = across.T
-        wholes[1 + axis, 3:, :3] = across
-    for number, (i, j) in enumerate(_SYMMETRIC):
-        wholes[4 + number, 3 + i, 3 + j] = wholes[4 + number, 3 + j, 3 + i] = 1.0
-    return np.asarray(turn @ wholes @ turn.T)
 
 
 def _skew(table: Array) -> Array:
@@ -198,23 +207,44 @@ def _skew(table: Array) -> Array:
     return np.asarray((table - np.swapaxes(table, -1, -2))[..., _UPPER[0], _UPPER[1]])
 
 
-def _equations(values: Array, unknowns: Array, *, damping: bool) -> tuple[Array, Array, Array]:
-    """Departures, and their derivatives by the values and by the unknowns."""
-    basis = _basis()
+def symmetry_equations(values: Array, numbers: Array, *, damping: bool) -> tuple[Array, Array, Array]:
+    """Departures from symmetry of A M, and of D A^-1 M where the damping is to be symmetric too.
+
+    Parameters
+    ----------
+    values
+        A and D row by row, shape (72,).
+    numbers
+        Ten numbers of the mass behind M = sum numbers `mass_basis`.
+    damping
+        Whether the damping is looked at.
+
+    Returns
+    -------
+    departure, by_values, by_numbers
+        Fifteen or thirty differences, and their derivatives by the values, and by the numbers.
+    """
+    basis = mass_basis()
     A, D = values.reshape(2, 6, 6)
-    M = basis[0] + np.tensordot(unknowns, basis[1:], axes=1)
+    M = np.tensordot(numbers, basis, axes=1)
     unit = np.eye(36).reshape(36, 6, 6)
     departure = [_skew(A @ M)]
     by_values = [np.hstack([_skew(unit @ M).T, np.zeros((15, 36))])]
-    by_unknowns = [_skew(A @ basis[1:]).T]
+    by_numbers = [_skew(A @ basis).T]
     if damping:
         inverse = np.linalg.inv(A)
         friction = D @ inverse
         departure.append(_skew(friction @ M))
         by_A = _skew(-friction @ unit @ inverse @ M).T
         by_values.append(np.hstack([by_A, _skew(unit @ inverse @ M).T]))
-        by_unknowns.append(_skew(friction @ basis[1:]).T)
-    return np.concatenate(departure), np.vstack(by_values), np.vstack(by_unknowns)
+        by_numbers.append(_skew(friction @ basis).T)
+    return np.concatenate(departure), np.vstack(by_values), np.vstack(by_numbers)
+
+
+def _equations(values: Array, unknowns: Array, *, damping: bool) -> tuple[Array, Array, Array]:
+    """The same for a mass of one whose other nine numbers are the unknowns."""
+    departure, by_values, by_numbers = symmetry_equations(values, np.append(1.0, unknowns), damping=damping)
+    return departure, by_values, by_numbers[:, 1:]
 
 
 def _first(problem: _Problem) -> Array:
@@ -223,71 +253,78 @@ def _first(problem: _Problem) -> Array:
     return np.asarray(np.linalg.lstsq(slopes, -departure, rcond=None)[0])
 
 
-def _adjusted(problem: _Problem, *, damping: bool, start: Array) -> _Adjusted:
-    """Least change of the values, in their covariance, with which the equations hold (Gauss-Helmert).
+def _adjusted(problem: _Problem, *, damping: bool, start: Array) -> Adjusted:
+    """Least change of the dynamics with which the equations of symmetry hold.
 
     Raises
     ------
     FitError
         The adjustment does not settle.
     """
-    unknowns, values = start, problem.values
+    found = adjusted(problem.values, problem.covariance, lambda v, u: _equations(v, u, damping=damping), start=start)
+    if found is None:
+        raise FitError(
+            "the mass matrix behind the dynamics cannot be found: they are too uncertain, hardly coupled, or far from "
+            "those of a rigid mass; add releases, or give mass, centre of gravity and inertia"
+        )
+    return found
+
+
+def adjusted(given: Array, covariance: Array, equations: Equations, *, start: Array) -> Adjusted | None:
+    """Least change of values, in their covariance, with which equations hold (Gauss-Helmert); None if none settles.
+
+    Parameters
+    ----------
+    given, covariance
+        Values, shape (n,), and their covariance.
+    equations
+        Departures at values and unknowns, with their derivatives by both.
+    start
+        Unknowns to begin with, shape (k,).
+    """
+    unknowns, values = start, given
     for _ in range(50):
-        departure, B, X = _equations(values, unknowns, damping=damping)
-        departure = departure + B @ (problem.values - values)
-        spread = problem.covariance @ B.T
+        departure, B, X = equations(values, unknowns)
+        departure = departure + B @ (given - values)
+        spread = covariance @ B.T
         weight = np.linalg.pinv(B @ spread, hermitian=True, rcond=1e-14)
         normal = X.T @ weight @ X
-        if not np.linalg.cond(normal) < BARELY_FIXED:
+        if unknowns.size and not np.linalg.cond(normal) < BARELY_FIXED:
             break
         move = -np.linalg.solve(normal, X.T @ weight @ departure)
         left = weight @ (departure + X @ move)
-        change = problem.values - spread @ left - values
+        change = given - spread @ left - values
         unknowns, values = unknowns + move, values + change
-        if np.abs(move).max() < 1e-10 * np.abs(unknowns).max() and np.abs(change).max() < 1e-10 * np.abs(values).max():
-            covariance = np.linalg.inv(normal)
-            inner = weight - weight @ X @ covariance @ X.T @ weight
-            return _Adjusted(
+        settled = np.abs(change).max() < SETTLED * np.abs(values).max()
+        if settled and np.abs(move).max(initial=0.0) <= SETTLED * np.abs(unknowns).max(initial=0.0):
+            own = np.linalg.inv(normal)
+            inner = weight - weight @ X @ own @ X.T @ weight
+            return Adjusted(
                 unknowns,
-                np.asarray(covariance),
+                np.asarray(own),
                 values,
-                problem.covariance - spread @ inner @ spread.T,
+                covariance - spread @ inner @ spread.T,
+                -own @ X.T @ weight @ spread.T,
                 float(left @ (B @ spread) @ left),
             )
-    raise FitError(
-        "the mass matrix behind the dynamics cannot be found: they are too uncertain, hardly coupled, or far from "
-        "those of a rigid mass; add releases, or give mass, centre of gravity and inertia"
-    )
+    return None
 
 
-def _rigid(adjusted: _Adjusted, mass: float, u_mass: float) -> RigidMass:
+def _rigid(adjusted: Adjusted, mass: float, u_mass: float) -> RigidMass:
     """Mass, centre and inertia about it, with their covariance."""
     power = np.array([LEVER] * 3 + [LEVER**2] * 6)
     about = adjusted.unknowns * power  # over the mass
-    centre = about[:3]
-    steiner = np.eye(3) * (centre @ centre) - np.outer(centre, centre)
-    inertia = np.zeros((3, 3))
-    for number, (i, j) in enumerate(_SYMMETRIC):
-        inertia[i, j] = inertia[j, i] = mass * (about[3 + number] - steiner[i, j])
-    slopes = np.zeros((10, 10))  # of mass, centre, inertia by mass and the nine
-    slopes[0, 0] = 1.0
-    slopes[1:4, 1:4] = np.eye(3)
-    for number, (i, j) in enumerate(_SYMMETRIC):
-        row = slopes[4 + number]
-        row[0] = inertia[i, j] / mass
-        row[4 + number] = mass
-        for axis in range(3):
-            unit = np.eye(3)[axis]
-            row[1 + axis] = -mass * (2 * (i == j) * centre[axis] - unit[i] * centre[j] - centre[i] * unit[j])
+    slopes = np.zeros((10, 10))  # of the ten numbers by mass and the nine
+    slopes[:, 0] = np.append(1.0, about)
+    slopes[1:, 1:] = mass * np.eye(9)
     covariance = np.zeros((10, 10))
     covariance[0, 0] = u_mass**2
     covariance[1:, 1:] = adjusted.covariance * np.outer(power, power)
-    whole = slopes @ covariance @ slopes.T
-    return RigidMass(mass, centre, inertia, (whole + whole.T) / 2)
+    return rigid_of(mass * np.append(1.0, about), slopes @ covariance @ slopes.T)
 
 
 def _constrained(
-    dynamics: CoupledDynamics, problem: _Problem, adjusted: _Adjusted, rigid: RigidMass
+    dynamics: CoupledDynamics, problem: _Problem, adjusted: Adjusted, rigid: RigidMass
 ) -> CoupledDynamics:
     """The adjusted dynamics."""
     values = adjusted.values / problem.scale

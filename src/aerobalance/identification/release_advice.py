@@ -8,13 +8,15 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from aerobalance.channel import Array
 from aerobalance.coupled import CoupledDynamics
-from aerobalance.identification.force_error import error_of, motion_power
-from aerobalance.identification.free_motion import FreeMotion
+from aerobalance.identification.force_error import error_of, force_weights
+from aerobalance.identification.free_motion import Complex, FreeMotion
+from aerobalance.identification.hidden_coordinates import coordinates_of
 from aerobalance.identification.release_fit import ReleaseFit, whitener_of
-from aerobalance.identification.release_model import Piece, linearise, of_matrices
+from aerobalance.identification.release_model import Piece, linearise, of_matrices, state_at_the_edge
 from aerobalance.identification.release_record import ReleaseRecord
 from aerobalance.identification.release_stages import Units
 
@@ -71,10 +73,10 @@ def unmoved(records: Sequence[ReleaseRecord], sizes: Array) -> Array:
     energy, directions = np.linalg.eigh(power)
     together = np.abs(np.einsum("ik,ij,jk->k", directions, neighbours, directions))
     still = (together < STILL + 6 * np.sqrt(count)) & (energy < 2 * count + STILL)
-    return _plainest(directions[:, still].T * sizes / noise)
+    return plainest(directions[:, still].T * sizes / noise)
 
 
-def _plainest(combinations: Array) -> Array:
+def plainest(combinations: Array) -> Array:
     """The same space of combinations, each with a component of its own, shape (k, n)."""
     rows = combinations / np.linalg.norm(combinations, axis=1, keepdims=True)
     for number in range(len(rows)):
@@ -92,13 +94,27 @@ def first_release_for(combinations: Array, components: tuple[str, ...]) -> str:
 
 
 def combination_of(motion: FreeMotion, mode: int) -> Array:
-    """Combination of loads that sets off one mode and no other, shape (n,); `mode` counts the pairs of poles."""
+    """Combination of loads that sets off one mode and no other, shape (n,); `mode` counts the pairs of poles.
+
+    With hidden coordinates there is none: then the one with which the mode takes the largest part of what is set off.
+    """
     up, _ = pairs(motion)
+    if motion.size > motion.components:
+        return _strongest(
+            motion.shares[up, : motion.components] * np.linalg.norm(motion.felt[:, up], axis=0)[:, None], mode
+        )
     others = np.delete(motion.shapes[:, up], mode, axis=1)
     if others.shape[1] == 0:
         return np.ones(1)
     left = np.linalg.svd(np.hstack([others.real, others.imag]))[0]
     return np.asarray(left[:, -1])
+
+
+def _strongest(amplitudes: Complex, mode: int) -> Array:
+    """Combination of loads for which one mode's amplitude is largest over the root sum of squares of all."""
+    one = np.real(np.outer(amplitudes[mode].conj(), amplitudes[mode]))
+    every = np.real(amplitudes.conj().T @ amplitudes)
+    return np.asarray(eigh(one, every)[1][:, -1])
 
 
 def pairs(motion: FreeMotion) -> tuple[NDArray[np.intp], Array]:
@@ -123,11 +139,9 @@ def excitation(fit: ReleaseFit) -> tuple[Array, Array]:
     up, _ = pairs(motion)
     amplitude, energy = [], []
     for piece, own, linear in zip(fit.pieces, fit.own, fit.linears, strict=True):
-        if piece.kind == "free":
-            sizes, begin = motion.sizes(own[n : 2 * n], own[2 * n :]), piece.edge[1]
-        else:
-            sizes, begin = motion.sizes(own[n : 2 * n] - own[:n], np.zeros(n)), float(own[2 * n])
-        waves = 2 * motion.shapes[:, up] * sizes[up]
+        sizes = motion.sizes(*state_at_the_edge(piece, own))
+        begin = piece.edge[1] if piece.kind == "free" else float(own[2 * n])
+        waves = 2 * motion.felt[:, up] * sizes[up]
         amplitude.append(np.linalg.norm(waves, axis=0))
         time = piece.time[-linear.ringing.shape[0] :] - begin
         # the mean over a cycle: half the square of the amplitude
@@ -139,7 +153,7 @@ def excitation(fit: ReleaseFit) -> tuple[Array, Array]:
 
 def physical_covariance(information: Array, matrices: Array, units: Units) -> Array:
     """Covariance of A and D [SI], row by row, from information on A^-1 and A^-1 D."""
-    n = units.sizes.size
+    n = coordinates_of(matrices)
     spring, brake = matrices.reshape(2, n, n)
     A = np.linalg.inv(spring)
     D = A @ brake
@@ -147,7 +161,7 @@ def physical_covariance(information: Array, matrices: Array, units: Units) -> Ar
     slopes[: n * n, : n * n] = -np.kron(A, A.T)
     slopes[n * n :, : n * n] = -np.kron(A, D.T)
     slopes[n * n :, n * n :] = np.kron(A, np.eye(n))
-    ratio = (units.sizes[:, None] / units.sizes[None, :]).ravel()
+    ratio = units.ratio(n).ravel()
     slopes *= np.concatenate([ratio / units.rate**2, ratio / units.rate])[:, None]
     size = np.linalg.norm(information, axis=0)
     root = np.linalg.solve((information / size).T, (slopes / size).T)  # triangular: covariance is root' root
@@ -178,7 +192,7 @@ def advice(
         Length [s] and sampling rate [Hz] of the further record.
     """
     n, components = fit.size, dynamics.components
-    power = motion_power(dynamics, sizes=applied)
+    weights = force_weights(dynamics, sizes=applied)
     held = min(0.05, duration / 10)
     time = (np.arange(round(duration * rate)) / rate - held) * units.rate
     whitener, motion = whitener_of(fit.noise), fit.motion
@@ -186,11 +200,11 @@ def advice(
     for number in range(n):
         own = np.zeros(2 * n + 1)
         own[n + number] = step[number] / units.sizes[number]
-        piece = Piece("", time, np.zeros((time.size, n)), "release", (0.0, 0.0))
+        piece = Piece("", time, np.zeros((time.size, n)), "release", (0.0, 0.0), fit.hidden)
         block = linearise(piece, motion, own, whitener=whitener).block
         rows = np.vstack([fit.information, of_matrices(block, piece.own)[:, :-1]])
         information = np.asarray(np.linalg.qr(rows, mode="r"))
-        errors.append(error_of(physical_covariance(information, fit.matrices, units), power))
+        errors.append(error_of(physical_covariance(information, fit.matrices, units), weights))
     table = np.array(errors)
     best = int(np.argmin(np.max(table / units.sizes, axis=1)))
     return ReleaseAdvice(components, step, table, components[best])

@@ -11,6 +11,7 @@ from scipy.linalg import cho_factor, solve_triangular
 
 from aerobalance.channel import Array
 from aerobalance.identification.free_motion import FreeMotion
+from aerobalance.identification.hidden_coordinates import coordinates_of, invariances, pinned
 from aerobalance.identification.release_model import Linear, Piece, damped, linearise, of_matrices
 from aerobalance.problems import FitError
 
@@ -26,6 +27,9 @@ VALLEY: Final = 20
 LARGEST_GROWTH: Final = 20.0
 """Logarithm of the growth of a trial motion over a record beyond which it is not tried."""
 
+FIRM: Final = 1e4
+"""Weight with which directions that change nothing are held in the information, over that of a single parameter."""
+
 LEAST_INDEPENDENCE: Final = 1e-3
 """Least eigenvalue of the correlation matrix of the noise that is believed."""
 
@@ -39,7 +43,7 @@ class ReleaseFit:
     pieces
         The records.
     matrices
-        A^-1 and A^-1 D row by row, shape (2 n^2,), in the units of the pieces.
+        A^-1 and A^-1 D row by row, shape (2 N^2,), in the units of the pieces.
     own
         Own parameters of every piece.
     noise
@@ -66,8 +70,13 @@ class ReleaseFit:
 
     @property
     def parameters(self) -> int:
-        """Number of parameters, those of the records included."""
-        return self.matrices.size + sum(piece.own for piece in self.pieces)
+        """Number of parameters that change readings, those of the records included."""
+        return self.matrices.size - 2 * self.hidden**2 + sum(piece.own for piece in self.pieces)
+
+    @property
+    def hidden(self) -> int:
+        """Number of hidden coordinates e."""
+        return coordinates_of(self.matrices) - self.size
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -76,17 +85,40 @@ class ReleaseFit:
 
     @property
     def information(self) -> Array:
-        """Rows whose squares are the information on the matrices, shape (k, 2 n^2)."""
-        rows = [
+        """Rows whose squares are the information on the matrices, shape (k, 2 N^2).
+
+        The 2 e^2 directions that change neither readings nor forces are held where they are.
+        """
+        rows = self._rows
+        table = np.vstack(rows)
+        scale = np.linalg.norm(table, axis=0)
+        unseen = invariances(self.matrices, self.size, loads=np.eye(self.size))
+        rows.append(FIRM * pinned(unseen, scale) * scale)
+        return np.asarray(np.linalg.qr(np.vstack(rows), mode="r"))
+
+    @property
+    def _rows(self) -> list[Array]:
+        return [
             of_matrices(linear.block, piece.own)[:, :-1]
             for linear, piece in zip(self.linears, self.pieces, strict=True)
         ]
-        return np.asarray(np.linalg.qr(np.vstack(rows), mode="r"))
 
 
 def motion_of(matrices: Array, n: int) -> FreeMotion:
-    """Free motion of A^-1 and A^-1 D given row by row."""
-    return FreeMotion.of(*matrices.reshape(2, n, n))
+    """Free motion of A^-1 and A^-1 D given row by row, of n loads felt and hidden coordinates behind them."""
+    size = coordinates_of(matrices)
+    return FreeMotion.of(*matrices.reshape(2, size, size), components=n)
+
+
+def loads_let_go(pieces: Sequence[Piece], own: Sequence[Array]) -> Array:
+    """Loads let go from rest, one a column, shape (n, r)."""
+    n = pieces[0].values.shape[1]
+    found = [
+        mine[n : 2 * n] - mine[:n]
+        for piece, mine in zip(pieces, own, strict=True)
+        if piece.kind != "free" and not piece.anywhere
+    ]
+    return np.array(found).reshape(-1, n).T
 
 
 def whitener_of(noise: Array) -> Array:
@@ -144,18 +176,17 @@ def settle(
     here = _linears(pieces, matrices, own, whitener)
     squares = total_squares(here, known, matrices)
     history = []
-    for _ in range(steps):
+    for _ in range(steps * (1 + coordinates_of(matrices) - n)):  # valleys bend more with hidden coordinates
         history.append(squares)
         if len(history) > VALLEY and history[-VALLEY] - squares < 1:  # as flat as this is for the covariance to tell
             return ReleaseFit(pieces, matrices, own, noise, here)
-        move, moves, promised = _step(pieces, here, caution, known=known, matrices=matrices)
+        unseen = invariances(matrices, n, loads=loads_let_go(pieces, own))
+        move, moves, promised = _step(pieces, here, caution, known=known, matrices=matrices, unseen=unseen)
         if promised < max(enough, 1e-12 * squares):
             return ReleaseFit(pieces, matrices, own, noise, here)
         trial = matrices + move
         tried = tuple(old + change for old, change in zip(own, moves, strict=True))
-        found = np.inf
-        if _bounded(pieces, motion_of(trial, n), tried):
-            found = total_squares(_linears(pieces, trial, tried, whitener, derivatives=False), known, trial)
+        found, tried = _tried(pieces, trial, tried, whitener=whitener, known=known, enough=squares)
         if found < squares:
             matrices, own, caution = trial, tried, caution / 10 if caution > 1e-6 else 0.0
             here = _linears(pieces, matrices, own, whitener)
@@ -168,6 +199,35 @@ def settle(
         f"{', '.join(piece.name for piece in pieces)}: the fit of the decays does not settle; are these releases of "
         "one and the same balance and model, with nothing touching it?"
     )
+
+
+def _tried(
+    pieces: tuple[Piece, ...],
+    trial: Array,
+    own: tuple[Array, ...],
+    *,
+    whitener: Array,
+    known: Known,
+    enough: float,
+) -> tuple[float, tuple[Array, ...]]:
+    """Squares with trial matrices; where hidden coordinates bend the valley, own parameters follow these."""
+    n = whitener.shape[0]
+    rounds = 2 if coordinates_of(trial) > n else 1
+    found = np.inf
+    for number in range(rounds):
+        if not _bounded(pieces, motion_of(trial, n), own):
+            return np.inf, own
+        linears = _linears(pieces, trial, own, whitener, derivatives=number + 1 < rounds)
+        found = total_squares(linears, known, trial)
+        if found < enough:
+            break
+        if number + 1 < rounds:
+            blocks = [linear.block[: piece.own] for linear, piece in zip(linears, pieces, strict=True)]
+            own = tuple(
+                mine + np.linalg.lstsq(block[:, : mine.size], block[:, -1], rcond=1e-14)[0]
+                for mine, block in zip(own, blocks, strict=True)
+            )
+    return found, own
 
 
 def total_squares(linears: Sequence[Linear], known: Known, matrices: Array) -> float:
@@ -186,17 +246,28 @@ def _linears(
 
 
 def _step(
-    pieces: tuple[Piece, ...], linears: tuple[Linear, ...], caution: float, *, known: Known, matrices: Array
+    pieces: tuple[Piece, ...],
+    linears: tuple[Linear, ...],
+    caution: float,
+    *,
+    known: Known,
+    matrices: Array,
+    unseen: Array,
 ) -> tuple[Array, list[Array], float]:
-    """Step of the matrices and of each record's own parameters, and the drop of squares that it promises."""
+    """Step of the matrices and of each record's own parameters, and the drop of squares that it promises.
+
+    Nothing moves along the directions (rows of `unseen`) that change no reading.
+    """
     blocks = [damped(linear.block, piece.own, caution) for linear, piece in zip(linears, pieces, strict=True)]
     common = np.vstack([of_matrices(block, piece.own) for block, piece in zip(blocks, pieces, strict=True)])
     table = np.vstack([common[:, :-1], known.rows])
     target = np.concatenate([common[:, -1], known.left(matrices)])
     scale = np.linalg.norm(table, axis=0)
     scale[scale == 0] = 1.0
-    full = np.vstack([table / scale, caution * np.eye(scale.size)])
-    move = np.linalg.lstsq(full, np.concatenate([target, np.zeros(scale.size)]), rcond=1e-14)[0] / scale
+    hold = pinned(unseen, scale)
+    full = np.vstack([table / scale, hold, caution * np.eye(scale.size)])
+    aim = np.concatenate([target, np.zeros(len(hold) + scale.size)])
+    move = np.linalg.lstsq(full, aim, rcond=1e-14)[0] / scale
     moves = []
     promised = float(target @ target - np.sum((target - table @ move) ** 2))
     for block, piece in zip(blocks, pieces, strict=True):
@@ -211,13 +282,14 @@ def _bounded(pieces: tuple[Piece, ...], motion: FreeMotion, own: tuple[Array, ..
     """Whether a trial motion stays finite over the records and its edges lie in them."""
     longest = max(float(piece.time[-1] - piece.time[0]) for piece in pieces)
     inside = True
-    n = motion.size
+    n = motion.components
     for piece, mine in zip(pieces, own, strict=True):
         if piece.kind != "free":
             instant = float(mine[2 * n])
             inside &= piece.time[0] < instant < piece.time[-1 - 3 * n]
         if piece.kind == "ramp":
-            inside &= mine[-1] >= 0 and piece.edge[0] <= instant and instant + mine[-1] <= piece.edge[1]
+            duration = float(mine[2 * n + 1])
+            inside &= duration >= 0 and piece.edge[0] <= instant and instant + duration <= piece.edge[1]
     return bool(inside and float(motion.poles.real.max()) * longest < LARGEST_GROWTH)
 
 

@@ -1,7 +1,8 @@
 """Readings after a release as a function of the matrices and of what is the release's own, with all derivatives.
 
-A record is held loads, an edge, and a free decay to the loads that stay. What is known of a record about the matrices
-is kept as a triangular factor of its weighted least squares, from which its own parameters can be eliminated.
+A record is held loads, an edge, and a free decay to the loads that stay. Coordinates that no channel shows are at rest
+at zero before a release, or anywhere where that is not asked for. What is known of a record about the matrices is kept
+as a triangular factor of its weighted least squares, from which its own parameters can be eliminated.
 """
 
 from __future__ import annotations
@@ -41,6 +42,10 @@ class Piece:
         any state, only from the end of `edge` on.
     edge
         First and last time between which rows are left out; empty (equal times) for a release.
+    hidden
+        Number of coordinates that no channel shows, e.
+    anywhere
+        Whether these may be anywhere, and moving, at the instant of a release; otherwise they are at rest at zero.
     """
 
     name: str
@@ -48,12 +53,16 @@ class Piece:
     values: Array
     kind: Kind
     edge: tuple[float, float]
+    hidden: int = 0
+    anywhere: bool = False
 
     @property
     def own(self) -> int:
         """Number of parameters of the record's own."""
         n = int(self.values.shape[1])
-        return {"release": 2 * n + 1, "ramp": 2 * n + 2, "free": 3 * n}[self.kind]
+        if self.kind == "free":
+            return 3 * n + 2 * self.hidden
+        return {"release": 2 * n + 1, "ramp": 2 * n + 2}[self.kind] + 2 * self.hidden * self.anywhere
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +76,7 @@ class Linear:
     rows
         Number of rows used.
     block
-        Triangular factor of [own parameters, spring, brake, residual], shape (k, own + 2 n^2 + 1).
+        Triangular factor of [own parameters, spring, brake, residual], shape (k, own + 2 N^2 + 1).
     held, ringing
         Residuals before and after the edge, not weighted, shapes (a, n) and (b, n).
     """
@@ -89,14 +98,15 @@ def linearise(piece: Piece, motion: FreeMotion, own: Array, *, whitener: Array, 
     motion
         Free motion of the trial matrices.
     own
-        The record's own parameters: loads that stay, then for a release the loads held, the instant and, for a ramp,
-        the duration; for a free decay the loads less those that stay and their rates at the end of the edge.
+        The record's own parameters: loads that stay, then for a release the loads held, the instant, for a ramp the
+        duration, and hidden coordinates and their rates where they may be anywhere; for a free decay all coordinates,
+        the loads less those that stay, and their rates at the end of the edge.
     whitener
         What turns the noise of one row into independent unit noise, shape (n, n).
     derivatives
         Whether the factor is wanted.
     """
-    n = motion.size
+    n = motion.components
     held, ringing, since = _parts(piece, own)
     functions, model = _functions(piece, motion, own) if derivatives else (None, _model(piece, motion, own))
     columns = motion.columns(piece.time[ringing] - since)
@@ -152,13 +162,18 @@ def _parts(piece: Piece, own: Array) -> tuple[slice, slice, float]:
     return slice(0, int(first)), slice(int(last), None), instant
 
 
+def state_at_the_edge(piece: Piece, own: Array) -> tuple[Array, Array]:
+    """Coordinates from rest and their rates where the motion begins, shape (N,) each."""
+    n, e = piece.values.shape[1], piece.hidden
+    if piece.kind == "free":
+        return own[n : 2 * n + e], own[2 * n + e :]
+    unseen = own[-2 * e :] if e and piece.anywhere else np.zeros(2 * e)
+    return np.concatenate([own[n : 2 * n] - own[:n], unseen[:e]]), np.concatenate([np.zeros(n), unseen[e:]])
+
+
 def _started(piece: Piece, motion: FreeMotion, own: Array) -> tuple[Coefficients, Complex]:
     """The motion as if it had begun at once, and the sizes of its modes."""
-    n = motion.size
-    if piece.kind == "free":
-        sizes = motion.sizes(own[n : 2 * n], own[2 * n :])
-    else:
-        sizes = motion.sizes(own[n : 2 * n] - own[:n], np.zeros(n))
+    sizes = motion.sizes(*state_at_the_edge(piece, own))
     return motion.motion(sizes), sizes
 
 
@@ -173,30 +188,35 @@ def _model(piece: Piece, motion: FreeMotion, own: Array) -> Coefficients:
     """The motion after the edge, loads that stay left out."""
     whole, _ = _started(piece, motion, own)
     if piece.kind == "ramp":
-        plain, late, _ = _means(motion, float(own[-1]))
+        plain, late, _ = _means(motion, float(own[2 * motion.components + 1]))
         return whole.weighted(plain, late)
     return whole
 
 
 def _functions(piece: Piece, motion: FreeMotion, own: Array) -> tuple[Coefficients, Coefficients]:
     """Derivatives by own parameters and matrices, and the motion; the constant of the loads that stay is left out."""
-    n = motion.size
+    n, size = motion.components, motion.size
     whole, sizes = _started(piece, motion, own)
     state, matrices = motion.by_state(), motion.by_matrices(sizes)
     if piece.kind == "free":
-        nothing = Coefficients(
-            np.zeros_like(state.plain[:, :, :n]), np.zeros_like(state.late[:, :, :n]), np.zeros((n, n))
-        )
-        return _joined([nothing, state, matrices]), whole
-    loads = Coefficients(state.plain[:, :, :n], state.late[:, :, :n], state.constant[:, :n])
+        nothing = np.zeros((2 * size, n, n), dtype=np.complex128)
+        return _joined([Coefficients(nothing, nothing, np.zeros((n, n))), state, matrices]), whole
+    loads = _picked(state, slice(n))
     away = Coefficients(-loads.plain, -loads.late, -loads.constant)
-    parts = [away, loads, motion.by_time(whole), matrices]
+    parts = [away, loads, motion.by_time(whole)]
+    if piece.anywhere:
+        parts += [_picked(state, slice(n, size)), _picked(state, slice(size + n, 2 * size))]
+    parts.append(matrices)
     if piece.kind == "release":
         return _joined(parts), whole
-    plain, late, steeper = _means(motion, float(own[-1]))
+    plain, late, steeper = _means(motion, float(own[2 * n + 1]))
     parts = [part.weighted(plain, late) for part in parts]
     parts.insert(3, whole.weighted(steeper, np.zeros_like(steeper)))
     return _joined(parts), whole.weighted(plain, late)
+
+
+def _picked(functions: Coefficients, which: slice) -> Coefficients:
+    return Coefficients(functions.plain[:, :, which], functions.late[:, :, which], functions.constant[:, which])
 
 
 def _joined(parts: list[Coefficients]) -> Coefficients:

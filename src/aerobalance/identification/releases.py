@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -21,7 +22,10 @@ from aerobalance.identification.coupled_identification import (
     ReleaseFound,
     doubts_about,
 )
-from aerobalance.identification.force_error import error_of, highest_of, motion_power
+from aerobalance.identification.coupled_modes import ModeTable
+from aerobalance.identification.force_error import error_of, force_weights, highest_of
+from aerobalance.identification.further_coupled import MOST, ChosenFit, fit_modes
+from aerobalance.identification.hidden_coordinates import quasi_static
 from aerobalance.identification.mass_matrix import RigidMassFit, rigid_mass_of
 from aerobalance.identification.release_advice import (
     STILL,
@@ -36,7 +40,7 @@ from aerobalance.identification.release_advice import (
 )
 from aerobalance.identification.release_fit import ReleaseFit, settle
 from aerobalance.identification.release_record import ReleaseRecord, release_record
-from aerobalance.identification.release_stages import Units, fit_releases
+from aerobalance.identification.release_stages import Units
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 
@@ -48,6 +52,7 @@ def identify_releases(
     mass: float | tuple[float, float] | None = None,
     half_range: Mapping[str, float] | None = None,
     release_share: float = 0.5,
+    modes: int | Literal["auto"] = "auto",
 ) -> CoupledIdentification:
     """Identify A and D of F = X + D X' + A X'', Eq. (17) of [Gorbushin2020]_ with matrices, from releases.
 
@@ -64,11 +69,14 @@ def identify_releases(
         Half of range by component [N, N*m]; where not given, the largest change of load in the recordings.
     release_share
         Size of the further releases that are considered, over half of range.
+    modes
+        Number of modes: one for each component, or more where the model or the sting bends; ``"auto"`` takes those
+        that the decays show clearly. Modes beyond one for each component need a release along every component.
 
     Raises
     ------
     ValueError
-        There is no recording, or components, mass, half range or sampling rates do not fit.
+        There is no recording, or components, mass, half range, modes or sampling rates do not fit.
     FitError
         The releases leave a combination of loads at rest, the decays show too few modes, or no fit settles.
 
@@ -79,18 +87,23 @@ def identify_releases(
     correlations of the elements are no longer exact.
     """
     names = tuple(name for name in COMPONENTS if name in components)
-    _check_call(recordings, names, components, mass=mass, release_share=release_share)
+    _check_call(recordings, names, components, mass=mass, release_share=release_share, modes=modes)
     records = [release_record(recording, names) for recording in recordings]
     sizes = _sizes(records, names, half_range)
     _check_moved(records, sizes, names)
-    fit, units = fit_releases(records, sizes=sizes)
+    chosen = fit_modes(records, sizes=sizes, modes=modes)
+    fit, units = chosen.fit, chosen.units
     colour = _colour(fit)
     if (colour > 1).any():
         fit = settle(fit.pieces, fit.matrices, fit.own, noise=fit.noise * np.sqrt(np.outer(colour, colour)))
     _check_seen(fit, names)
-    return _result(
+    found = _result(
         fit, units, records, names, colour=colour, mass=mass, given=half_range is not None, share=release_share
     )
+    found = replace(found, notes=(*_notes_on_modes(found, chosen), *found.notes))
+    for note in found.notes:
+        warnings.warn(f"{_called(records)}: {note}", DoubtWarning, stacklevel=2)
+    return found
 
 
 def _check_call(
@@ -100,6 +113,7 @@ def _check_call(
     *,
     mass: float | tuple[float, float] | None,
     release_share: float,
+    modes: int | Literal["auto"],
 ) -> None:
     if not recordings:
         raise ValueError("at least one recording of a release is needed")
@@ -110,6 +124,8 @@ def _check_call(
         raise ValueError(f"the recordings must have one sampling rate, not {min(rates):g} to {max(rates):g} Hz")
     if mass is not None and names != COMPONENTS:
         raise ValueError(f"a mass matrix needs all of {', '.join(COMPONENTS)}; leave the mass out")
+    if modes != "auto" and not len(names) <= modes <= len(names) + MOST:
+        raise ValueError(f"modes must be auto or {len(names)} to {len(names) + MOST}, not {modes}")
     if not 0 < release_share <= 1:
         raise ValueError(f"release_share must be above 0 and at most 1, not {release_share:g}")
 
@@ -144,10 +160,10 @@ def _check_moved(records: list[ReleaseRecord], sizes: Array, names: tuple[str, .
 def _check_seen(fit: ReleaseFit, names: tuple[str, ...]) -> None:
     """Refuse releases that leave a mode in the noise."""
     poles = fit.motion.poles
-    if not (poles.real < 0).all() or np.count_nonzero(poles.imag > 0) != len(names):
+    if not (poles.real < 0).all() or np.count_nonzero(poles.imag > 0) != len(names) + fit.hidden:
         raise FitError(
-            f"{_called(fit.pieces)}: the decays do not show {len(names)} decaying modes above the noise; add releases "
-            "along other components, or larger ones"
+            f"{_called(fit.pieces)}: the decays do not show {len(names) + fit.hidden} decaying modes above the noise; "
+            "add releases along other components, or larger ones"
         )
     energy = np.sum(excitation(fit)[1] ** 2, axis=0)
     if energy.min() < STILL:
@@ -197,7 +213,7 @@ def _result(
 ) -> CoupledIdentification:
     dynamics = _dynamics(fit, units, names)
     applied = APPLIED * units.sizes
-    error = error_of(dynamics.covariance, motion_power(dynamics, sizes=applied))
+    error = error_of(dynamics.covariance, force_weights(dynamics, sizes=applied))
     duration = float(np.median([record.time[-1] - record.time[0] for record in records]))
     further = advice(
         fit,
@@ -213,15 +229,13 @@ def _result(
         dynamics = replace(dynamics, mass=rigid.mass)
     deviation, reduced = _residual_size(fit, units, records)
     up, _ = pairs(fit.motion)
-    shapes = fit.motion.shapes[:, up].T
-    shapes = shapes / shapes[np.arange(len(up)), np.argmax(np.abs(shapes), axis=1)][:, None]
-    u_frequency, u_ratio = _u_modes(fit, units)
+    table = ModeTable.of(dynamics, sizes=units.sizes)
     found = CoupledIdentification(
         dynamics=dynamics,
-        modes=dynamics.modes,
-        u_natural_frequency=u_frequency,
-        u_damping_ratio=u_ratio,
-        mode_shapes=shapes,
+        modes=table.modes,
+        u_natural_frequency=table.u_natural_frequency,
+        u_damping_ratio=table.u_damping_ratio,
+        mode_shapes=table.shapes,
         combinations=np.array([combination_of(fit.motion, mode) for mode in range(len(up))]),
         releases=_releases(fit, units, records),
         half_range=units.sizes,
@@ -237,17 +251,31 @@ def _result(
         rigid=rigid,
         notes=(),
     )
-    found = replace(found, notes=(*doubts_about(found), *notes))
-    for note in found.notes:
-        warnings.warn(f"{_called(records)}: {note}", DoubtWarning, stacklevel=3)
-    return found
+    return replace(found, notes=(*doubts_about(found), *notes))
+
+
+def _notes_on_modes(found: CoupledIdentification, chosen: ChosenFit) -> list[str]:
+    """What is doubtful about the number of modes."""
+    if chosen.peak is None and chosen.why is None:
+        return []
+    where, other = "", ""
+    if chosen.peak is not None:
+        where = f" near {chosen.peak:.4g} Hz"
+        near = min(abs(chosen.peak / mode.natural_frequency - 1) for mode in found.modes)
+        other = " or damping is not linear" if near < 1 / 8 else ""
+    reason = "" if chosen.why is None else f" ({chosen.why})"
+    text = (
+        f"the decays ring{where} as the {len(found.modes)} modes found do not, as where the model or the sting bends"
+        f"{other}{reason}; the dynamics leave it out, and the force is wrong there by what it carries"
+    )
+    return [text]
 
 
 def _dynamics(fit: ReleaseFit, units: Units, names: tuple[str, ...]) -> CoupledDynamics:
-    n = fit.size
-    spring, brake = fit.matrices.reshape(2, n, n)
+    size = fit.size + fit.hidden
+    spring, brake = fit.matrices.reshape(2, size, size)
     A = np.linalg.inv(spring)
-    ratio = units.sizes[:, None] / units.sizes[None, :]
+    ratio = units.ratio(size)
     covariance = physical_covariance(fit.information, fit.matrices, units)
     return CoupledDynamics(names, A * ratio / units.rate**2, A @ brake * ratio / units.rate, covariance)
 
@@ -260,9 +288,11 @@ def _rigid(
         return None, []
     value, uncertainty = mass if isinstance(mass, tuple) else (mass, 0.0)
     try:
-        rigid = rigid_mass_of(dynamics, value, u_mass=uncertainty)
-    except FitError as problem:
+        rigid = rigid_mass_of(quasi_static(dynamics), value, u_mass=uncertainty)
+    except (FitError, ValueError) as problem:
         return None, [f"no mass matrix: {problem}; gravity and ground motion cannot be taken out of the loads"]
+    if dynamics.hidden:
+        return replace(rigid, reciprocity=None), _note_on_bending(rigid)
     notes = []
     if rigid.rigidity is not None and not rigid.rigidity.chance:
         notes.append(
@@ -277,32 +307,24 @@ def _rigid(
     return rigid, notes
 
 
+def _note_on_bending(rigid: RigidMassFit) -> list[str]:
+    """What is doubtful about a mass matrix from slow motion, below modes of the model or sting."""
+    if rigid.rigidity is None or rigid.rigidity.chance:
+        return []
+    text = (
+        "the mass matrix is taken from slow motion, below the modes of the model or sting, and is not that of a rigid "
+        f"mass on a symmetric stiffness (chi2 {rigid.rigidity.chi2:.3g} for 6 degrees of freedom), as where the model "
+        "bends under the load; the mass matrix found from it is only nearly right"
+    )
+    return [text]
+
+
 def _residual_size(fit: ReleaseFit, units: Units, records: list[ReleaseRecord]) -> tuple[Array, Array]:
     """Standard deviation of the residuals [N, N*m], and their variance over that of the noise given or judged."""
     squares = sum(np.sum(linear.ringing**2, axis=0) + np.sum(linear.held**2, axis=0) for linear in fit.linears)
     deviation = np.sqrt(squares * fit.size / max(fit.degrees_of_freedom, 1)) * units.sizes
     noise = np.sqrt(np.mean([record.noise**2 for record in records], axis=0))
     return deviation, (deviation / noise) ** 2
-
-
-def _u_modes(fit: ReleaseFit, units: Units) -> tuple[Array, Array]:
-    """Standard uncertainty of the modes' frequencies [Hz] and damping ratios."""
-    motion, n = fit.motion, fit.size
-    up, _ = pairs(motion)
-    size = np.linalg.norm(fit.information, axis=0)
-    frequency, ratio = [], []
-    for place in up:
-        pole = motion.poles[place]
-        gain = np.outer(-motion.shares[place, n:], motion.shapes[:, place]).ravel()
-        slope = np.concatenate([gain, gain * pole])  # of the pole by spring and brake
-        rate = abs(pole)
-        by_rate = np.real(np.conj(pole) * slope) / rate
-        by_ratio = -slope.real / rate + pole.real / rate**2 * by_rate
-        rows = np.linalg.solve((fit.information / size).T, (np.array([by_rate, by_ratio]) / size).T)
-        u = np.linalg.norm(rows, axis=0)
-        frequency.append(u[0] * units.rate / (2 * np.pi))
-        ratio.append(u[1])
-    return np.array(frequency), np.array(ratio)
 
 
 def _releases(fit: ReleaseFit, units: Units, records: list[ReleaseRecord]) -> tuple[ReleaseFound, ...]:
@@ -316,7 +338,7 @@ def _releases(fit: ReleaseFit, units: Units, records: list[ReleaseRecord]) -> tu
             instant, u, duration, step = piece.edge[1], 0.0, 0.0, np.full(n, np.nan)
         else:
             instant, step = float(own[2 * n]), (own[n : 2 * n] - own[:n]) * units.sizes
-            duration = float(own[-1]) if piece.kind == "ramp" else 0.0
+            duration = float(own[2 * n + 1]) if piece.kind == "ramp" else 0.0
             k = piece.own
             row = np.linalg.solve(linear.block[:k, :k].T, np.eye(k)[2 * n])
             through = np.linalg.solve((information / size).T, (row @ linear.block[:k, k:-1]) / size)

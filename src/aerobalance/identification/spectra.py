@@ -145,7 +145,7 @@ def transform(recording: Recording, component: str) -> Spectra:
 def _columns(recording: Recording, load: Channel, ground: Channel) -> dict[str, Array]:
     """Take the longest usable stretch of the channels that are needed, short gaps bridged."""
     used = [load, ground] + [recording.channel(name) for name in ("live_acceleration", "pitch") if name in recording]
-    whole = _longest_whole(recording, used)
+    whole = longest_whole(recording, used)
     columns = {channel.name: _bridged(channel.values[whole]) for channel in used}
     for channel in (load, ground):
         if np.ptp(columns[channel.name]) == 0:
@@ -250,7 +250,7 @@ def _specific_force(channel: Channel, spectra: dict[str, Complex], frequency: Ar
     return reading if channel.coupling == "dc" else reading - weight
 
 
-def _longest_whole(recording: Recording, channels: list[Channel]) -> slice:
+def longest_whole(recording: Recording, channels: list[Channel]) -> slice:
     """Find the longest stretch without missing or saturated samples, short gaps apart.
 
     Raises

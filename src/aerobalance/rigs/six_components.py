@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS
+from aerobalance.coupled import CoupledDynamics
 from aerobalance.dynamics import Mode
 from aerobalance.recording import Recording
 from aerobalance.rigs.drives import Signal
@@ -134,6 +135,8 @@ class SixComponentRig:
         Points of the integration grid per sample.
     before
         For how long loads and motion have been going on before time 0 [s]; still earlier their first value held.
+    dynamics
+        What rings where the model or the sting bends (`bending_dynamics`), or None for those of the balance.
     """
 
     balance: CoupledBalance
@@ -149,6 +152,7 @@ class SixComponentRig:
     ground_sensor: Sensor = field(default_factory=Sensor)
     oversampling: int = 4
     before: float = 0.25
+    dynamics: CoupledDynamics | None = None
 
     def run(self, duration: float, generator: np.random.Generator) -> SixSimulation:
         """Record for `duration` [s] from time 0.
@@ -208,7 +212,7 @@ class SixComponentRig:
 
     def _load(self, grid: Array) -> SixSignal:
         """Loads felt at any times within the grid."""
-        poles, shapes, weights = self.balance.dynamics.modal_form
+        poles, shapes, weights = (self.dynamics or self.balance.dynamics).modal_form
         up = np.flatnonzero(poles.imag > 0)
         if 2 * up.size != poles.size:
             raise ValueError("a mode is damped critically or more; the simulation needs damping ratios below 1")

@@ -13,6 +13,9 @@ from scipy.interpolate import CubicSpline
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS
 
+DRIVE_RATE = 20_000.0
+"""Points per second from which a drive is integrated to rate and angle of a turn."""
+
 SixSignal = Callable[[Array], Array]
 """Quantities over time: takes times [s] of shape (n,), returns values of shape (n, 6) in the order of `COMPONENTS`."""
 
@@ -190,6 +193,36 @@ def random_motion(generator: np.random.Generator, band: Band, *, rms: ArrayLike,
         _periodic(turns / (1j * w[:, None]), period),
         _periodic(-turns / w[:, None] ** 2, period),
     )
+
+
+def driven_motion(drive: Callable[[Array], Array], *, along: ArrayLike, duration: float) -> BaseMotion:
+    """Shake the ground end by one signal: a stepped or swept sine, along one motion or several at once.
+
+    Parameters
+    ----------
+    drive
+        Acceleration over time, zero before 0 and after the duration, shape (n,) for times [s] of shape (n,).
+    along
+        Size of each acceleration for a drive of 1, shape (6,) [m/s^2, rad/s^2].
+    duration
+        For how long it is driven [s].
+    """
+    size = np.asarray(along, dtype=np.float64)
+    turns = size[[COMPONENTS.index(name) for name in MOMENTS]]
+    grid = np.linspace(0.0, duration, int(DRIVE_RATE * duration) + 1)
+    speed = CubicSpline(grid, drive(grid)).antiderivative()
+    mean = float(speed.integrate(0.0, duration)) / duration  # the ground end does not turn away
+    angle = CubicSpline(grid, speed(grid) - mean).antiderivative()
+    centre = float(angle.integrate(0.0, duration)) / duration
+
+    def rate(time: Array) -> Array:
+        inside = (time >= 0) & (time <= duration)
+        return np.asarray(np.where(inside, speed(time) - mean, 0.0)[:, None] * turns)
+
+    def turned(time: Array) -> Array:
+        return np.asarray((angle(np.clip(time, 0.0, duration)) - centre)[:, None] * turns)
+
+    return BaseMotion(lambda time: np.asarray(drive(time)[:, None] * size), rate, turned)
 
 
 def oscillation(

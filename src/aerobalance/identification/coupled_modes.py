@@ -1,0 +1,60 @@
+"""Modes of coupled dynamics with what the uncertainty of A and D leaves in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aerobalance.channel import Array
+from aerobalance.coupled import CoupledDynamics
+from aerobalance.dynamics import Mode
+from aerobalance.identification.free_motion import Complex
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModeTable:
+    """Oscillations of coupled dynamics, the slowest first.
+
+    Attributes
+    ----------
+    modes
+        Their frequencies and damping ratios.
+    u_natural_frequency, u_damping_ratio
+        Standard uncertainties, shape (modes,) [Hz] and [1].
+    shapes
+        Loads felt over half of range, rows, the largest of a row 1; shape (modes, n).
+    covariance
+        Covariance of the frequencies, then of the damping ratios, shape (2 modes, 2 modes).
+    """
+
+    modes: tuple[Mode, ...]
+    u_natural_frequency: Array
+    u_damping_ratio: Array
+    shapes: Complex
+    covariance: Array
+
+    @classmethod
+    def of(cls, dynamics: CoupledDynamics, *, sizes: Array) -> ModeTable:
+        """Modes of dynamics; `sizes` are the half ranges of the components, shape (n,)."""
+        n = len(dynamics.components)
+        up = np.array([pole for pole in dynamics.poles if pole.imag > 0])
+        found, shapes = [], []
+        for pole in up:
+            left, _, right = np.linalg.svd(
+                np.eye(len(dynamics.inertia)) + dynamics.damping * pole + dynamics.inertia * pole**2
+            )
+            shape, weight = right[-1].conj(), left[:, -1].conj()
+            steep = weight @ (dynamics.damping + 2 * pole * dynamics.inertia) @ shape
+            product = -np.outer(weight, shape).ravel() / steep
+            found.append(np.concatenate([product * pole**2, product * pole]))
+            seen = shape[:n] / sizes
+            shapes.append(seen / seen[np.argmax(np.abs(seen))])
+        slopes = np.array(found)
+        size = np.abs(up)
+        by_rate = np.real(np.conj(up)[:, None] * slopes) / size[:, None]
+        by_ratio = (-slopes.real + (up.real / size)[:, None] * by_rate) / size[:, None]
+        both = np.vstack([by_rate / (2 * np.pi), by_ratio])
+        covariance = both @ dynamics.covariance @ both.T
+        u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return cls(dynamics.modes, u[: up.size], u[up.size :], np.array(shapes), covariance)

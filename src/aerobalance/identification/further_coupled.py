@@ -1,0 +1,276 @@
+"""How many modes beside one for each component a set of releases shows: of a model or sting that bends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.stats import chi2
+
+from aerobalance.channel import Array
+from aerobalance.coupled import ModalForm
+from aerobalance.identification.hidden_coordinates import static_shares
+from aerobalance.identification.realisation import Guess, from_modes, quick_guess
+from aerobalance.identification.release_advice import excitation, pairs
+from aerobalance.identification.release_fit import ReleaseFit, whitener_of
+from aerobalance.identification.release_record import ROUNDING, ReleaseRecord
+from aerobalance.identification.release_stages import (
+    POOR,
+    Start,
+    Units,
+    decays_of,
+    fit_decays,
+    guess_of,
+    with_edges,
+)
+from aerobalance.problems import FitError
+
+MOST: Final = 3
+"""Modes beside one for each component that are looked for."""
+
+EVIDENCE: Final = 25.0
+"""Log-likelihood that a further mode must gain beyond what its parameters may gain by chance."""
+
+LOST: Final = 0.1
+"""Part of its gain that a mode may lose where releases begin at rest: what rings before them as well is no mode."""
+
+HEAVIEST: Final = 0.3
+"""Damping ratio above which a further mode is none but the misfit of something else."""
+
+STRANGE: Final = 0.5
+"""Distance of a mode's static share from 0 to 1 beyond which it is no mode of a structure."""
+
+DECAYS: Final = 0.05
+"""Logarithm of the decay over the longest record below which a line is hum and no mode."""
+
+SPLIT: Final = 2.0
+"""Distance of two poles, over the faster decay, below which two modes of one shape are one that is not linear."""
+
+ALIKE: Final = 0.95
+"""Square of the cosine between shapes of modes from which they are one shape."""
+
+BEFORE: Final = 0.5
+"""Power of a line before the releases, over that after them, from which it does not come from them."""
+
+WIDTHS: Final = (1, 3, 9, 27, 81)
+"""Widths of the peaks looked for in the residuals, in frequencies."""
+
+FAINT: Final = 0.1
+"""Power over that of white noise of the size of the residuals, below which it is rounding."""
+
+CHANCE: Final = 1e-9
+"""Probability of a peak by chance, at one frequency, below which it is taken as real."""
+
+TOP: Final = 0.8
+"""Share of half the sampling rate up to which peaks are looked for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChosenFit:
+    """The fit with as many modes as the releases show.
+
+    Attributes
+    ----------
+    fit, units
+        The fit.
+    peak
+        Frequency of a narrow peak that is left in the residuals [Hz], or None.
+    why
+        What stood against a further mode that the decays show, or None.
+    """
+
+    fit: ReleaseFit
+    units: Units
+    peak: float | None
+    why: str | None = None
+
+
+def fit_modes(records: Sequence[ReleaseRecord], *, sizes: Array, modes: int | Literal["auto"]) -> ChosenFit:
+    """Fit a number of modes, or as many as the decays show.
+
+    Raises
+    ------
+    FitError
+        No first guess explains the decays, or the fit does not settle.
+    """
+    if modes != "auto":
+        start = guess_of(records, hidden=modes - sizes.size)
+        free, units = fit_decays(records, sizes=sizes, start=start)
+        fit = with_edges(free, records, units)
+        return ChosenFit(fit, units, peak_of(fit, units, records))
+    free, units, gain = _free_decays(records, sizes=sizes)
+    if not free.hidden:
+        fit = with_edges(free, records, units)
+        return ChosenFit(fit, units, peak_of(fit, units, records))
+    try:
+        fit = with_edges(free, records, units)
+    except (FitError, np.linalg.LinAlgError) as problem:
+        return _without(records, sizes, str(problem))
+    if not _of_a_structure(fit):
+        return _without(records, sizes, "its share of the load is none of a structure")
+    if gain_over(free, fit) > LOST * gain:
+        return _without(records, sizes, "its motion does not begin at rest with the releases")
+    return ChosenFit(fit, units, peak_of(fit, units, records))
+
+
+def _without(records: Sequence[ReleaseRecord], sizes: Array, why: str) -> ChosenFit:
+    """The fit with one mode for each component, although the decays show more."""
+    free, units = fit_decays(records, sizes=sizes, start=guess_of(records))
+    fit = with_edges(free, records, units)
+    return ChosenFit(fit, units, peak_of(fit, units, records), why)
+
+
+def _free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units, float]:
+    """Free decays with as many modes as they show clearly, and the log-likelihood that the last of them gained."""
+    free, units, gain = _beginning(records, sizes=sizes)
+    hidden = free.hidden
+    while hidden < MOST and peak_of(free, units, records) is not None:
+        hidden += 1
+        try:
+            larger, others = fit_decays(records, sizes=sizes, start=guess_of(records, hidden=hidden))
+        except (FitError, np.linalg.LinAlgError):  # modes that are not found are none
+            continue
+        gained = gain_over(larger, free)
+        if gained > _by_chance(larger, hidden - free.hidden) + EVIDENCE and _physical(larger, others, records[0].rate):
+            free, units, gain = larger, others, gained
+    return free, units, gain
+
+
+def _beginning(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units, float]:
+    """Free decays with the fewest modes that a quick look explains to the noise, where that is sure; one each else."""
+    decays, rate = decays_of(records, 0.0), records[0].rate
+    count, before = max(sum(decay.size for decay in decays), 1), np.inf
+    for hidden in range(MOST + 1) if decays else ():
+        quick = quick_guess(decays, rate=rate, hidden=hidden)
+        if quick is None or quick.squares > POOR * count:
+            before = before if quick is None else quick.squares
+            continue
+        if hidden == 0:
+            break
+        try:
+            start = guess_of(records, hidden=hidden, guards=(0.0,))
+            free, units = fit_decays(records, sizes=sizes, start=start)
+        except (FitError, np.linalg.LinAlgError):
+            continue
+        try:
+            gain = gain_over(free, _with_one_less(free, units, records, sizes))
+        except (FitError, np.linalg.LinAlgError):  # with less there is no fit, but a guess
+            gain = count / 2 * float(np.log(before / quick.squares)) if np.isfinite(before) else 0.0
+        if gain > _by_chance(free, 1) + EVIDENCE and _physical(free, units, rate):
+            return free, units, gain
+    free, units = fit_decays(records, sizes=sizes, start=guess_of(records))
+    return free, units, 0.0
+
+
+def _with_one_less(free: ReleaseFit, units: Units, records: Sequence[ReleaseRecord], sizes: Array) -> ReleaseFit:
+    """Free decays without the mode that rings least."""
+    motion = free.motion
+    up, _ = pairs(motion)
+    weakest = up[int(np.argmin(np.sum(excitation(free)[1] ** 2, axis=0)))]
+    other = int(np.argmin(np.abs(motion.poles - motion.poles[weakest].conj())))
+    left = np.delete(np.arange(motion.poles.size), [weakest, other])
+    matrices = from_modes(motion.poles[left], motion.felt[:, left])
+    if matrices is None:
+        raise FitError("the other modes are not independent of each other")
+    return fit_decays(records, sizes=sizes, start=Start(Guess(*units.bare(*matrices), squares=0.0), 0.0))[0]
+
+
+def _by_chance(larger: ReleaseFit, more: int) -> float:
+    """Log-likelihood that the parameters of some modes more may gain by chance."""
+    size, e = larger.size + larger.hidden, larger.hidden
+    count = 2 * (size**2 - e**2) - 2 * ((size - more) ** 2 - (e - more) ** 2) + 2 * more * len(larger.pieces)
+    return count / 2 * float(np.log(max(larger.degrees_of_freedom, 2)))
+
+
+def gain_over(larger: ReleaseFit, smaller: ReleaseFit) -> float:
+    """Log-likelihood gained, on the readings after the edges that both use."""
+    ours, theirs = [], []
+    for one, other in zip(larger.linears, smaller.linears, strict=True):
+        count = min(len(one.ringing), len(other.ringing))
+        ours.append(one.ringing[len(one.ringing) - count :])
+        theirs.append(other.ringing[len(other.ringing) - count :])
+    floor = ROUNDING**2 * np.eye(larger.size)
+    sizes = [
+        float(np.linalg.slogdet(table.T @ table / len(table) + floor)[1])
+        for table in (np.vstack(ours), np.vstack(theirs))
+    ]
+    return sum(len(part) for part in ours) / 2 * (sizes[1] - sizes[0])
+
+
+def _physical(fit: ReleaseFit, units: Units, rate: float) -> bool:
+    """Whether all modes oscillate, decay lightly damped, lie in the band and are apart."""
+    motion = fit.motion
+    up, sizes = pairs(motion)
+    poles, shapes = motion.poles[up], motion.felt[:, up] / np.linalg.norm(motion.felt[:, up], axis=0)
+    longest = max(float(piece.time[-1] - piece.edge[1]) for piece in fit.pieces)
+    near = np.abs(poles[:, None] - poles) < SPLIT * np.maximum(-poles.real[:, None], -poles.real)
+    alike = np.abs(shapes.conj().T @ shapes) ** 2 > ALIKE
+    return bool(
+        up.size == fit.size + fit.hidden
+        and (-poles.real * longest > DECAYS).all()
+        and (-poles.real < HEAVIEST * sizes).all()
+        and sizes.max() * units.rate / (2 * np.pi) < TOP * rate / 2
+        and not np.triu(near & alike, 1).any()
+    )
+
+
+def _of_a_structure(fit: ReleaseFit) -> bool:
+    """Whether each mode carries a part of the loads at rest that modes of a structure may."""
+    motion, n = fit.motion, fit.size
+    spring = fit.matrices.reshape(2, motion.size, motion.size)[0]
+    form = ModalForm(motion.poles, motion.felt, motion.shares[:, motion.size :] @ spring[:, :n])
+    shares = static_shares(form)
+    return bool(((shares > -STRANGE) & (shares < 1 + STRANGE)).all())
+
+
+def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> float | None:
+    """Frequency of the clearest narrow peak in the residuals after the edges [Hz]; None where they are as noise.
+
+    The power of white noise, summed over r records, n components and w frequencies, is half a chi2 of 2 r n w degrees
+    of freedom; its level is the median around, so that noise that is coloured smoothly makes no peak.
+    """
+    count = min(len(linear.ringing) for linear in fit.linears)
+    if count < 8 * max(WIDTHS):
+        return None
+    whitener = whitener_of(fit.noise + ROUNDING**2 * np.eye(fit.size))
+    power = np.zeros(count // 2)
+    for linear in fit.linears:
+        power += np.sum(
+            np.abs(np.fft.rfft(linear.ringing[:count] @ whitener.T, axis=0)[1 : count // 2 + 1]) ** 2, axis=1
+        )
+    level = median_filter(power / count, size=max(count // 32, 2 * max(WIDTHS) + 1), mode="reflect")
+    number = 2 * len(fit.linears) * fit.size
+    level = np.maximum(level * number / chi2.median(number), FAINT * number / 2)
+    sums = np.concatenate([[0.0], np.cumsum((power / count / level)[: int(TOP * power.size)])])
+    best, place = float(np.log(CHANCE)), None
+    for width in WIDTHS:
+        chances = chi2.logsf(number * (sums[width:] - sums[:-width]), number * width)
+        least = int(np.argmin(chances))
+        if chances[least] < best:
+            best, place = float(chances[least]), least + width // 2
+    if place is None:
+        return None
+    interval = float(np.median(np.diff(fit.pieces[0].time)))
+    line = 2 * np.pi * (place + 1) / (count * interval)
+    return None if _rings_before(fit, line, units, records) else line * units.rate / (2 * np.pi)
+
+
+def _rings_before(fit: ReleaseFit, line: float, units: Units, records: Sequence[ReleaseRecord]) -> bool:
+    """Whether a line is there before the releases as well, as hum is."""
+    before, after = 0.0, 0.0
+    for piece, linear, record in zip(fit.pieces, fit.linears, records, strict=True):
+        held = max(record.onset - 4, 0)
+        if held and piece.time[held - 1] - piece.time[0] > 2 * (2 * np.pi / line):
+            before += _power_of(line, piece.time[:held], record.values[:held] / units.sizes, fit.noise)
+            after += _power_of(line, piece.time[-len(linear.ringing) :], linear.ringing, fit.noise)
+    return before > BEFORE * after > 0
+
+
+def _power_of(line: float, time: Array, values: Array, noise: Array) -> float:
+    """Squares of the amplitudes of a line over the noise, less what noise makes of them."""
+    waves = np.column_stack([np.cos(line * time), np.sin(line * time), np.ones(time.size)])
+    sizes = np.linalg.lstsq(waves, values @ whitener_of(noise).T, rcond=None)[0][:2]
+    return float(np.sum(sizes**2) - 4 * values.shape[1] / time.size)

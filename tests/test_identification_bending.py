@@ -1,0 +1,285 @@
+"""Modes of a model or sting that bends, from releases: the structure behind them, what is found, and what is told."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.stats import chi2, norm
+
+from aerobalance.channel import Array, Channel
+from aerobalance.commands.identify_coupled import identify_decays
+from aerobalance.components import si_unit
+from aerobalance.coupled import CoupledDynamics
+from aerobalance.identification.coupled_modes import ModeTable
+from aerobalance.identification.force_error import force_weights, true_force_error
+from aerobalance.identification.free_motion import FreeMotion, generator_of
+from aerobalance.identification.hidden_coordinates import (
+    held_states,
+    invariances,
+    quasi_static,
+    renewed,
+    static_shares,
+)
+from aerobalance.identification.release_fit import whitener_of
+from aerobalance.identification.release_model import Piece, linearise
+from aerobalance.identification.releases import identify_releases
+from aerobalance.io import write_recording
+from aerobalance.io.coupled_file import read_coupled
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording import Recording
+from aerobalance.rigs.six_balance import random_balance
+from aerobalance.rigs.six_bending import Bending, bending_dynamics
+
+RATE = 2500.0
+SECONDS = 0.8
+NAMES = ("NF", "AF")
+HALF_RANGE = np.array([1000.0, 500.0])
+RANGES = dict(zip(NAMES, HALF_RANGE.tolist(), strict=True))
+NEVER = 1e-5
+"""Probability with which a test of chance may fail for a fresh seed."""
+
+
+def fresh() -> tuple[np.random.Generator, int]:
+    seed = np.random.SeedSequence().entropy
+    return np.random.default_rng(seed), seed
+
+
+def structure() -> tuple[Array, Array, Array, Array, Array]:
+    """Mass, damping and stiffness of three degrees of freedom, and how loads enter and are felt; bends at 210 Hz."""
+    M = np.array([[20.0, 2.0, 0.9], [2.0, 20.0, 0.4], [0.9, 0.4, 1.0]])
+    K = np.diag(np.array([20.0, 20.0, 1.0]) * (2 * np.pi * np.array([90.0, 140.0, 210.0])) ** 2)
+    K[0, 1] = K[1, 0] = 0.1 * np.sqrt(K[0, 0] * K[1, 1])
+    C = 2e-5 * K + 3 * M
+    into = np.array([[1.0, 0.0], [0.0, 1.0], [0.06, -0.02]])
+    return M, C, K, into, K[:2]
+
+
+def truth() -> CoupledDynamics:
+    """The structure in loads: hidden are such loads that none held makes."""
+    M, C, K, into, felt = structure()
+    at_rest = np.linalg.solve(K, into)
+    unseen = np.cross(at_rest[:, 0], at_rest[:, 1])  # normal to both
+    turn = np.vstack([felt, unseen * np.linalg.norm(felt) / np.linalg.norm(unseen)])
+    back, flexible = np.linalg.inv(turn), turn @ np.linalg.inv(K)
+    return CoupledDynamics(NAMES, flexible @ M @ back, flexible @ C @ back)
+
+
+def rigid() -> CoupledDynamics:
+    M, C, K, _, _ = structure()
+    inverse = np.linalg.inv(K[:2, :2])
+    return CoupledDynamics(NAMES, M[:2, :2] @ inverse, C[:2, :2] @ inverse)
+
+
+def recordings(dynamics: CoupledDynamics, rng: np.random.Generator, *, along=(0, 1), noise=1e-4) -> list[Recording]:
+    """Releases of half the half range, by the matrix exponential of the motion."""
+    spring = np.linalg.inv(dynamics.inertia)
+    whole = generator_of(spring, spring @ dynamics.damping)
+    made = []
+    for number in along:
+        held, instant = np.zeros(len(whole)), 0.05 + rng.uniform(0, 0.01)
+        held[number] = 0.5 * HALF_RANGE[number]
+        time = np.arange(round(SECONDS * RATE)) / RATE
+        values = np.tile(held[:2], (time.size, 1))
+        after = np.flatnonzero(time >= instant)
+        state, step = expm(whole * (time[after[0]] - instant)) @ held, expm(whole / RATE)
+        for row in after:
+            values[row] = state[:2]
+            state = step @ state
+        values += noise * HALF_RANGE * rng.normal(size=values.shape)
+        channels = {name: Channel(name, values[:, i].copy(), si_unit(name)) for i, name in enumerate(NAMES)}
+        made.append(Recording.from_columns(time, channels, name=f"release {NAMES[number]}"))
+    return made
+
+
+def quietly(made: list[Recording], **settings):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        return identify_releases(made, components=NAMES, half_range=RANGES, **settings)
+
+
+def test_loads_of_a_bending_structure():
+    rng, seed = fresh()
+    balance = random_balance(rng)
+    bending = Bending.random(balance, rng, frequency=rng.uniform(60, 900), part=0.3)
+    dynamics = bending_dynamics(balance, bending)
+    nothing = np.zeros((6, 1))
+    M = np.block([[balance.mass.matrix, bending.coupling], [bending.coupling.T, bending.mass]])
+    assert np.linalg.eigvalsh(M / np.sqrt(np.outer(np.diag(M), np.diag(M))))[0] > 0, seed
+    C = np.block([[balance.damping, nothing], [nothing.T, bending.damping]])
+    K = np.block([[balance.stiffness, nothing], [nothing.T, bending.stiffness]])
+    into = np.vstack([np.eye(6), bending.driven.T])
+    for frequency in (0.0, 50.0, 300.0, 900.0):
+        s = 2j * np.pi * frequency
+        direct = K[:6] @ np.linalg.solve(M * s**2 + C * s + K, into)
+        scale = np.outer(balance.half_range, 1 / balance.half_range)
+        found = dynamics.response([frequency])[0]
+        # rounding of 1e-16 through matrices of a condition of some 1e6
+        assert found / scale == pytest.approx(direct / scale, abs=1e-8 * np.abs(direct / scale).max()), seed
+
+
+@pytest.mark.parametrize("hidden", [1, 2])
+def test_directions_that_change_nothing(hidden):
+    rng, seed = fresh()
+    n, size = 2, 2 + hidden
+    spring = np.eye(size) + 0.3 * rng.normal(size=(size, size))
+    brake = 0.1 * np.eye(size) + 0.02 * rng.normal(size=(size, size))
+    matrices = np.concatenate([spring.ravel(), brake.ravel()])
+
+    def felt_over_applied(values: Array) -> Array:
+        spring, brake = values.reshape(2, size, size)
+        A = np.linalg.inv(spring)
+        s = 1j * np.linspace(0.3, 3, 5)[:, None, None]
+        return np.linalg.inv(np.eye(size) + s * (A @ brake) + s**2 * A)[:, :n, :n]
+
+    rows = invariances(matrices, n, loads=np.eye(n))
+    assert len(rows) == 2 * hidden**2
+    assert np.linalg.matrix_rank(rows, tol=1e-9 * np.linalg.norm(rows)) == 2 * hidden**2, seed
+    for row in rows:
+        step = 1e-5 * row / np.linalg.norm(row)
+        change = felt_over_applied(matrices + step) - felt_over_applied(matrices - step)
+        usual = felt_over_applied(matrices + 1e-5 * np.eye(row.size)[0]) - felt_over_applied(matrices)
+        # what is left is of the third order in the step, and rounding
+        assert np.abs(change).max() < 1e-4 * np.abs(usual).max(), seed
+    other, turn = renewed(matrices, n, let_go=held_states(rng.normal(size=(n, n)), size))
+    assert turn[:n] == pytest.approx(np.eye(2 * size)[:n])
+    response = felt_over_applied(matrices)
+    assert felt_over_applied(other) == pytest.approx(response, abs=1e-8 * np.abs(response).max()), seed
+
+
+@pytest.mark.parametrize("kind", ["release", "ramp", "free"])
+@pytest.mark.parametrize("anywhere", [False, True])
+def test_derivatives_are_those_of_the_readings(kind, anywhere):
+    rng = np.random.default_rng(3)
+    n, size, time = 2, 3, np.linspace(-5, 20, 200)
+    spring = np.array([[1.0, 0.1, 0.3], [0.2, 3.0, -0.2], [0.4, 0.1, 2.0]])
+    matrices = np.concatenate([spring.ravel(), (0.05 * spring + 0.01).ravel()])
+    edge = {"release": (0.0, 0.0), "ramp": (-0.3, 1.5), "free": (1.0, 1.0)}[kind]
+    piece = Piece("", time, rng.normal(size=(200, n)), kind, edge, 1, anywhere)
+    own = rng.normal(size=piece.own)
+    if kind != "free":
+        own[4] = 0.11
+    if kind == "ramp":
+        own[5] = 1.0
+    whitener = whitener_of(np.array([[1.0, 0.3], [0.3, 2.0]]))
+
+    def motion(vector: Array) -> FreeMotion:
+        return FreeMotion.of(*vector[piece.own :].reshape(2, size, size), components=n)
+
+    def residuals(vector: Array) -> Array:
+        part = linearise(piece, motion(vector), vector[: piece.own], whitener=whitener, derivatives=False)
+        return (np.vstack([part.held, part.ringing]) @ whitener.T).ravel()
+
+    vector = np.concatenate([own, matrices])
+    step = 1e-6
+    J = np.stack([(residuals(vector - d) - residuals(vector + d)) / (2 * step) for d in step * np.eye(vector.size)], 1)
+    block = linearise(piece, motion(vector), own, whitener=whitener).block
+    # central differences are right to about (1e-16 / 1e-6) of the waveform and (1e-6)^2 of its third derivative
+    assert block[:, :-1].T @ block[:, :-1] == pytest.approx(J.T @ J, rel=1e-6, abs=1e-7 * np.max(J.T @ J))
+    assert block[:, :-1].T @ block[:, -1] == pytest.approx(J.T @ residuals(vector), abs=1e-7 * np.max(np.abs(J.T @ J)))
+
+
+def test_slow_motion_and_shares():
+    true = truth()
+    slow = quasi_static(true)
+    # F over X = 1 + D s + A s^2 + ..., so a second difference at small s gives A to the square of s over the modes
+    step = 0.1
+    up, here = true.inverse_response([step])[0], true.inverse_response([0.0])[0]
+    s = 2 * np.pi * step
+    assert here == pytest.approx(np.eye(2), abs=1e-12)
+    assert -(up - here).real / s**2 == pytest.approx(slow.inertia, abs=1e-5 * np.abs(slow.inertia).max())
+    assert up.imag / s == pytest.approx(slow.damping, abs=1e-5 * np.abs(slow.damping).max())
+    shares = static_shares(true.modal_form)
+    assert shares.sum() == pytest.approx(2)
+    assert static_shares(rigid().modal_form) == pytest.approx([1, 1], abs=0.02)  # 1 but for the damping
+
+
+def test_force_error_with_hidden_coordinates():
+    true, sizes = truth(), 0.1 * HALF_RANGE
+    weights = force_weights(true, sizes=sizes)
+    for place in (0, 2, 6, 8, 11, 15):
+        change = np.zeros(18)
+        base = np.concatenate([true.inertia.ravel(), true.damping.ravel()])
+        change[place] = 1e-6 * np.abs(base[:9] if place < 9 else base[9:]).max()
+        A, D = (base + change).reshape(2, 3, 3)
+        direct = true_force_error(CoupledDynamics(NAMES, A, D), true, sizes=sizes)
+        predicted = np.sqrt(np.maximum(weights[:, place, place], 0)) * change[place]
+        # the difference of two inverse responses carries the second order, 1e-6, and rounding
+        assert direct == pytest.approx(predicted, rel=1e-3, abs=1e-6 * direct.max())
+
+
+def test_a_bending_mode_is_found():
+    rng, seed = fresh()
+    true = truth()
+    fit = quietly(recordings(true, rng))
+    assert fit.dynamics.hidden == 1, (fit.notes, seed)
+    (place,) = fit.further
+    assert fit.modes[place].natural_frequency == pytest.approx(true.modes[place].natural_frequency, rel=1e-3), seed
+    table = ModeTable.of(fit.dynamics, sizes=HALF_RANGE)
+    right = ModeTable.of(true, sizes=HALF_RANGE)
+    error = np.array(
+        [one.natural_frequency - two.natural_frequency for one, two in zip(table.modes, right.modes, strict=True)]
+        + [one.damping_ratio - two.damping_ratio for one, two in zip(table.modes, right.modes, strict=True)]
+    )
+    u = np.sqrt(np.diag(table.covariance))
+    square = float((error / u) @ np.linalg.solve(table.covariance / np.outer(u, u), error / u))
+    assert chi2.ppf(NEVER / 2, 6) < square < chi2.isf(NEVER / 2, 6), seed
+    relative = true_force_error(fit.dynamics, true, sizes=fit.applied) / fit.force_error
+    assert relative.max() < norm.isf(NEVER / 4), seed  # at worst one deviate carries it all
+    forced = quietly(recordings(true, rng), modes=2)
+    assert forced.dynamics.hidden == 0
+    told = [note for note in forced.notes if "Hz as the 2 modes found do not" in note]
+    assert told, (forced.notes, seed)
+
+
+def test_a_rigid_model_has_no_bending_mode():
+    rng, seed = fresh()
+    fit = quietly(recordings(rigid(), rng))
+    assert fit.dynamics.hidden == 0, seed
+    assert not any("bends" in note for note in fit.notes), (fit.notes, seed)
+    assert fit.further == ()
+
+
+def test_hum_is_no_mode():
+    rng, seed = fresh()
+    hummed = []
+    for made in recordings(rigid(), rng):
+        line = 3e-4 * np.sin(2 * np.pi * 50 * np.arange(made.samples) / RATE + rng.uniform(0, 6))
+        channels = {
+            name: replace(made.channel(name), values=made.channel(name).values + size * line)
+            for name, size in RANGES.items()
+        }
+        hummed.append(replace(made, channels=channels))
+    fit = quietly(hummed)
+    assert fit.dynamics.hidden == 0, seed
+    assert not any("bends" in note for note in fit.notes), (fit.notes, seed)
+
+
+def test_a_bending_mode_needs_all_releases():
+    rng, seed = fresh()
+    made = recordings(truth(), rng, along=(0,))
+    with pytest.raises(FitError, match=r"along every component, 2 .* there are 1"):
+        quietly(made, modes=3)
+    fit = quietly(made)
+    assert fit.dynamics.hidden == 0, seed
+    assert any("needs releases of a held load along every component" in note for note in fit.notes), (fit.notes, seed)
+    with pytest.raises(ValueError, match="modes must be auto or 2 to 5"):
+        quietly(made, modes=1)
+
+
+def test_the_command_tells_of_the_bending_mode(tmp_path):
+    rng, seed = fresh()
+    true = truth()
+    paths = []
+    for made in recordings(true, rng):
+        paths.append(tmp_path / f"{made.name[-2:]}.csv")
+        write_recording(paths[-1], made)
+    account = identify_decays(paths, tmp_path / "dynamics.json", components=NAMES, modes="auto")
+    assert "mode of the model or sting" in account["summary"], seed
+    assert [mode["of_model_or_sting"] for mode in account["fit"]["modes"]].count(True) == 1, seed
+    found = read_coupled(tmp_path / "dynamics.json")
+    assert found.hidden == 1, seed
+    assert found.poles.imag.max() == pytest.approx(true.poles.imag.max(), rel=1e-3), seed
+    with pytest.raises(ValueError, match="--modes must be auto or a number"):
+        identify_decays(paths, None, modes="many")

@@ -1,0 +1,277 @@
+"""Coupled dynamics from a shaken ground end: exact without noise, honest with it, refused where they stay open."""
+
+import json
+import re
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+from scipy.stats import chi2
+
+from aerobalance.channel import Channel
+from aerobalance.cli import main
+from aerobalance.commands.identify_shaking import identify_shaken
+from aerobalance.components import COMPONENTS, MOMENTS, si_unit
+from aerobalance.coupled import CoupledDynamics, RigidMass
+from aerobalance.coupled_record import CoupledRecord
+from aerobalance.identification.shaking import identify_shaking
+from aerobalance.io import write_recording
+from aerobalance.io.coupled_file import read_coupled
+from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording import Recording
+from aerobalance.rigs.six_components import GROUND_CHANNELS, RATE_CHANNELS
+
+RATE = 2500.0
+SAMPLES = 3000
+HALF_RANGE = np.array([2000.0, 150.0, 800.0, 80.0, 60.0, 500.0])
+RANGES = dict(zip(COMPONENTS, HALF_RANGE.tolist(), strict=True))
+LEVEL = np.array([2.0, 15.0, 2.0, 15.0, 30.0, 2.0])
+"""Rms of the ground's motions [m/s^2, rad/s^2]."""
+GROUND_NOISE = np.array([0.02, 0.1, 0.02, 0.1, 0.1, 0.02])
+STRAIGHT = np.array([float(name not in MOMENTS) for name in COMPONENTS])
+NEVER = 1e-5
+"""Probability with which a test of chance may fail for a fresh seed."""
+
+
+def fresh():
+    seed = np.random.SeedSequence().entropy
+    return np.random.default_rng(seed), seed
+
+
+def balance():
+    """A rigid model off the balance's centre on coupled springs; modes from 76 to 406 Hz."""
+    inertia = np.array([[0.9, 0.03, -0.02], [0.03, 0.8, 0.05], [-0.02, 0.05, 0.15]])
+    mass = RigidMass(20.0, np.array([0.04, -0.02, 0.03]), inertia)
+    size = np.sqrt(np.diag(mass.matrix)) * 2 * np.pi * np.array([130.0, 300.0, 80.0, 180.0, 240.0, 400.0])
+    mixing = np.random.default_rng(5).uniform(-0.05, 0.05, (6, 6))
+    stiffness = (np.eye(6) + np.triu(mixing, 1) + np.triu(mixing, 1).T) * np.outer(size, size)
+    squares, shapes = eigh(stiffness, mass.matrix)
+    ratios = np.array([0.004, 0.01, 0.02, 0.006, 0.03, 0.015])
+    M = mass.matrix
+    return mass, stiffness, M @ shapes @ np.diag(2 * ratios * np.sqrt(squares)) @ shapes.T @ M
+
+
+def truth():
+    mass, stiffness, damping = balance()
+    return CoupledDynamics.of_rigid_mass(mass, stiffness=stiffness, damping=damping)
+
+
+def shaken(generator, *, noise=1.0, along=None, extra=None, dynamics=None, late=0.0, rates=False, name="shake"):
+    """Middle of a periodic motion, so that its ends are in full motion; no w x (w x r), as the turns are small.
+
+    The loads follow from the transform of the motion line by line; `extra` is what the mass matrix has beyond that of
+    the rigid mass.
+    """
+    dynamics = truth() if dynamics is None else dynamics
+    mass = balance()[0].matrix if dynamics.mass is None else dynamics.mass.matrix
+    mass = mass if extra is None else mass + extra
+    count = 2 * SAMPLES
+    frequency = np.fft.rfftfreq(count, 1 / RATE)
+    inside = (frequency > 15) & (frequency < 600)
+    drawn = generator.normal(size=(frequency.size, 6)) + 1j * generator.normal(size=(frequency.size, 6))
+    level = LEVEL * (np.ones(6) if along is None else along)
+    lines = drawn * inside[:, None] * level * count / np.sqrt(4 * np.count_nonzero(inside))
+    felt = -np.einsum("mij,mj->mi", dynamics.response(frequency) @ mass, lines)
+    felt = felt * np.exp(-2j * np.pi * frequency * late)[:, None]
+    part = slice(SAMPLES // 2, SAMPLES // 2 + SAMPLES)
+    loads = np.fft.irfft(felt, count, axis=0)[part]
+    motion = np.fft.irfft(lines, count, axis=0)[part]
+    slow = np.where(inside, 2j * np.pi * frequency, 1.0)[:, None]
+    speed = np.fft.irfft(lines / slow, count, axis=0)[part]
+    columns = {
+        load: (column + generator.normal(0, noise * 1e-4 * size, SAMPLES), si_unit(load))
+        for load, column, size in zip(COMPONENTS, loads.T, HALF_RANGE, strict=True)
+    }
+    for place, (channel, column) in enumerate(zip(GROUND_CHANNELS, motion.T, strict=True)):
+        unit = "rad/s^2" if "turn" in channel else "m/s^2"
+        if "turn" not in channel or not rates:
+            columns[channel] = (column + generator.normal(0, noise * GROUND_NOISE[place], SAMPLES), unit)
+    if rates:
+        for channel in RATE_CHANNELS:
+            place = COMPONENTS.index(channel[-2:])
+            columns[channel] = (speed[:, place] + generator.normal(0, noise * 0.002, SAMPLES), "rad/s")
+    time = np.arange(SAMPLES) / RATE
+    channels = {key: Channel(name=key, values=values, unit=unit) for key, (values, unit) in columns.items()}
+    return Recording.from_columns(time, channels, name=name)
+
+
+def identified(*recordings, **settings):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        return identify_shaking(recordings, half_range=RANGES, **settings)
+
+
+def squares(error, covariance):
+    u = np.sqrt(np.diag(covariance))
+    return float((error / u) @ np.linalg.solve(covariance / np.outer(u, u), error / u))
+
+
+def squares_of(found):
+    true = truth()
+    error = [(found.dynamics.inertia - true.inertia).ravel(), (found.dynamics.damping - true.damping).ravel()]
+    return squares(np.concatenate(error), found.dynamics.covariance)
+
+
+def within(square, degrees):
+    return chi2.ppf(NEVER, degrees) < square < chi2.isf(NEVER, degrees)
+
+
+def test_without_noise_it_is_exact():
+    generator, seed = fresh()
+    found = identified(shaken(generator, noise=0.0))
+    true = truth()
+    scale = HALF_RANGE[None, :] / HALF_RANGE[:, None]
+    # the window passes 1e-7 of the loads; the damping is a hundredth of what it is told from
+    for kind, allowed in (("inertia", 1e-5), ("damping", 1e-3)):
+        ours, theirs = getattr(found.dynamics, kind) * scale, getattr(true, kind) * scale
+        assert np.abs(ours - theirs).max() < allowed * np.abs(theirs).max(), (seed, kind)
+    assert found.rigid.mass.mass == pytest.approx(20.0, rel=1e-5), seed
+    assert found.rigid.mass.centre == pytest.approx(true.mass.centre, abs=1e-5), seed
+
+
+def test_errors_are_those_that_are_told():
+    generator, seed = fresh()
+    found = identified(shaken(generator), mass=20.0)
+    assert within(squares_of(found), 72), seed
+    error = (found.rigid.mass.values - balance()[0].values)[1:]
+    assert within(squares(error, found.rigid.mass.covariance[1:, 1:]), 9), seed
+    assert found.rigid.rigidity.degrees_of_freedom == 26
+    assert not found.rigid.from_symmetry
+    frequency = [mode.natural_frequency for mode in truth().modes]
+    z = (np.array([mode.natural_frequency for mode in found.modes]) - frequency) / found.u_natural_frequency
+    assert np.abs(z).max() < 6, seed  # six normal deviates pass 6 once in 1e8
+
+
+def test_rates_of_turn_serve_too():
+    generator, seed = fresh()
+    assert within(squares_of(identified(shaken(generator, rates=True), mass=20.0)), 72), seed
+
+
+def test_straight_shaking_gives_the_inertia_by_symmetry():
+    generator, seed = fresh()
+    found = identified(shaken(generator, along=STRAIGHT))
+    assert "open (no turn in pitch (PM), turn in yaw (YM), turn in roll (RM))" in "".join(found.notes), seed
+    assert found.rigid.from_symmetry
+    assert found.rigid.symmetry.degrees_of_freedom == 9
+    assert within(squares_of(found), 72), seed
+    error = found.rigid.mass.values - balance()[0].values
+    # the equations of symmetry are quadratic: a tenth of a deviation is left for that
+    assert squares(error, found.rigid.mass.covariance) < 1.3 * chi2.isf(NEVER, 10), seed
+
+
+def test_gains_of_the_sensors_are_brought_in_line_by_the_weighed_mass():
+    """Gains off by a percent, as their settings say, would be errors of the mass; A and D do not need them."""
+    generator, seed = fresh()
+    made = shaken(generator)
+    channels = {
+        name: replace(channel, values=channel.values * (1 + generator.normal(0, 0.01)), relative_uncertainty=0.01)
+        if name in GROUND_CHANNELS
+        else channel
+        for name, channel in made.channels.items()
+    }
+    found = identified(replace(made, channels=channels), mass=20.0)
+    assert within(squares_of(found), 72), seed
+    error = (found.rigid.mass.values - balance()[0].values)[1:]
+    # products of two gains, one in 10,000, are left out of the linear errors
+    assert squares(error, found.rigid.mass.covariance[1:, 1:]) < 1.3 * chi2.isf(NEVER, 9), seed
+    assert found.rigid.weighed.chance
+
+
+def test_two_records_tell_more_than_one():
+    generator, seed = fresh()
+    first, second = shaken(generator, name="a"), shaken(generator, name="b", along=STRAIGHT)
+    one, both = identified(first), identified(first, second)
+    assert (np.diag(both.dynamics.covariance) < 1.05 * np.diag(one.dynamics.covariance)).all(), seed
+    assert both.force_error.sum() < 0.9 * one.force_error.sum(), seed
+    assert within(squares_of(both), 72), seed
+
+
+def test_a_late_load_is_no_damping():
+    generator, seed = fresh()
+    found = identified(shaken(generator, late=30e-6))
+    assert "lag the ground's motion by" in "".join(found.notes), seed
+    assert abs(found.delay[0] - 30e-6) < 6 * found.delay[1], seed
+    assert within(squares_of(found), 72), seed
+
+
+def test_a_wrong_mass_is_noticed():
+    generator, seed = fresh()
+    found = identified(shaken(generator), mass=(21.0, 0.01))
+    assert re.search(r"imply a mass of (19\.9|20\.0|20 ).*kg", "".join(found.notes)), seed
+    assert found.dynamics.mass.mass == pytest.approx(20.0, rel=1e-2)
+
+
+def test_a_mass_that_is_not_rigid_is_noticed():
+    generator, seed = fresh()
+    extra = np.zeros((6, 6))
+    extra[0, 0] = 0.5  # heavier along NF, as a live end of its own is
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        found = identify_shaking([shaken(generator, extra=extra, name="odd")], half_range=RANGES)
+    assert "not those of a rigid mass" in "".join(found.notes), seed
+    assert [f"odd: {note}" for note in found.notes] == [
+        str(one.message) for one in said if issubclass(one.category, DoubtWarning)
+    ]
+
+
+def test_a_mode_at_rest_is_refused_with_the_shake_to_add():
+    generator, _ = fresh()
+    mass, stiffness, _ = balance()
+    level = RigidMass(mass.mass, np.zeros(3), np.diag(np.diag(mass.inertia)))
+    alone = np.diag(np.diag(stiffness))
+    dynamics = CoupledDynamics.of_rigid_mass(level, stiffness=alone, damping=1e-5 * alone)
+    along = np.where(np.array(COMPONENTS) == "RM", 0.0, 1.0)
+    with pytest.raises(FitError, match=r"no shake moves RM .*add a shake in the ground's turn in roll \(RM\)"):
+        identified(shaken(generator, along=along, dynamics=dynamics))
+
+
+def test_what_is_no_shaking_is_refused():
+    generator, _ = fresh()
+    recording = shaken(generator)
+    loads = {name: recording.channel(name) for name in COMPONENTS}
+    with pytest.raises(FitError, match="no motion of the ground end is recorded"):
+        identified(Recording.from_columns(recording.time, loads, name="loads alone"))
+    with pytest.raises(FitError, match="has no AF; components that ring together"):
+        without = {name: channel for name, channel in recording.channels.items() if name != "AF"}
+        identified(Recording.from_columns(recording.time, without, name="five"))
+    with pytest.raises(FitError, match="the ground end does not move"):
+        identified(shaken(generator, along=np.zeros(6)))
+    with pytest.raises(ValueError, match="at least one recording"):
+        identified()
+    with pytest.raises(ValueError, match="two frequencies in rising order"):
+        identified(recording, band=(100.0, 50.0))
+
+
+def test_the_command_writes_what_force_reads(tmp_path, capsys):
+    generator, seed = fresh()
+    file, out = tmp_path / "a.h5", tmp_path / "dynamics.json"
+    write_recording(file, shaken(generator, name="a"))
+    ranges = [part for name, size in RANGES.items() for part in ("--half-range", f"{name}={size:g}")]
+    command = ["identify", "rig", str(file), "--component", "all", "--mass", "20", *ranges, "-o", str(out)]
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert "rms of the ground's motion in each" in said
+    assert "symmetric stiffness: holds" in said or "symmetric stiffness: does not hold" in said
+    fit = json.loads(out.read_text())["fit"]
+    assert len(fit["shakes"]) == 1
+    assert set(fit["tests"]) == {"rigidity", "symmetry", "reciprocity", "mass"}
+    dynamics = read_coupled(out)
+    assert dynamics.mass.mass == pytest.approx(20.0, rel=1e-6), seed
+    made = shaken(generator)
+    found, expected = (CoupledRecord.of(made, one).from_ground for one in (dynamics, truth()))
+    # A is known to a hundredth of a percent, and a tenth of a percent of A moves a mode by a tenth of its width
+    off = np.sqrt(np.mean((found - expected) ** 2, axis=0))
+    assert (off < 0.05 * np.sqrt(np.mean(expected**2, axis=0))).all(), seed
+
+
+def test_one_component_takes_one_record(tmp_path, capsys):
+    file = tmp_path / "a.h5"
+    write_recording(file, shaken(fresh()[0]))
+    assert main(["identify", "rig", str(file), str(file), "--component", "AF"]) == 2
+    assert "2 recordings were given" in capsys.readouterr().err
+    assert main(["identify", "rig", str(file), "--component", "AF", "--half-range", "AF=500"]) == 2
+    assert "--half-range goes with --component all" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="--mass must be a positive number"):
+        identify_shaken([file], None, mass="-3")
