@@ -19,7 +19,7 @@ from aerobalance.commands.coupled_tables import (
     tests_text,
 )
 from aerobalance.commands.identify import number_of_modes
-from aerobalance.commands.shared import Account, check_out, doubts, recording_of, table_text
+from aerobalance.commands.shared import Account, amounts, check_out, doubts, recording_of, table_text
 from aerobalance.commands.weighing import mass_file
 from aerobalance.components import COMPONENTS, MOMENTS, si_unit
 from aerobalance.identification.coupled_identification import CoupledIdentification
@@ -92,22 +92,15 @@ def half_ranges(texts: Sequence[str]) -> dict[str, float] | None:
     ValueError
         A text is no component with a positive number, or a component is missing.
     """
-    found: dict[str, float] = {}
-    for text in texts:
-        name, _, number = text.partition("=")
-        try:
-            value = float(number)
-        except ValueError:
-            value = -1.0
-        if name not in COMPONENTS or not 0 < value < np.inf:
-            raise ValueError(
-                f"--half-range must be like NF=2000, a component of {', '.join(COMPONENTS)}, not {text!r}"
-            )
-        found[name] = value
+    found = amounts(texts, "--half-range")
+    if not isinstance(found, dict):
+        if found is not None:
+            raise ValueError(f"--half-range must be given by component, such as NF=2000, not {found:g} for all")
+        return None
     lacking = [name for name in COMPONENTS if name not in found]
-    if found and lacking:
+    if lacking:
         raise ValueError(f"--half-range is given for {', '.join(found)}; {', '.join(lacking)} are needed too")
-    return found or None
+    return found
 
 
 def weighed_mass(mass: str | None) -> tuple[tuple[float, float] | None, Weighing | None]:
