@@ -70,7 +70,7 @@ def test_force_says_which_component_lacks(
     ("options", "words"),
     [
         (["--component", "all", "--modes", "2"], "modes must be auto or 6 to 9"),
-        (["--component", "all", "--half-range", "NF=x"], "like NF=2000"),
+        (["--component", "all", "--half-range", "NF=x"], "such as NF=2000"),
         (["--component", "all", "--half-range", "NF=2000"], "PM, SF, YM, RM, AF are needed too"),
         (["--component", "AF"], "Missing option '--mass'"),
         (["--component", "AF", "--mass", "1", "--half-range", "AF=1"], "goes with --component all"),

@@ -229,7 +229,8 @@ def test_a_bending_mode_is_found():
     assert relative.max() < norm.isf(NEVER / 4), seed  # at worst one deviate carries it all
     forced = quietly(recordings(true, rng), modes=2)
     assert forced.dynamics.hidden == 0
-    told = [note for note in forced.notes if "Hz as the 2 modes found do not" in note]
+    # where the first readings have to be left out for it, the mode has died away in the others, and that is told
+    told = [note for note in forced.notes if "Hz as the 2 modes found do not" in note or "of a clean release" in note]
     assert told, (forced.notes, seed)
 
 
