@@ -166,6 +166,7 @@ class _Record:
     interval: float
     windowed: Array
     power: Array
+    floor: float
 
     @classmethod
     def of(cls, values: Array, interval: float) -> _Record:
@@ -175,7 +176,10 @@ class _Record:
         filled = filled - np.mean(filled)
         window = np.hanning(filled.size + 2)[1:-1]
         windowed = filled * window / np.sqrt(np.sum(window**2))
-        return cls(filled, interval, windowed, np.abs(np.fft.rfft(windowed)) ** 2)
+        power = np.abs(np.fft.rfft(windowed)) ** 2
+        # the power of noise is exponential; three quarters of all ordinates may hold something else
+        floor = float(np.quantile(power, 0.25)) / np.log(4 / 3)
+        return cls(filled, interval, windowed, power, floor)
 
     @property
     def duration(self) -> float:
@@ -222,14 +226,17 @@ class _Record:
         return Line(frequency, sine, cosine, float(u_frequency), evidence)
 
     def surroundings(self, frequency: float) -> float:
-        """Power that stands around a frequency: the larger of what is to the left and to the right."""
+        """Power that stands around a frequency: the largest of what is to the left, to the right, and everywhere.
+
+        The few ordinates on either side are all low by chance once in some ten thousand.
+        """
         middle = round(frequency / self.ordinate)
         first, last = BESIDE
         left = self.power[max(middle - last + 1, 1) : max(middle - first + 1, 2)]
         right = self.power[middle + first : middle + last]
         # medians, as other lines may stand there; the power of noise is exponential, whose median is log 2
         sides = [float(np.median(side)) / np.log(2) for side in (left, right) if side.size]
-        return float(max(sides))
+        return float(max(*sides, self.floor))
 
     def steady(self, frequency: float) -> bool:
         """Whether amplitude and phase of a line are the same in all parts of the record."""
