@@ -42,17 +42,13 @@ from aerobalance.rivals import (
     notch,
     without_gaps,
 )
+from aerobalance.rivals import TUNED as ALONE_TUNED
 from aerobalance.scores import Truth
 from aerobalance.smoothing import Smoothed
 from aerobalance.steps import columns_of
 
 TUNED: Final = (
-    "low-pass",
-    "notch and low-pass",
-    "accelerometer correction",
-    "correction factor",
-    "correction factor and phase",
-    "FIR deconvolution",
+    *(name for name in ALONE_TUNED if name != "band-limited inverse"),
     "band-limited inverse, diagonal",
     "band-limited inverse, coupled",
 )
