@@ -131,7 +131,7 @@ def learn(reading: Reading, *, columns: Array, before: Learned | None = None) ->
     """Find the spectrum of the force and the noise that make the readings most likely.
 
     Known shapes are taken out first by plain, then by generalised least squares; missing readings are bridged first by
-    straight lines, then by what the smoother says they were.
+    straight lines, then twice by what the smoother says they were.
 
     Parameters
     ----------
@@ -150,9 +150,10 @@ def learn(reading: Reading, *, columns: Array, before: Learned | None = None) ->
     if not present.all():
         left = _bridged(left, present)
     learned = _learn(reading, left)
-    if present.all() and columns.shape[1] == 1:
-        return learned
-    return _learned_beside(reading, learned, columns)
+    if not present.all():
+        # what a straight line leaves in a gap is noise to this first answer, and to the bridge that follows from it
+        return _learned_beside(reading, _learned_beside(reading, learned, columns), columns)
+    return learned if columns.shape[1] == 1 else _learned_beside(reading, learned, columns)
 
 
 def _bridged(left: Array, present: NDArray[np.bool_]) -> Array:
