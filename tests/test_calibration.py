@@ -12,6 +12,7 @@ import scipy.stats
 
 from aerobalance import _term_kernels as kernels
 from aerobalance.balance import BalanceMatrix
+from aerobalance.calibration.doubts import doubt_quality
 from aerobalance.calibration.fit import Calibration, calibrate
 from aerobalance.calibration.quality import assess
 from aerobalance.calibration.regression import regress
@@ -290,6 +291,36 @@ def test_covariance_of_loads_against_monte_carlo(model: str, count: int) -> None
     # six components are independent; the four loads of one draw need not be
     limit = scipy.stats.norm.isf(FALSE_ALARM / 2) * np.sqrt(2 / (6 * count))
     assert abs(ratio.mean() - 1) < limit + 0.05, f"{ratio.mean()} is not 1 +- {limit}"
+
+
+@pytest.mark.parametrize("way", ["iterative", "non-iterative"])
+def test_known_noise_of_the_readings_is_not_counted_as_scatter(way: str) -> None:
+    rng = generator()
+    balance = random_balance(seed(rng), model="linear")
+    schedule = CalibrationStand(balance, noise=NOISE).run(seed(rng)).schedule
+    plain = calibrate(schedule, model="linear", way=way).matrix
+    matrix = calibrate(schedule, model="linear", way=way, reading_noise=NOISE).matrix
+    loads = rng.uniform(-0.9, 0.9, (4, 6)) * CAPACITIES
+    np.testing.assert_array_equal(matrix.load_covariance(loads, reading=True), plain.load_covariance(loads))
+    # a variance from n degrees of freedom is right to sqrt(2 / n): that much of the noise may be left over
+    noise, freedom = matrix.noise_of_readings**2, matrix.degrees_of_freedom
+    left = np.maximum(plain.residual_deviation**2 - noise, 0) / noise
+    assert np.all(left < scipy.stats.norm.isf(FALSE_ALARM) * np.sqrt(2 / freedom)), left
+    rest = replace(plain, residual_deviation=np.sqrt(left * noise))
+    np.testing.assert_allclose(matrix.load_covariance(loads), rest.load_covariance(loads), rtol=1e-9)
+
+
+def test_readings_quieter_than_the_noise_given_are_doubted() -> None:
+    rng = generator()
+    noise = 0.2e-3  # so small that no reading is an outlier, which takes 2.5e-3
+    schedule = CalibrationStand(random_balance(seed(rng), model="linear"), noise=noise).run(seed(rng)).schedule
+    fit = calibrate(schedule, model="linear", reading_noise=3 * noise)
+    with pytest.warns(DoubtWarning, match="scatter less about the matrix than the noise of 0.0006 mV/V"):
+        doubt_quality(fit, assess(fit))
+    fit = calibrate(schedule, model="linear", reading_noise=noise)
+    doubt_quality(fit, assess(fit))
+    with pytest.raises(ValueError, match="reading_noise must be zero or positive"):
+        calibrate(schedule, model="linear", reading_noise=-noise)
 
 
 def covers(truth: str, model: str, rng: np.random.Generator, *, count: int) -> list[float]:

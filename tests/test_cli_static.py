@@ -102,6 +102,14 @@ def test_the_same_inputs_give_the_same_bytes(here, capsys):
     assert one == two
 
 
+def test_noise_of_the_readings_is_kept(here, capsys):
+    run(capsys, "calibrate", "schedule.csv", "--model", "27", "--reading-noise", "2e-4", "-o", "balance.json")
+    assert read_balance(Path("balance.json")).reading_noise == 2e-4
+    assert main(["calibrate", "schedule.csv", "--model", "27", "--reading-noise", "-1", "-o", "no.json"]) == 2
+    assert "reading_noise must be zero or positive" in capsys.readouterr().err
+    assert not Path("no.json").exists()
+
+
 def test_summary_for_people(here, capsys):
     assert main(["calibrate", "schedule.csv", "--model", "linear", "--keep-aside", "0.1"]) == 0
     captured = capsys.readouterr()

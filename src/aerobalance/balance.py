@@ -108,6 +108,9 @@ class BalanceMatrix:
         Which loads the gauges measure, and where the gauges are.
     temperature
         Temperature effects by component, where known.
+    reading_noise
+        Standard deviation of one reading of the calibration [mV/V], where known: the residuals hold it, but no load of
+        a recording, which has noise of its own.
     """
 
     components: tuple[str, ...]
@@ -127,6 +130,7 @@ class BalanceMatrix:
     balance_type: BalanceType = "unknown"
     geometry: Geometry | None = None
     temperature: Mapping[str, TemperatureEffect] = field(default_factory=dict)
+    reading_noise: float = 0.0
 
     def __post_init__(self) -> None:
         c, t = len(self.components), len(self.terms)
@@ -149,6 +153,8 @@ class BalanceMatrix:
         for name in ("load_scale", "output_scale"):
             if not ((getattr(self, name) > 0) & np.isfinite(getattr(self, name))).all():
                 raise ValueError(f"{name} must be positive and finite")
+        if not 0 <= self.reading_noise < np.inf:
+            raise ValueError(f"reading_noise must be zero or positive, and finite, not {self.reading_noise}")
         if self.natural_zero is not None and self.natural_zero.shape != (c,):
             raise ValueError(f"natural_zero must have shape {(c,)}, not {self.natural_zero.shape}")
         for item in self.terms:
@@ -168,6 +174,12 @@ class BalanceMatrix:
             if term.kind == 0:
                 matrix[:, term.first] = row
         return matrix
+
+    @property
+    def noise_of_readings(self) -> Array:
+        """What `reading_noise` is in the residuals, a standard deviation, scaled, shape (c,)."""
+        gauges = self.reading_noise / self.output_scale
+        return gauges if self.way == "iterative" else np.sqrt(self.linear**2 @ gauges**2)
 
     @property
     def direct(self) -> Array | None:
@@ -238,7 +250,7 @@ class BalanceMatrix:
             J = kernels.jacobians(*self._active[0], self._active[1], x)
         return np.asarray(self.load_scale[:, None] * J / self.output_scale)
 
-    def load_covariance(self, loads: Array, *, residual: bool = True) -> Array:
+    def load_covariance(self, loads: Array, *, residual: bool = True, reading: bool = False) -> Array:
         """Covariance of loads computed with this matrix, from the calibration alone, shape (n, c, c) [N^2 ...].
 
         Parameters
@@ -246,23 +258,25 @@ class BalanceMatrix:
         loads
             Where, shape (n, c) [N, N*m].
         residual
-            Whether the scatter of the calibration's residuals (what the terms cannot say, and the readings' own
-            repeatability) is part of it, beside the coefficients.
+            Whether the scatter of the calibration's residuals (what the terms cannot say, and how well the balance
+            repeats) is part of it, beside the coefficients.
+        reading
+            Whether `reading_noise` is left in that scatter: for a reading of the calibration's own kind.
         """
+        scatter = self.residual_deviation**2 - (0 if reading else self.noise_of_readings**2)
+        added = np.maximum(scatter, 0.0) if residual else np.zeros_like(scatter)
         parts = [
-            self._covariance(np.ascontiguousarray(loads[start : start + CHUNK]), residual)
+            self._covariance(np.ascontiguousarray(loads[start : start + CHUNK]), added)
             for start in range(0, loads.shape[0], CHUNK)
         ]
         c = len(self.components)
         return np.concatenate(parts) if parts else np.zeros((0, c, c))
 
-    def _covariance(self, loads: Array, residual: bool) -> Array:
+    def _covariance(self, loads: Array, added: Array) -> Array:
         iterative = self.way == "iterative"
         x = loads / self.load_scale if iterative else self.outputs(loads) / self.output_scale
         H = kernels.design(*codes(self.terms), np.ascontiguousarray(x))
-        variance = np.column_stack([np.sum((H @ part) * H, axis=1) for part in self.covariance])
-        if residual:
-            variance += self.residual_deviation**2
+        variance = np.column_stack([np.sum((H @ part) * H, axis=1) for part in self.covariance]) + added
         deviation = np.sqrt(np.maximum(variance, 0.0))
         # residuals of one point go together from component to component, and so do the coefficients fitted to them
         S = deviation[:, :, None] * self.residual_correlation * deviation[:, None, :]

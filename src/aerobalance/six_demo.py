@@ -130,11 +130,12 @@ def run_six(out: Path, *, seed: int | None = None) -> Account:
 
 def calibrated(folder: Folder, balance: CoupledBalance) -> BalanceFiles:
     """Calibrate the balance; its zero is read with the model on, level, before the run."""
-    stand = CalibrationStand(balance.matrix, noise=1e-4 * float(balance.matrix.output_scale.min()), repeats=REPEATS)
+    noise = 1e-4 * float(balance.matrix.output_scale.min())
+    stand = CalibrationStand(balance.matrix, noise=noise, repeats=REPEATS)
     schedule = folder.path / "calibration.csv"
     write_balfit_schedule(schedule, stand.run(int(folder.generator.integers(1 << 31))).schedule)
     matrix = folder.path / "balance.json"
-    calibration.calibrate(schedule, matrix, model="auto")
+    calibration.calibrate(schedule, matrix, model="auto", reading_noise=noise)
     zero, _ = folder.record("zero", still(balance, 0.0, 0.0), 0.5)
     return BalanceFiles.of(matrix, zero=[zero])
 

@@ -88,7 +88,7 @@ def chain(path: Path, rng: np.random.Generator) -> Chain:
 def test_from_gauge_outputs_to_forces(record, tmp_path: Path) -> None:
     rng = generator()
     worst, of_large, with_matrix, share, plateau = 0.0, 0.0, 0.0, 0.0, 0.0
-    covered, apart_from_matrix, alone = [], [], []
+    covered, alone = [], []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)  # of zeros that were not given, and of weakly excited modes
         for number in range(BALANCES):
@@ -107,10 +107,6 @@ def test_from_gauge_outputs_to_forces(record, tmp_path: Path) -> None:
             small = bound < 2e-3 * balance.half_range
             share = max(share, float(np.max((rms / balance.half_range)[small], initial=0.0)))
             covered += np.mean(np.abs(error) < 1.96 * inner(u), axis=0).tolist()
-            # the matrix's part holds the whole scatter of a calibration point, as what it cannot tell from lack of
-            # fit; here there is none, so that where it is the largest part the intervals are wide
-            without = np.sqrt(np.maximum(inner(u) ** 2 - matrix**2, 0.0))
-            apart_from_matrix += np.mean(np.abs(error) < 1.96 * without, axis=0).tolist()
             apart = inner(one.by_diagonal(recorded, band=band.high) - simulation.applied)
             alone += (np.sqrt(np.mean(apart**2, axis=0)) / rms).tolist()
 
@@ -128,13 +124,10 @@ def test_from_gauge_outputs_to_forces(record, tmp_path: Path) -> None:
     record("0.3 % over worst error in half range where the bound is under 0.2 %, from mV/V", 3e-3 / share, 1.0)
     record("0.05 % over the worst plateau in half range, from mV/V", 5e-4 / plateau, 1.0)
     record("least of cover over 93 % and 97 % over cover, from mV/V", min(cover / 0.93, 0.97 / cover), 1.0)
-    less = float(np.mean(apart_from_matrix))
-    record(
-        "least of cover over 93 % and 97 % over cover, the matrix's part left out", min(less / 0.93, 0.97 / less), 0.0
-    )
     record("median error of the diagonal model over that of the coupled one, from mV/V", float(np.median(alone)), 0.0)
     assert of_large < 1.4
     assert with_matrix < 1.4
     assert share < 3e-3
     assert plateau < 5e-4
-    assert cover > 0.93
+    # components of one balance share its matrix, dynamics and record: 6 independent shares that scatter by 2 % each
+    assert 0.93 < cover < 0.97

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import warnings
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from aerobalance.balance import BalanceMatrix
 from aerobalance.calibration.fit import Calibration
 from aerobalance.calibration.quality import Quality
 from aerobalance.calibration.selection import HIGHEST_INFLATION
 from aerobalance.problems import DoubtWarning
+
+TOO_QUIET: Final = 1e-6
+"""Probability, over all bridges together, below which the readings' scatter is less than the noise given for them."""
 
 
 def doubt_quality(calibration: Calibration, quality: Quality) -> None:
@@ -55,6 +61,22 @@ def doubt_quality(calibration: Calibration, quality: Quality) -> None:
             f"{schedule.name}: some terms are near copies of each other (variance inflation factor up to "
             f"{max(inflated):.3g}, above {HIGHEST_INFLATION:g}); their coefficients mean little one by one. "
             "--model auto leaves out those that do not pay"
+        )
+    _doubt_reading_noise(calibration)
+
+
+def _doubt_reading_noise(calibration: Calibration) -> None:
+    """Warn of a noise of the readings that is more than they scatter."""
+    schedule, matrix = calibration.schedule, calibration.matrix
+    noise, found, freedom = matrix.noise_of_readings, matrix.residual_deviation, matrix.degrees_of_freedom
+    least = noise * np.sqrt(chi2.ppf(TOO_QUIET / noise.size, np.maximum(freedom, 1)) / np.maximum(freedom, 1))
+    quiet = np.flatnonzero(found < least)
+    if quiet.size:
+        texts = ", ".join(f"{schedule.components[i]} {found[i] / noise[i]:.2g} times" for i in quiet)
+        _doubt(
+            f"{schedule.name}: the readings scatter less about the matrix than the noise of {matrix.reading_noise:g} mV/V "
+            f"given for them: {texts} as much. The noise given is too large, or not of these readings; the scatter counts "
+            "for nothing in the uncertainty of the loads"
         )
 
 

@@ -8,7 +8,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +68,9 @@ class Calibration:
         return tuple(item.term.label(self.matrix.variables) for item in self.unidentified)
 
 
-def calibrate(schedule: Schedule, *, model: Model = "auto", way: Way = "iterative") -> Calibration:
+def calibrate(
+    schedule: Schedule, *, model: Model = "auto", way: Way = "iterative", reading_noise: float = 0.0
+) -> Calibration:
     """Make a balance matrix from a load schedule.
 
     Parameters
@@ -80,6 +82,9 @@ def calibrate(schedule: Schedule, *, model: Model = "auto", way: Way = "iterativ
         ``"96"``, all of AIAA R-091; ``"auto"``, those of the 96 that are significant.
     way
         ``"iterative"``: outputs fitted on loads. ``"non-iterative"``: loads fitted on outputs.
+    reading_noise
+        Standard deviation of one reading of the schedule [mV/V], where known. The scatter of the residuals then counts
+        for the loads of a recording only as far as it goes beyond that; 0 counts it all.
 
     Raises
     ------
@@ -108,6 +113,7 @@ def calibrate(schedule: Schedule, *, model: Model = "auto", way: Way = "iterativ
     # leaving a term out does not make it known: the uncertainty stays that of all terms together
     covariance = np.array([fit.covariance for fit in everything])
     matrix = data.matrix(terms, regressions, tares, covariance=covariance)
+    matrix = replace(matrix, reading_noise=reading_noise)
     residuals = data.residuals(matrix, regressions, tares)
     check_residuals(schedule, residuals[schedule.fitted] / schedule.capacities)
     by_iteration = data.tares_by_iteration(terms, masks, regressions) if data.absolute else None

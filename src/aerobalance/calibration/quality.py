@@ -127,7 +127,7 @@ def assess(calibration: Calibration) -> Quality:
     if schedule.confirmation.any():
         held = residuals[~used]
         loads = schedule.loads[~used] + np.nan_to_num(calibration.tares)[schedule.series[~used]]
-        variance = np.diagonal(matrix.load_covariance(loads), axis1=1, axis2=2)
+        variance = np.diagonal(matrix.load_covariance(loads, reading=True), axis1=1, axis2=2)
         confirmation = np.sqrt(np.mean(held**2, axis=0))
         covered = np.mean(np.abs(held) * schedule.capacities <= 2 * np.sqrt(variance), axis=0)
     return Quality(

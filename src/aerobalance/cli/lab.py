@@ -62,6 +62,14 @@ def calibrate(
         str | None,
         typer.Option("--distances", help="Gauges from the centre, '1.5 1.5 1.25 1.25 in': N1 N2 S1 S2 (or PM, YM)."),
     ] = None,
+    reading_noise: Annotated[
+        float,
+        typer.Option(
+            "--reading-noise",
+            metavar="MV/V",
+            help="Standard deviation of one reading of the schedule, where known: it is no part of the balance's scatter.",
+        ),
+    ] = 0.0,
     report: Annotated[Path | None, typer.Option("--report", help="Write a page with figures and tables.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -77,6 +85,7 @@ def calibrate(
             keep_aside=keep_aside,
             capacities=capacity or (),
             distances=distances,
+            reading_noise=reading_noise,
             report=report,
         ),
         as_json,

@@ -37,6 +37,7 @@ def calibrate(
     keep_aside: float = 0.0,
     capacities: Sequence[str] = (),
     distances: str | None = None,
+    reading_noise: float = 0.0,
     report: Path | None = None,
 ) -> Account:
     """Balance matrix from a load schedule."""
@@ -46,7 +47,7 @@ def calibrate(
         schedule = read_schedule(path, capacities=capacities_from(capacities)).keeping_aside(keep_aside)
         if distances is not None:
             schedule = replace(schedule, geometry=geometry_from(distances))
-        calibration = fit_matrix(schedule, model=model, way=way)
+        calibration = fit_matrix(schedule, model=model, way=way, reading_noise=reading_noise)
         quality = assess(calibration)
         doubt_quality(calibration, quality)
     found = calibration_payload(calibration, quality)
@@ -56,6 +57,7 @@ def calibrate(
         "keep_aside": keep_aside,
         "capacities": list(capacities),
         "distances": distances,
+        "reading_noise": {"value": reading_noise, "unit": "mV/V"},
     }
     if out is not None:
         write_balance(out, calibration.matrix, found=found, inputs=[path], settings=settings, warnings=collected)
