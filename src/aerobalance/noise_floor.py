@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.signal.windows import hann
 
 from aerobalance.channel import Array
 from aerobalance.noise_record import Ordinates, cost_of, fitted, humps_of, model_of
@@ -44,6 +45,13 @@ FEWEST_ORDINATES: Final = 64
 
 SEEN: Final = 3.0
 """Gain in log-likelihood that a floor must bring over white noise alone before it is spoken of."""
+
+
+BLOCKS: Final = 16
+"""Parts of a record whose powers are compared."""
+
+LASTING: Final = 0.5
+"""Power beyond white noise of the middlemost part over the mean of all, below which it is there only for a while."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +125,8 @@ def floor_of(reading: Reading, learned: Learned, *, left: Array) -> Floor | None
     beyond = frequency > first
     if _gain_expected(shown[beyond] / white) * reading.values.size / (2 * frequency.size) < SEEN:
         return None
+    if not lasts(left, first=first, interval=interval, noise=learned.noise):
+        return None
     last = float(spectrum.edges[np.flatnonzero(spectrum.levels)[-1]])
     in_reading, as_force = (
         float(np.sqrt(2 * step * np.sum(part[beyond]))) for part in (shown, spectrum.density(frequency))
@@ -134,6 +144,26 @@ def _gain_expected(ratio: Array) -> float:
     Every ordinate of noise of power 1 + r has the mean of r - log(1 + r).
     """
     return float(np.sum(ratio - np.log1p(ratio)))
+
+
+def lasts(left: Array, *, first: float, interval: float, noise: float) -> bool:
+    """Whether what is above a frequency [Hz] is there all the time, as the noise of electronics is.
+
+    A burst is none, and is told where the innovations show it (`aerobalance.force`).
+    """
+    taper = hann(left.size, sym=False)  # without it the ends of the record, which do not meet, ring in all of it
+    transform = np.fft.rfft((left - left.mean()) * taper)
+    frequency = np.fft.rfftfreq(left.size, interval)
+    high = np.fft.irfft(np.where(frequency > first, transform, 0.0), left.size)
+    inner = slice(1, -1)  # the taper leaves nothing of the first and the last part
+    squares, weights = (np.array_split(part**2, BLOCKS)[inner] for part in (high, taper))
+    power = np.array([one.sum() / weight.sum() for one, weight in zip(squares, weights, strict=True)])
+    ordinates = np.count_nonzero(frequency > first)
+    white = noise**2 * ordinates / frequency.size
+    middle = float(np.median(power))
+    # the variance of a part scatters by 1 / sqrt(its ordinates), the median of n such by 1.25 / sqrt(n) of that
+    scatter = 1.25 * middle / np.sqrt(ordinates)
+    return bool(middle - white > LASTING * (power.mean() - white) - 3 * scatter)
 
 
 def departure_of(reading: Reading) -> float | None:
