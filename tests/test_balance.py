@@ -17,6 +17,7 @@ from aerobalance.components import COMPONENTS
 from aerobalance.forms import FORMS, Form, Geometry, between_forms, role_of, to_direct
 from aerobalance.rigs.calibration_stand import CAPACITIES, random_balance
 from aerobalance.terms import KINDS, codes, terms_of
+from seeds import generator
 
 MODELS = ("linear", "quadratic", "abs", "27", "96")
 seeds = st.integers(0, 2**63 - 1)
@@ -33,12 +34,6 @@ VALUES = {
     "{a}*{a}*{a}": lambda a, b: a**3,
     "|{a}*{a}*{a}|": lambda a, b: np.abs(a) ** 3,
 }
-
-
-def generator() -> np.random.Generator:
-    entropy = np.random.SeedSequence().entropy
-    print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
-    return np.random.default_rng(entropy)
 
 
 def polynomial(matrix: BalanceMatrix, x: np.ndarray) -> np.ndarray:

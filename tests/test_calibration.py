@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from aerobalance import _term_kernels as kernels
 from aerobalance.balance import BalanceMatrix
 from aerobalance.calibration.doubts import doubt_quality
 from aerobalance.calibration.fit import Calibration, calibrate
@@ -20,20 +19,12 @@ from aerobalance.channel import Array
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, SimulatedCalibration, random_balance
 from aerobalance.schedule import Schedule
-from aerobalance.terms import codes, terms_of
+from aerobalance.terms import terms_of
+from seeds import generator, seed_from
+from tare_bound import tare_bound
 
 NOISE = 0.7e-3
 FALSE_ALARM = 1e-6
-
-
-def generator() -> np.random.Generator:
-    entropy = np.random.SeedSequence().entropy
-    print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
-    return np.random.default_rng(entropy)
-
-
-def seed(rng: np.random.Generator) -> int:
-    return int(rng.integers(2**31))
 
 
 def plain_schedule(
@@ -83,7 +74,7 @@ def test_equation_2_comes_back_to_rounding() -> None:
     np.fill_diagonal(cross, 0)
     square = rng.normal(0, 0.004, (6, 6, 6)) * CAPACITIES[:, None, None] / np.outer(CAPACITIES, CAPACITIES)
     square *= np.triu(np.ones((6, 6)))
-    loads = CalibrationStand(random_balance(0)).run(seed(rng)).schedule.loads
+    loads = CalibrationStand(random_balance(0)).run(seed_from(rng)).schedule.loads
     series = np.zeros(len(loads), dtype=np.intp)
     # Eq. (2) solved for N_i, term by term
     outputs = np.empty_like(loads)
@@ -110,36 +101,13 @@ def test_equation_2_comes_back_to_rounding() -> None:
 # ---- the 6x96 truth on sixteen series -------------------------------------------------------------------
 
 
-def fisher(balance: BalanceMatrix, run: SimulatedCalibration) -> Array:
-    """Covariance that no unbiased estimate can be below (Cramer-Rao), of tares over capacity, in order (s, c).
-
-    From the full Jacobian of all readings by all coefficients, all tares and the natural zeros.
-    """
-    schedule = run.schedule
-    x = np.ascontiguousarray((schedule.loads + run.tares[schedule.series]) / CAPACITIES)
-    H = kernels.design(*codes(balance.terms), x)
-    J = kernels.jacobians(*codes(balance.terms), balance.coefficients, x)
-    (n, p), c, s = H.shape, 6, len(schedule.series_names)
-    A = np.zeros((c * (n + 1), c * (p + s + 1)))
-    for i in range(c):
-        rows = slice(i * n, (i + 1) * n)
-        A[rows, i * p : (i + 1) * p] = H
-        for m in range(c):
-            A[np.arange(n) + i * n, c * p + schedule.series * c + m] = J[:, i, m]
-        A[rows, c * (p + s) + i] = 1
-        A[c * n + i, c * (p + s) + i] = np.sqrt(len(schedule.natural_zeros))
-    A *= np.concatenate([np.repeat(balance.output_scale, n), balance.output_scale])[:, None] / NOISE
-    covariance = np.linalg.inv(A.T @ A)
-    return covariance[c * p : c * (p + s), c * p : c * (p + s)]
-
-
 @pytest.fixture(scope="module")
 def draws() -> list[tuple[BalanceMatrix, SimulatedCalibration, Calibration]]:
     rng = generator()
     found = []
     for _ in range(20):
-        balance = random_balance(seed(rng))
-        run = CalibrationStand(balance, noise=NOISE).run(seed(rng))
+        balance = random_balance(seed_from(rng))
+        run = CalibrationStand(balance, noise=NOISE).run(seed_from(rng))
         found.append((balance, run, calibrate(run.schedule, model="96")))
     return found
 
@@ -162,7 +130,7 @@ def test_coefficients_are_covered(draws) -> None:
 def test_tares_reach_the_bound_and_are_covered(draws) -> None:
     scores, over_bound, spread = [], [], []
     for balance, run, fit in draws:
-        covariance = fisher(balance, run)
+        covariance = tare_bound(balance, run, noise=NOISE)
         error = ((fit.tares - run.tares) / CAPACITIES).ravel()
         bound = np.sqrt(np.diag(covariance))
         scores.append(np.mean((error / (fit.u_tares / CAPACITIES).ravel()) ** 2))
@@ -179,10 +147,10 @@ def test_tares_reach_the_bound_and_are_covered(draws) -> None:
 
 def test_longer_series_tell_tares_to_three_hundredths_of_a_percent() -> None:
     rng = generator()
-    balance = random_balance(seed(rng))
-    run = CalibrationStand(balance, noise=NOISE, repeats=4).run(seed(rng))
+    balance = random_balance(seed_from(rng))
+    run = CalibrationStand(balance, noise=NOISE, repeats=4).run(seed_from(rng))
     error = (calibrate(run.schedule, model="96").tares - run.tares) / CAPACITIES
-    covariance = fisher(balance, run)
+    covariance = tare_bound(balance, run, noise=NOISE)
     # the requirement, as a standard deviation: 0.03 % of capacity; 0.7 uV/V is 0.05-0.08 % of it a reading
     assert np.sqrt(np.mean(np.diag(covariance))) < 0.028e-2
     assert np.sqrt(np.mean(error**2)) < 0.03e-2 * 1.5
@@ -204,8 +172,8 @@ def test_both_ways_to_the_tares_agree(draws) -> None:
 
 def test_heavy_fixtures_without_noise() -> None:
     rng = generator()
-    balance = random_balance(seed(rng))
-    run = CalibrationStand(balance, tare_size=0.1).without_noise().run(seed(rng))
+    balance = random_balance(seed_from(rng))
+    run = CalibrationStand(balance, tare_size=0.1).without_noise().run(seed_from(rng))
     fit = calibrate(run.schedule, model="96")
     assert fit.tares_by_iteration is not None
     # the searches end at a last step of 1e-12 and 1e-9 of capacity. A round of the iteration takes off a hundredth of
@@ -230,11 +198,11 @@ def test_residuals_are_the_noise(draws) -> None:
 @pytest.mark.parametrize("model", ["linear", "96"])
 def test_iterative_and_non_iterative_matrices_agree(model: str) -> None:
     rng = generator()
-    balance = random_balance(seed(rng), model=model)
-    schedule = CalibrationStand(balance, noise=NOISE).run(seed(rng)).schedule
+    balance = random_balance(seed_from(rng), model=model)
+    schedule = CalibrationStand(balance, noise=NOISE).run(seed_from(rng)).schedule
     one, other = (calibrate(schedule, model=model, way=way).matrix for way in ("iterative", "non-iterative"))
     # the loads of another run of the stand: the range that was calibrated
-    outputs = balance.outputs(CalibrationStand(balance).run(seed(rng)).schedule.loads)
+    outputs = balance.outputs(CalibrationStand(balance).run(seed_from(rng)).schedule.loads)
     difference = (one.loads(outputs).loads - other.loads(outputs).loads) / CAPACITIES
     # each is uncertain by its residuals; a linear balance needs no inverse of higher order, which leaves rounding and
     # the noise squared
@@ -244,8 +212,8 @@ def test_iterative_and_non_iterative_matrices_agree(model: str) -> None:
 
 def test_tares_without_noise_are_exact() -> None:
     rng = generator()
-    balance = random_balance(seed(rng))
-    run = CalibrationStand(balance).without_noise().run(seed(rng))
+    balance = random_balance(seed_from(rng))
+    run = CalibrationStand(balance).without_noise().run(seed_from(rng))
     fit = calibrate(run.schedule, model="96")
     # the search ends at a last step of 1e-12 of capacity and shrinks its error tenfold a step or better
     np.testing.assert_allclose(fit.tares / CAPACITIES, run.tares / CAPACITIES, rtol=0, atol=1e-11)
@@ -255,7 +223,11 @@ def test_tares_without_noise_are_exact() -> None:
 
 def test_nothing_absolute_without_natural_zeros() -> None:
     rng = generator()
-    schedule = CalibrationStand(random_balance(seed(rng)), natural_zeros=False, tare_size=0.0).run(seed(rng)).schedule
+    schedule = (
+        CalibrationStand(random_balance(seed_from(rng)), natural_zeros=False, tare_size=0.0)
+        .run(seed_from(rng))
+        .schedule
+    )
     fit = calibrate(schedule, model="96")
     assert fit.tares_by_iteration is None
     assert fit.matrix.natural_zero is None
@@ -268,12 +240,12 @@ def test_nothing_absolute_without_natural_zeros() -> None:
 
 def cover_of_errors(model: str, rng: np.random.Generator, *, count: int) -> Array:
     """Variances of errors of loads over those foretold, shape (points, c), from many calibrations of one balance."""
-    balance = random_balance(seed(rng), model=model)
+    balance = random_balance(seed_from(rng), model=model)
     loads = rng.uniform(-0.9, 0.9, (4, 6)) * CAPACITIES
     outputs = balance.outputs(loads)
     errors, foretold = [], []
     for _ in range(count):
-        matrix = calibrate(CalibrationStand(balance, noise=NOISE).run(seed(rng)).schedule, model=model).matrix
+        matrix = calibrate(CalibrationStand(balance, noise=NOISE).run(seed_from(rng)).schedule, model=model).matrix
         errors.append(matrix.loads(outputs).loads - loads)
         foretold.append(matrix.load_covariance(loads, residual=False))
     mean = np.mean(foretold, axis=0)
@@ -296,8 +268,8 @@ def test_covariance_of_loads_against_monte_carlo(model: str, count: int) -> None
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
 def test_known_noise_of_the_readings_is_not_counted_as_scatter(way: str) -> None:
     rng = generator()
-    balance = random_balance(seed(rng), model="linear")
-    schedule = CalibrationStand(balance, noise=NOISE).run(seed(rng)).schedule
+    balance = random_balance(seed_from(rng), model="linear")
+    schedule = CalibrationStand(balance, noise=NOISE).run(seed_from(rng)).schedule
     plain = calibrate(schedule, model="linear", way=way).matrix
     matrix = calibrate(schedule, model="linear", way=way, reading_noise=NOISE).matrix
     loads = rng.uniform(-0.9, 0.9, (4, 6)) * CAPACITIES
@@ -313,7 +285,9 @@ def test_known_noise_of_the_readings_is_not_counted_as_scatter(way: str) -> None
 def test_readings_quieter_than_the_noise_given_are_doubted() -> None:
     rng = generator()
     noise = 0.2e-3  # so small that no reading is an outlier, which takes 2.5e-3
-    schedule = CalibrationStand(random_balance(seed(rng), model="linear"), noise=noise).run(seed(rng)).schedule
+    schedule = (
+        CalibrationStand(random_balance(seed_from(rng), model="linear"), noise=noise).run(seed_from(rng)).schedule
+    )
     fit = calibrate(schedule, model="linear", reading_noise=3 * noise)
     with pytest.warns(DoubtWarning, match="scatter less about the matrix than the noise of 0.0006 mV/V"):
         doubt_quality(fit, assess(fit))
@@ -327,8 +301,8 @@ def covers(truth: str, model: str, rng: np.random.Generator, *, count: int) -> l
     """Share of confirmation points, loaded in all components, within two standard uncertainties, by calibration."""
     shares = []
     for _ in range(count):
-        stand = CalibrationStand(random_balance(seed(rng), model=truth), noise=NOISE, confirmation=1.0)
-        quality = assess(calibrate(stand.run(seed(rng)).schedule, model=model))
+        stand = CalibrationStand(random_balance(seed_from(rng), model=truth), noise=NOISE, confirmation=1.0)
+        quality = assess(calibrate(stand.run(seed_from(rng)).schedule, model=model))
         assert quality.confirmation_covered is not None
         shares.append(float(quality.confirmation_covered.mean()))
     return shares
@@ -422,7 +396,7 @@ def unknown(fit: Calibration) -> set[str]:
 @pytest.mark.parametrize("model", ["linear", "quadratic", "96", "auto"])
 def test_single_loads_name_every_cross_term(model: str, way: str) -> None:
     rng = generator()
-    fit = calibrate(single_loads(random_balance(seed(rng)), rng), model=model, way=way)
+    fit = calibrate(single_loads(random_balance(seed_from(rng)), rng), model=model, way=way)
     names = fit.matrix.variables
     # of all 96, whether or not the model offers them
     products = {term.label(names) for term in terms_of("96", 6) if term.kind in {4, 5, 6, 7}}
@@ -431,7 +405,7 @@ def test_single_loads_name_every_cross_term(model: str, way: str) -> None:
 
 def test_loads_of_one_direction_name_absolute_values() -> None:
     rng = generator()
-    fit = calibrate(single_loads(random_balance(seed(rng)), rng, low=0), model="96")
+    fit = calibrate(single_loads(random_balance(seed_from(rng)), rng, low=0), model="96")
     assert {"|N1|", "|AF|", "N1*|N1|", "|RM*RM*RM|", "N1*N2"} <= unknown(fit)
     like = {item.term.label(fit.matrix.variables): item.like for item in fit.unidentified}
     assert like["|N1|"] == fit.matrix.terms[0]
@@ -440,7 +414,7 @@ def test_loads_of_one_direction_name_absolute_values() -> None:
 
 def test_small_parasitic_loads_do_not_make_products_known() -> None:
     rng = generator()
-    balance = random_balance(seed(rng))
+    balance = random_balance(seed_from(rng))
     schedule = single_loads(balance, rng)
     loads = schedule.loads + rng.uniform(-1, 1, schedule.loads.shape) * 1e-3 * CAPACITIES
     outputs = balance.outputs(loads) + rng.normal(0, NOISE, loads.shape)
@@ -452,14 +426,14 @@ def test_small_parasitic_loads_do_not_make_products_known() -> None:
 
 def test_pairs_of_loads_tell_all_terms() -> None:
     rng = generator()
-    fit = calibrate(CalibrationStand(random_balance(seed(rng))).run(seed(rng)).schedule, model="96")
+    fit = calibrate(CalibrationStand(random_balance(seed_from(rng))).run(seed_from(rng)).schedule, model="96")
     assert unknown(fit) == set()
 
 
 def test_selection_keeps_what_is_there_and_little_else() -> None:
     rng = generator()
-    balance = random_balance(seed(rng), model="linear")
-    fit = calibrate(CalibrationStand(balance).run(seed(rng)).schedule, model="auto")
+    balance = random_balance(seed_from(rng), model="linear")
+    fit = calibrate(CalibrationStand(balance).run(seed_from(rng)).schedule, model="auto")
     linear = np.array([term.kind == 0 for term in fit.matrix.terms])
     chosen = np.array([part.included for part in fit.regressions])
     assert chosen[:, linear].all()
@@ -481,7 +455,7 @@ def test_model_and_way_are_checked() -> None:
 
 def balance_with(kind: int, size: float, rng: np.random.Generator) -> BalanceMatrix:
     """A balance whose bridges have, beside linear terms, one other kind of term of their own load."""
-    balance = random_balance(seed(rng))
+    balance = random_balance(seed_from(rng))
     C = balance.coefficients.copy()
     for row, term in enumerate(balance.terms):
         if term.kind:
@@ -494,7 +468,7 @@ def balance_with(kind: int, size: float, rng: np.random.Generator) -> BalanceMat
 def test_bridges_with_two_sensitivities_are_found() -> None:
     rng = generator()
     balance = balance_with(1, 0.01, rng)  # slopes 1.01 and 0.99: 2 % apart
-    for schedule in (CalibrationStand(balance).run(seed(rng)).schedule, single_loads(balance, rng)):
+    for schedule in (CalibrationStand(balance).run(seed_from(rng)).schedule, single_loads(balance, rng)):
         for direction in assess(calibrate(schedule, model="abs")).directions:
             assert direction.known
             assert direction.bidirectional
@@ -517,13 +491,13 @@ def test_curved_and_plain_bridges_are_not_taken_for_it() -> None:
 
 def test_one_direction_tells_nothing_of_the_other() -> None:
     rng = generator()
-    schedule = single_loads(random_balance(seed(rng), model="linear"), rng, low=0)
+    schedule = single_loads(random_balance(seed_from(rng), model="linear"), rng, low=0)
     assert not any(item.known or item.bidirectional for item in assess(calibrate(schedule, model="linear")).directions)
 
 
 def test_outliers_hysteresis_and_repeats() -> None:
     rng = generator()
-    balance = random_balance(seed(rng), model="linear")
+    balance = random_balance(seed_from(rng), model="linear")
     clean = single_loads(balance, rng, noise=0.3e-3)
     quality = assess(calibrate(clean, model="linear"))
     assert not quality.outliers
@@ -542,8 +516,8 @@ def test_outliers_hysteresis_and_repeats() -> None:
 
 def test_hysteresis_between_going_up_and_down() -> None:
     rng = generator()
-    balance = random_balance(seed(rng), model="linear")
-    schedule = CalibrationStand(balance, noise=0.05e-3, tare_size=0).run(seed(rng)).schedule
+    balance = random_balance(seed_from(rng), model="linear")
+    schedule = CalibrationStand(balance, noise=0.05e-3, tare_size=0).run(seed_from(rng)).schedule
     # round loads, so that a load comes twice
     loads = np.rint(schedule.loads / CAPACITIES / 0.25) * 0.25 * CAPACITIES
     outputs = balance.outputs(loads) + rng.normal(0, 0.05e-3, loads.shape)
@@ -572,7 +546,7 @@ def test_healthy_schedules_raise_no_doubt(model: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", DoubtWarning)
         for _ in range(3):
-            balance = random_balance(seed(rng), model=model)
+            balance = random_balance(seed_from(rng), model=model)
             for way in ("iterative", "non-iterative"):
-                calibrate(CalibrationStand(balance).run(seed(rng)).schedule, model=model, way=way)
+                calibrate(CalibrationStand(balance).run(seed_from(rng)).schedule, model=model, way=way)
                 calibrate(single_loads(balance, rng), model=model, way=way)

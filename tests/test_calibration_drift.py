@@ -14,24 +14,15 @@ from aerobalance.calibration.fit import calibrate
 from aerobalance.problems import FitError
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from aerobalance.schedule import Schedule
+from seeds import generator, seed_from
 
 FALSE_ALARM = 1e-6
-
-
-def generator() -> np.random.Generator:
-    entropy = np.random.SeedSequence().entropy
-    print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
-    return np.random.default_rng(entropy)
-
-
-def seed(rng: np.random.Generator) -> int:
-    return int(rng.integers(2**31))
 
 
 def calibrated(
     balance: BalanceMatrix, rng: np.random.Generator, *, model: str, way: str = "iterative"
 ) -> BalanceMatrix:
-    return calibrate(CalibrationStand(balance).run(seed(rng)).schedule, model=model, way=way).matrix
+    return calibrate(CalibrationStand(balance).run(seed_from(rng)).schedule, model=model, way=way).matrix
 
 
 def with_gain(balance: BalanceMatrix, component: int, gain: float) -> BalanceMatrix:
@@ -49,7 +40,7 @@ def test_one_truth_twice_shows_no_drift(model: str, way: str) -> None:
     alarms, scores = 0, []
     pairs = 40
     for _ in range(pairs):
-        balance = random_balance(seed(rng), model=model)
+        balance = random_balance(seed_from(rng), model=model)
         drift = compare_calibrations(*(calibrated(balance, rng, model=model, way=way) for _ in range(2)))
         alarms += sum(item.significant for item in drift.sensitivities)
         scores += [item.relative / item.u for item in drift.sensitivities]
@@ -64,7 +55,7 @@ def test_one_truth_twice_shows_no_drift(model: str, way: str) -> None:
 @pytest.mark.parametrize("gain", [1.01, 0.99])
 def test_one_percent_is_found_with_its_sign(gain: float, way: str) -> None:
     rng = generator()
-    balance = random_balance(seed(rng), model="linear")
+    balance = random_balance(seed_from(rng), model="linear")
     before = calibrated(balance, rng, model="linear", way=way)
     after = calibrated(with_gain(balance, 4, gain), rng, model="linear", way=way)
     drift = compare_calibrations(before, after)
@@ -80,9 +71,9 @@ def test_one_percent_is_found_with_its_sign(gain: float, way: str) -> None:
 
 def test_columns_are_matched_by_name() -> None:
     rng = generator()
-    balance = random_balance(seed(rng), model="linear")
+    balance = random_balance(seed_from(rng), model="linear")
     before = calibrated(balance, rng, model="linear")
-    schedule = CalibrationStand(with_gain(balance, 2, 1.01)).run(seed(rng)).schedule
+    schedule = CalibrationStand(with_gain(balance, 2, 1.01)).run(seed_from(rng)).schedule
     order = [5, 3, 0, 2, 4, 1]
     names = ("Axial", "Y2", "N1", "Y1", "Mx", "N2")  # the other names of AF S2 N1 S1 RM N2
     mixed = replace(
@@ -110,7 +101,7 @@ def test_columns_are_matched_by_name() -> None:
 
 def test_different_capacities_compare() -> None:
     rng = generator()
-    schedule = CalibrationStand(random_balance(seed(rng), model="linear")).run(seed(rng)).schedule
+    schedule = CalibrationStand(random_balance(seed_from(rng), model="linear")).run(seed_from(rng)).schedule
     larger = replace(schedule, capacities=1.5 * schedule.capacities)
     drift = compare_calibrations(*(calibrate(item, model="linear").matrix for item in (schedule, larger)))
     for item in drift.sensitivities:
@@ -120,14 +111,14 @@ def test_different_capacities_compare() -> None:
 
 def test_zeros_are_compared_where_both_have_them() -> None:
     rng = generator()
-    balance = random_balance(seed(rng), model="linear")
+    balance = random_balance(seed_from(rng), model="linear")
     before = calibrated(balance, rng, model="linear")
     shifted = replace(balance, natural_zero=balance.natural_zero + 0.01)
     change = compare_calibrations(before, calibrated(shifted, rng, model="linear")).zero_change
     # two means of four readings of 0.7 uV/V
     np.testing.assert_allclose(change, 0.01, atol=6 * 0.7e-3 / np.sqrt(2))
     stand = CalibrationStand(balance, natural_zeros=False, tare_size=0.0)
-    without = calibrate(stand.run(seed(rng)).schedule, model="linear").matrix
+    without = calibrate(stand.run(seed_from(rng)).schedule, model="linear").matrix
     assert compare_calibrations(before, without).zero_change is None
 
 
@@ -145,7 +136,7 @@ def warm_schedule(
     balance: BalanceMatrix, effects: tuple[TemperatureEffect, ...], rng: np.random.Generator
 ) -> Schedule:
     stand = CalibrationStand(balance, tare_size=0.0, temperature_swing=4.0, temperature_effects=effects)
-    return stand.run(seed(rng)).schedule
+    return stand.run(seed_from(rng)).schedule
 
 
 def some_effects(rng: np.random.Generator) -> tuple[TemperatureEffect, ...]:
@@ -158,7 +149,7 @@ def test_effects_of_temperature_come_back(way: str) -> None:
     rng = generator()
     zeros, gains = [], []
     for _ in range(15):
-        balance = random_balance(seed(rng), model="linear")
+        balance = random_balance(seed_from(rng), model="linear")
         effects = some_effects(rng)
         found = calibrate(warm_schedule(balance, effects, rng), model="linear", way=way).matrix.temperature
         for name, true in zip(balance.components, effects, strict=True):
@@ -173,7 +164,7 @@ def test_effects_of_temperature_come_back(way: str) -> None:
 
 def test_effects_of_temperature_are_taken_out_of_the_residuals() -> None:
     rng = generator()
-    balance = random_balance(seed(rng), model="linear")
+    balance = random_balance(seed_from(rng), model="linear")
     effects = tuple(TemperatureEffect(20.0, 1e-3, 0.0, 5e-4, 0.0) for _ in range(6))  # up to 0.4 % of capacity
     schedule = warm_schedule(balance, effects, rng)
     fit = calibrate(schedule, model="linear")
@@ -187,6 +178,6 @@ def test_effects_of_temperature_are_taken_out_of_the_residuals() -> None:
 
 def test_steady_temperature_tells_no_effects() -> None:
     rng = generator()
-    schedule = CalibrationStand(random_balance(seed(rng), model="linear")).run(seed(rng)).schedule
+    schedule = CalibrationStand(random_balance(seed_from(rng), model="linear")).run(seed_from(rng)).schedule
     steady = replace(schedule, temperature=20 + rng.uniform(0, 0.5, len(schedule.points)))
     assert not calibrate(steady, model="linear").matrix.temperature

@@ -13,15 +13,10 @@ from aerobalance.calibration.fit import calibrate
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from aerobalance.schedule import Schedule
+from seeds import generator
 
 NOISE = 0.7e-3
 Maker = Callable[[np.random.Generator], Schedule]
-
-
-def generator() -> np.random.Generator:
-    entropy = np.random.SeedSequence().entropy
-    print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
-    return np.random.default_rng(entropy)
 
 
 def stand(rng: np.random.Generator) -> Schedule:

@@ -5,7 +5,6 @@ import re
 import time
 from dataclasses import replace
 from html import unescape
-from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
@@ -31,8 +30,8 @@ from aerobalance.calibration_report import _terms, write_calibration_report
 from aerobalance.page import PLACE_HOLDERS, decimals, empty_figure, fixed
 from aerobalance.problems import ReadError
 from aerobalance.rigs.calibration_stand import CalibrationStand, random_balance
+from html_pages import Balanced
 
-VOID = {"meta", "br", "link", "img", "hr", "input"}
 NAME = "<b>tricky & $x_2$ -- name</b>"
 BROWSER_FLAGS = [
     "--headless",
@@ -93,26 +92,6 @@ def page(tmp_path_factory) -> Page:
 
 def as_number(text: str) -> float:
     return float(text.split(maxsplit=1)[0].replace("−", "-"))
-
-
-class Balanced(HTMLParser):
-    """Check that every element that is opened is closed, and collect ids."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.ids: list[str] = []
-
-    def handle_starttag(self, tag, attrs):
-        self.ids += [value for key, value in attrs if key == "id"]
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.ids += [value for key, value in attrs if key == "id"]
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
 
 
 def test_page_needs_nothing_from_outside(page):

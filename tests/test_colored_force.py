@@ -9,11 +9,13 @@ from aerobalance import noise_floor
 from aerobalance.channel import Channel
 from aerobalance.force import noise_of as noise_of_record
 from aerobalance.force import reconstruct
+from aerobalance.noise_floor import lasts
 from aerobalance.noise_spectrum import Hump, NoiseSpectrum
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.stream import LiveForce
-from test_noise_spectrum import RATE, T128, WHITE, fresh, noise_of
+from seeds import fresh
+from test_noise_spectrum import RATE, T128, WHITE, noise_of
 
 N = 8000
 
@@ -108,6 +110,22 @@ def test_floor_that_stays_a_force_is_doubted(monkeypatch):
     values = felt + noise_of(generator, lambda f: WHITE + hump.density(f), n=N)
     with pytest.warns(DoubtWarning, match="so faint that it may be noise of the electronics"):
         reconstruct(record_of(values), T128)
+
+
+def test_a_burst_is_no_floor():
+    generator, seed = fresh()
+    count, interval = 4096, 1 / RATE
+    white = generator.normal(0, 2.0, count)
+    high = np.fft.rfft(generator.normal(0, 2.0, count))
+    high[: high.size // 2] = 0  # as strong as the white noise, in the upper half of the band
+    steady = white + np.fft.irfft(high, count)
+    burst = white.copy()
+    burst[2048:2304] += 8 * generator.normal(size=256)
+    first = 0.25 / interval
+    # 14 parts of 128 ordinates each: a mean power is right to 1 / sqrt(14 * 128) = 2.4 %, and what is compared differs
+    # by half of the power (steady) or by all of it (burst), 20 of these
+    assert lasts(steady, first=first, interval=interval, noise=2.0), seed
+    assert not lasts(burst, first=first, interval=interval, noise=2.0), seed
 
 
 def test_another_white_noise_is_told():

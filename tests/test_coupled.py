@@ -12,6 +12,7 @@ from aerobalance.coupled import CoupledDynamics, RigidMass
 from aerobalance.dynamics import Dynamics
 from aerobalance.rigs import random_balance
 from aerobalance.weighing.model import WeightModel, weight_direction
+from seeds import fresh
 
 AFT, RIGHT, UP = np.eye(3)
 PLACE = {name: index for index, name in enumerate(COMPONENTS)}
@@ -20,11 +21,6 @@ SINGLE = (
     Dynamics("PM", 0.8, 3e5, 5.0),
     Dynamics("AF", 18.0, 3e7, 900.0),
 )
-
-
-def fresh():
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def points(generator, count=7):

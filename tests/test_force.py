@@ -15,16 +15,12 @@ from aerobalance.motion import GroundMotion
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor
+from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 HALF_RANGE = 2000.0
 FINE = 8
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def record(**channels) -> Recording:

@@ -11,15 +11,11 @@ from aerobalance.force import reconstruct, without_hum
 from aerobalance.hum import columns_of_lines, hum_lines, reading_of_lines
 from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Recording
+from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 NOISE = 2.0
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def clock(seconds: float) -> np.ndarray:

@@ -15,16 +15,12 @@ from aerobalance.identification.extrema import extrema_fit
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor
+from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 HEIGHT = 1020.0
 RELEASE = 0.50021
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def clock(seconds: float) -> np.ndarray:

@@ -8,15 +8,11 @@ from aerobalance.identification.dwells import amplitudes
 from aerobalance.problems import FitError
 from aerobalance.published import VIBRATION_RIG
 from aerobalance.rigs import Sensor, SteppedSine, Sweep, Unsteadiness, VibrationRig
+from seeds import fresh
 
 TRUE = VIBRATION_RIG.dynamics
 STEPS = (*np.arange(20.0, 600.0, 40.0), *np.arange(600.0, 651.0, 10.0), 652.5, *np.arange(660.0, 751.0, 10.0), 752.0,
          *np.arange(760.0, 1000.0, 20.0))  # fmt: skip
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def shake(drive, generator, *, load=0.05, acceleration=0.05):

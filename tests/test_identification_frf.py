@@ -9,6 +9,7 @@ from scipy.stats import chi2
 from aerobalance.dynamics import Dynamics
 from aerobalance.identification import ResponseTable, identify_frf
 from aerobalance.problems import DoubtWarning, FitError
+from seeds import fresh
 
 TRUE = Dynamics("AF", mass=2.0, stiffness=2.0 * (2 * np.pi * 900.0) ** 2, damping=2 * 0.02 * 2.0 * 2 * np.pi * 900.0)
 FREQUENCIES = np.array([20.0, 50, 100, 200, 300, 400, 500, 600, 700, 800, 850, 880, 900, 920, 950, 1000, 1200])
@@ -24,11 +25,6 @@ def table(frequency, generator=None, *, delay=0.0, u=(0.005, 0.01), scatter=1.0,
         amplitude = amplitude + scatter * u_amplitude * generator.standard_normal(frequency.size)
         phase = phase + scatter * u_phase * generator.standard_normal(frequency.size)
     return ResponseTable(frequency, amplitude, u_amplitude, phase, u_phase)
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def test_exact_table_gives_exact_dynamics():

@@ -20,6 +20,7 @@ from aerobalance.published import CABLE_CUT, VIBRATION_RIG
 from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, RandomDrive, Sensor, SteppedSine, Sweep, VibrationRig
 from aerobalance.rigs.drives import band_noise
+from seeds import fresh
 
 TRUE = VIBRATION_RIG.dynamics
 MASS = VIBRATION_RIG.mass
@@ -32,11 +33,6 @@ DRIVES = {
     "random": RandomDrive(400.0, 1000.0, 3.0),
 }
 TREADMILL = Path(__file__).parents[1].parent / "shared" / "data" / "treadmill"
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def shake(drive, generator, *, load=0.05, acceleration=0.05, delay=DELAY, live=False):

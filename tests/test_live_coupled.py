@@ -16,14 +16,10 @@ from aerobalance.rigs.six_components import GROUND_CHANNELS, SixComponentRig
 from aerobalance.rigs.six_signals import Band, broadband, random_motion
 from aerobalance.smoother import FORCE, Filter
 from aerobalance.spectrum import Spectrum
+from seeds import fresh
 from test_smoother import butterworth
 
 RATE = 10_000.0
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def felt(generator: np.random.Generator, balance: CoupledBalance, count: int, *, rms: float = 0.05) -> np.ndarray:

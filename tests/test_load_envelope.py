@@ -10,14 +10,10 @@ from aerobalance.components import COMPONENTS
 from aerobalance.forms import between_forms
 from aerobalance.load_envelope import LoadEnvelope, Station
 from aerobalance.rigs.calibration_stand import random_balance
+from seeds import fresh
 
 LIMITS = {"NF": (-100.0, 200.0), "PM": (-10.0, 10.0), "AF": (-np.inf, 50.0)}
 NAMES = ("AF", "SF", "NF", "PM")  # in an order of their own, with one that does not count
-
-
-def fresh():
-    seed = np.random.SeedSequence().entropy
-    return seed, np.random.default_rng(seed)
 
 
 def by_definition(shape, load):
@@ -31,7 +27,7 @@ def by_definition(shape, load):
 
 @pytest.mark.parametrize("shape", ["box", "rhombus", "ellipsoid"])
 def test_shapes_are_their_definitions(shape) -> None:
-    seed, rng = fresh()
+    rng, seed = fresh()
     envelope = LoadEnvelope(shape, LIMITS)
     loads = rng.normal(size=(200, 4)) * (40, 1e6, 100, 8)
     share = envelope.utilisation(loads, NAMES)
@@ -45,7 +41,7 @@ def test_shapes_are_their_definitions(shape) -> None:
 
 @pytest.mark.parametrize("shape", ["box", "rhombus", "ellipsoid"])
 def test_what_lies_between_allowed_loads_is_allowed(shape) -> None:
-    seed, rng = fresh()
+    rng, seed = fresh()
     station = Station("N1", 60.0, {"NF": 0.5, "PM": 4.0})
     envelope = LoadEnvelope(shape, {**LIMITS, "AF": (-30.0, 50.0)}, (station,))
     loads = rng.normal(size=(400, 4))
@@ -82,7 +78,7 @@ def test_station_is_relieved_by_a_load_of_the_other_sign() -> None:
 
 
 def test_two_gauges_bear_a_rhombus_of_force_and_moment() -> None:
-    seed, rng = fresh()
+    rng, seed = fresh()
     # both gauges d from the centre with the same limit L: |NF| / 2 L + |PM| / 2 L d <= 1, by adding up N1 and N2
     d, limit = 0.2, 500.0
     shares = {"NF": 0.5, "PM": 0.5 / d}
@@ -99,7 +95,7 @@ def test_two_gauges_bear_a_rhombus_of_force_and_moment() -> None:
 
 
 def test_capacities_of_a_force_balance_are_its_combined_load_diagram() -> None:
-    seed, rng = fresh()
+    rng, seed = fresh()
     balance = random_balance(seed % 2**32)
     stations = capacity_stations(balance)
     native = rng.normal(size=(100, 6)) * balance.load_scale

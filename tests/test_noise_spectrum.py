@@ -12,15 +12,11 @@ from aerobalance.noise_spectrum import EXPONENTS, ColoredNoise, Hump, NoiseSpect
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.shaping import ShapingFilter
 from aerobalance.smoother import Filter, StateSpace
+from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 WHITE = 4.0 / RATE
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def noise_of(generator: np.random.Generator, density, *, n: int = 16_000, longer: int = 8) -> np.ndarray:

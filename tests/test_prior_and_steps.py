@@ -15,15 +15,11 @@ from aerobalance.shaping import EDGE, ShapingFilter
 from aerobalance.smoother import FORCE, Filter
 from aerobalance.spectrum import Spectrum
 from aerobalance.steps import Step, find_steps, shape_of
+from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 STEP = 1020.0
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def band_limited(generator: np.random.Generator, n: int, *, rate: float, edge: float, rms: float) -> np.ndarray:

@@ -8,17 +8,13 @@ import pytest
 from aerobalance.channel import Channel
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Loads, Recording
+from seeds import fresh
 
 
 def on(stamps, values=None):
     stamps = np.asarray(stamps)
     channel = Channel("AF", np.arange(stamps.size, dtype=float) if values is None else values, "N")
     return Recording.from_columns(stamps, {"AF": channel}, name="rec")
-
-
-def fresh():
-    entropy = np.random.SeedSequence().entropy
-    return np.random.default_rng(entropy), entropy
 
 
 @pytest.mark.parametrize("rate", [1.0, 100.0, 1600.0, 25000.0, 3.0])

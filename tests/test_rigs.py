@@ -19,14 +19,10 @@ from aerobalance.rigs import (
     VibrationRig,
     band_noise,
 )
+from seeds import fresh
 
 QUIET = {name: Sensor() for name in ("AF", "ground_acceleration", "live_acceleration")}
 FREE_FREE_POLE = 752.0
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def amplitude(values: np.ndarray, frequency: float, rate: float) -> float:

@@ -30,13 +30,9 @@ from aerobalance.rigs import (
 from aerobalance.rigs.calibration_stand import CalibrationStand
 from aerobalance.rigs.six_components import GROUND_CHANNELS
 from aerobalance.zeros import gauge_zero
+from seeds import fresh
 
 PLACE = {name: index for index, name in enumerate(COMPONENTS)}
-
-
-def fresh():
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def quiet(generator):

@@ -8,15 +8,11 @@ from aerobalance.dynamics import Dynamics
 from aerobalance.segments import CHANGE_EVIDENCE, _cheapest
 from aerobalance.spectrum import HANN_BANDWIDTH, Periodogram, Spectrum, leaked
 from aerobalance.whittle import fit_spectrum
+from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 STIFF = Dynamics("AF", 1e-6, 3.093e7, 1e-3)  # follows any force at once: |G| = 1
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def felt(generator: np.random.Generator, density, *, n: int = 8000, noise: float = 2.0, dynamics=T128) -> np.ndarray:

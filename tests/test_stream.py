@@ -16,17 +16,13 @@ from aerobalance.smoother import FORCE, Filter
 from aerobalance.spectrum import Spectrum
 from aerobalance.steps import Step
 from aerobalance.stream import LiveForce
+from seeds import fresh
 from test_smoother import butterworth
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 TWO_MODES = Dynamics("AF", 177.87, 3.093e7, 828.21, further_modes=(Mode(165.0, 0.01, 0.05),))
 RATE = 1600.0
 NOISE = 2.0
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def second_order(*, cutoff: float = 120.0, density: float = 500.0) -> Learned:

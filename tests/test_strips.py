@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from aerobalance.strips import STEP, Bins, Extremes, Strip
-
-
-def generator():
-    seed = np.random.SeedSequence().entropy
-    print("seed", seed)  # noqa: T201 - shown where a test fails
-    return np.random.default_rng(seed)
+from seeds import generator
 
 
 def pushed(extremes, tick, parts, step=1):

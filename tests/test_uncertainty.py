@@ -20,15 +20,11 @@ from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.smoothing import Estimator, Smoothed
 from aerobalance.uncertainty import advice, budget, scalars, spectrum
+from seeds import fresh
 
 RATE = 1600.0
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 UNSURE = replace(T128, covariance=np.diag((np.array([2e-4, 2e-4, 5e-2, 0]) * T128.values) ** 2))
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def record(**channels) -> Recording:

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_estimator import SHARP, SOFT, T128, Shape, density, generator, inner, rms_of, smooth_run
+from test_estimator import SHARP, SOFT, T128, Shape, density, inner, rms_of, smooth_run
 
 from aerobalance.channel import Array, Channel
 from aerobalance.force import noise_of, reconstruct
 from aerobalance.recording import Recording
+from seeds import generator
 
 RATE = 1600.0
 CORNER = 10.0

@@ -18,6 +18,7 @@ from aerobalance.identification.decay import identify_decay
 from aerobalance.identification.extrema import extrema_fit
 from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor, Simulation, band_noise
+from seeds import generator
 
 T128 = CableCut().dynamics
 RIG = Dynamics("AF", 0.68, 11.43e6, 371.98)
@@ -38,12 +39,6 @@ SOFT: dict[str, Shape] = {
     "Gauss, 40 Hz": lambda f: np.exp(-0.5 * (f / 40) ** 2),
 }
 WIDE: dict[str, Shape] = {"0-900 Hz": lambda f: np.where(f <= 900, 1.0, 0.0)}
-
-
-def generator() -> np.random.Generator:
-    entropy = np.random.SeedSequence().entropy
-    print(f"seed {entropy}")  # noqa: T201 - shown when a benchmark fails
-    return np.random.default_rng(entropy)
 
 
 def density(shape: Shape, frequency: Array, *, rate: float, rms: float) -> Array:

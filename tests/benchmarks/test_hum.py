@@ -6,13 +6,14 @@ import warnings
 
 import numpy as np
 import pytest
-from test_estimator import RUNS, SHARP, SOFT, T128, generator, inner, rms_of, smooth_run
+from test_estimator import RUNS, SHARP, SOFT, T128, inner, rms_of, smooth_run
 
 from aerobalance.channel import Array, Channel
 from aerobalance.force import reconstruct
 from aerobalance.hum import hum_lines
 from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Recording
+from seeds import generator
 
 RATE = 1600.0
 NOISE = 2.0

@@ -9,20 +9,7 @@ import time
 
 import numpy as np
 import pytest
-from test_estimator import (
-    RIG,
-    RUNS,
-    SHARP,
-    SOFT,
-    T128,
-    WIDE,
-    drawn,
-    generator,
-    inner,
-    rms_of,
-    smooth_run,
-    wiener_bound,
-)
+from test_estimator import RIG, RUNS, SHARP, SOFT, T128, WIDE, drawn, inner, rms_of, smooth_run, wiener_bound
 
 from aerobalance.channel import Array
 from aerobalance.coupled_record import load_felt
@@ -34,6 +21,7 @@ from aerobalance.rigs.six_balance import random_balance
 from aerobalance.rigs.six_signals import Band, broadband
 from aerobalance.steps import Step
 from aerobalance.stream import LiveForce
+from seeds import generator
 
 LEARNING = {1600.0: 20.0, 25_000.0: 4.0}
 """Seconds that the process is learned from, by sampling rate."""

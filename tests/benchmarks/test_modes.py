@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
-from test_estimator import SHARP, SOFT, T128, generator, inner, rms_of, smooth_run, wiener_bound
+from test_estimator import SHARP, SOFT, T128, inner, rms_of, smooth_run, wiener_bound
 
 from aerobalance.channel import Array, Channel
 from aerobalance.dynamics import Dynamics, Mode
@@ -16,6 +16,7 @@ from aerobalance.misfit import misfit_of
 from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor, Simulation
+from seeds import generator
 
 HALF_RANGE = 2000.0
 ALLOWED = 0.02e-2 * HALF_RANGE

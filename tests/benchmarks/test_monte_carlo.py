@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_estimator import RIG, SHARP, SOFT, T128, WIDE, generator, smooth_run
+from test_estimator import RIG, SHARP, SOFT, T128, WIDE, smooth_run
 
 from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
@@ -15,6 +15,7 @@ from aerobalance.monte_carlo import monte_carlo
 from aerobalance.recording import Recording
 from aerobalance.rigs import CableCut, Sensor
 from aerobalance.uncertainty import scalars
+from seeds import generator
 
 DRAWS = 800
 RUNS = 25

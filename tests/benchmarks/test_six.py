@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from test_estimator import generator
 
 from aerobalance.channel import Array
 from aerobalance.coupled import CoupledDynamics
@@ -20,6 +19,7 @@ from aerobalance.rigs.six_balance import CoupledBalance, random_balance
 from aerobalance.rigs.six_bending import Bending, bending_dynamics
 from aerobalance.rigs.six_components import Release, SixSimulation
 from aerobalance.rigs.six_signals import Band, broadband
+from seeds import generator
 
 BALANCES = 6
 RATE, DURATION, GUSTS = 25_000.0, 1.0, 0.1
