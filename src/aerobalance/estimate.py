@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.channel import Array
-from aerobalance.contributions import Contribution, Systematic, total_deviation
+from aerobalance.contributions import Contribution, Noise, Systematic, total_deviation
 from aerobalance.dynamics import Dynamics
 from aerobalance.hum import Line
 from aerobalance.motion import AXES, GroundMotion, Unknown, load_from_ground
@@ -78,11 +78,14 @@ class ForceEstimate:
     learned: Learned | None = None
 
 
-def with_balance(estimate: ForceEstimate, static: Array) -> ForceEstimate:
+def with_balance(
+    estimate: ForceEstimate, static: Array, *, curvature: tuple[float, Array] = (0.0, np.ones(1))
+) -> ForceEstimate:
     """Add the uncertainty of the balance matrix, its zeros and tares to an estimate.
 
     The error of a matrix is a function of the load: to first order a gain and an offset. Both go through Eq. (17) of
-    [Gorbushin2020]_ unchanged, as it is linear, so the error of the force is that of a static load of its size.
+    [Gorbushin2020]_ unchanged, as it is linear, so the error of the force is that of a static load of its size. What
+    is curved in it comes on top where the load changes (`aerobalance.matrix_curvature`).
 
     Parameters
     ----------
@@ -90,15 +93,26 @@ def with_balance(estimate: ForceEstimate, static: Array) -> ForceEstimate:
         The force from loads that were taken as exact but for their noise.
     static
         Standard uncertainty of a static load of the force's size, shape (n,) [N]; NaN counts as the largest.
+    curvature
+        Standard uncertainty from the matrix's curvature under loads that change [N], and the spectrum of that error
+        as `aerobalance.contributions.Noise` takes it.
     """
     known = np.isfinite(static)
     filled = np.where(known, static, np.max(static[known], initial=0.0))
-    matrix = _gain_and_offset(estimate.values, filled)
+    parts: list[Contribution] = [_gain_and_offset(estimate.values, filled)]
+    deviation, spectrum = curvature
+    if deviation > 0:
+        level = np.full(filled.size, deviation)
+        parts.append(Noise("curvature of the balance matrix, ringing", "balance", level, spectrum))
     return replace(
         estimate,
-        uncertainty=np.hypot(estimate.uncertainty, filled),
-        budget={**estimate.budget, matrix.name: float(np.sqrt(np.mean(filled**2)))},
-        contributions=(*estimate.contributions, matrix),
+        uncertainty=np.sqrt(estimate.uncertainty**2 + filled**2 + deviation**2),
+        budget={
+            **estimate.budget,
+            parts[0].name: float(np.sqrt(np.mean(filled**2))),
+            **{part.name: deviation for part in parts[1:]},
+        },
+        contributions=(*estimate.contributions, *parts),
     )
 
 

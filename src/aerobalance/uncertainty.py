@@ -49,6 +49,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "pitch gain": "a calibration of the inclinometer",
     "gravity": "the local gravity, from a survey",
     "balance matrix, zeros and tares": "a better static calibration, and zeros read close to the run",
+    "curvature of the balance matrix, ringing": "a static calibration with more points, under loads combined",
     "ends of the record": "a record that begins and ends at rest",
 }
 """What makes each contribution smaller."""

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from aerobalance.commands.known import Coupled, Known, read_known
-from aerobalance.commands.loads import BalanceFiles, Reduction, from_gauges, loads_account
-from aerobalance.commands.shared import Account, check_out, doubts, known_component, recording_of
+from aerobalance.commands.known import Coupled, read_known
+from aerobalance.commands.loads import BalanceFiles, Source, loads_account
+from aerobalance.commands.shared import Account, check_out, doubts, known_component
 from aerobalance.components import STANDARD_GRAVITY, si_unit
 from aerobalance.dynamics import Dynamics
 from aerobalance.fir_inverse import MeasuredResponse, response_of_record
 from aerobalance.io import read
-from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.problems import FitError
 from aerobalance.recording import Recording
 from aerobalance.rivals import THIS, RivalEstimate, Settings, estimates
@@ -51,10 +50,10 @@ def compare(
     """
     if component is not None:
         known_component(component)
-    inputs = [file for file in (path, dynamics, truth, step, channel_map, *_paths(files)) if file is not None]
-    check_out(out, *inputs)
     known = read_known(dynamics)
     source = Source(known, files, gravity, channel_map)
+    inputs = [path, dynamics, *source.paths, *(file for file in (truth, step) if file is not None)]
+    check_out(out, *inputs)
     if isinstance(known, Coupled):
         from aerobalance.commands.compare_coupled import compare_coupled  # noqa: PLC0415 - it takes parts of this
 
@@ -70,13 +69,34 @@ def compare(
             half_range=_by_component(half_range),
             out=out,
         )
-    parts = read_dynamics(dynamics)
     component = component or "AF"
-    if component not in parts:
-        raise FitError(f"{dynamics} has no {component}; it has {', '.join(parts)}")
-    if isinstance(half_range, Mapping):
-        half_range = half_range.get(component)
-    balance = parts[component]
+    if component not in known.parts:
+        raise FitError(f"{dynamics} has no {component}; it has {', '.join(known.parts)}")
+    return _compare_one(
+        path,
+        known.parts[component],
+        source=source,
+        inputs=inputs,
+        truth=truth,
+        step=step,
+        half_range=half_range.get(component) if isinstance(half_range, Mapping) else half_range,
+        out=out,
+    )
+
+
+def _compare_one(
+    path: Path,
+    balance: Dynamics,
+    *,
+    source: Source,
+    inputs: Sequence[Path],
+    truth: Path | None,
+    step: Path | None,
+    half_range: float | None,
+    out: Path | None,
+) -> Account:
+    """Every rival on one component that rings for itself."""
+    component = balance.component
     with doubts() as collected:
         recording, reduced = source.recording(path)
         recording.channel(component)
@@ -85,7 +105,7 @@ def compare(
             values = truth_on_clock(recording, read(truth), component)
             applied = Truth.of(values, rate=recording.rate, natural_frequency=balance.natural_frequency)
         response = None if step is None else _response(source.recording(step)[0], recording, balance)
-        settings = Settings(gravity=gravity, response=response)
+        settings = Settings(gravity=source.gravity, response=response)
         found = estimates(recording, balance, settings=settings, truth=applied)
     account: Account = {
         "file": path.name,
@@ -112,26 +132,6 @@ def _by_component(half_range: float | Mapping[str, float] | None) -> Mapping[str
     if half_range is None or isinstance(half_range, Mapping):
         return half_range or {}
     raise ValueError("--half-range of components that ring together is given by component: NF=2000")
-
-
-def _paths(files: BalanceFiles | None) -> tuple[Path, ...]:
-    return () if files is None else files.paths
-
-
-class Source(NamedTuple):
-    """How a file becomes loads felt."""
-
-    known: Known
-    files: BalanceFiles | None
-    gravity: float
-    channel_map: Path | None
-
-    def recording(self, path: Path) -> tuple[Recording, Reduction | None]:
-        """Read a file, and turn gauge outputs into loads felt."""
-        recording = recording_of(path, self.channel_map)
-        if self.files is None:
-            return recording, None
-        return from_gauges(recording, self.files, self.known, gravity=self.gravity, channel_map=self.channel_map)
 
 
 def _response(step: Recording, recording: Recording, balance: Dynamics) -> MeasuredResponse:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from aerobalance.commands.compare import Source, standings
-from aerobalance.commands.loads import loads_account
+from aerobalance.commands.compare import standings
+from aerobalance.commands.loads import Source, loads_account
 from aerobalance.commands.shared import Account, doubts
 from aerobalance.components import si_unit
 from aerobalance.coupled import CoupledDynamics

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from aerobalance.commands.known import Check, Settings, read_known
-from aerobalance.commands.loads import BalanceFiles, from_gauges, loads_account
-from aerobalance.commands.shared import Account, check_out, doubts, recording_of
+from aerobalance.commands.known import Check, Known, Settings, read_known
+from aerobalance.commands.loads import BalanceFiles, Reduction, Source, loads_account
+from aerobalance.commands.shared import Account, check_out, doubts
 from aerobalance.commands.uncertainty import (
     Origins,
     budget_account,
@@ -21,14 +23,13 @@ from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.estimate import ForceEstimate, with_balance
 from aerobalance.force import Method
 from aerobalance.hum import Hum
-from aerobalance.io import (
-    check_output,
-    write_force,
-)
+from aerobalance.io import check_output, write_force
 from aerobalance.loads import static_uncertainty
+from aerobalance.matrix_curvature import CurvatureErrors
+from aerobalance.monte_carlo import MonteCarlo
 from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Force
+from aerobalance.recording import Force, Recording
 
 
 def force(
@@ -49,62 +50,21 @@ def force(
 ) -> Account:
     """Force applied, with its uncertainty, from the loads felt or, with a balance, from its gauge outputs."""
     check_output(out)
-    given = (path, dynamics, noise_record, channel_map, *(() if files is None else files.paths))
-    inputs = [item for item in given if item]
-    check_out(out, *inputs)
-    check_out(report, *inputs, out)
     known = read_known(dynamics)
     settings = Settings(method, bandwidth, gravity, gravity_uncertainty, hum)
+    source = Source(known, files, gravity, channel_map)
+    inputs = [path, dynamics, *source.paths, *([] if noise_record is None else [noise_record])]
+    check_out(out, *inputs)
+    check_out(report, *inputs, out)
     with doubts() as collected:
-        recording = recording_of(path, channel_map)
-        reduction = None
-        if files is not None:
-            recording, reduction = from_gauges(recording, files, known, gravity=gravity, channel_map=channel_map)
-        names = known.names_in(recording)
-        if not names:
-            raise FitError(
-                f"{path} has none of the components of {dynamics}; it has "
-                f"{', '.join(recording.channels) or 'no channels'}"
-            )
-        noises: dict[str, NoiseSpectrum] = {}
-        if noise_record is not None:
-            calm = recording_of(noise_record, channel_map)
-            if files is not None:
-                calm, _ = from_gauges(calm, files, known, gravity=gravity, channel_map=channel_map)
-            noises = known.noises(calm, settings, run=recording)
-        estimates = known.forces(recording, settings, noises=noises)
-        if reduction is not None:
-            forces = {name: estimate.values for name, estimate in estimates.items()}
-            static = static_uncertainty(reduction.felt, reduction.matrix, forces=forces)
-            estimates = {name: with_balance(estimate, static[name]) for name, estimate in estimates.items()}
-        for text in known.doubts(recording, estimates):
-            warnings.warn(f"{recording.name}: {text}", DoubtWarning, stacklevel=2)
-        checked = {} if check is None else known.checked(recording, estimates, settings, check=check)
-        for name, result in checked.items():
-            for text in result.doubts:
-                warnings.warn(f"{recording.name}: {name}: {text}", DoubtWarning, stacklevel=2)
-    parts = list(estimates.values())
-    write_force(
-        out,
-        recording,
-        Force(
-            components=tuple(names),
-            values=np.column_stack([part.values for part in parts]),
-            uncertainty=np.column_stack([part.uncertainty for part in parts]),
-            rate=recording.rate,
-        ),
-    )
-    left_out = [name for name in COMPONENTS if name in recording and name not in names]
+        found = _found(path, source, settings, noise_record=noise_record, check=check)
+    recording, estimates, reduction = found.recording, found.estimates, found.reduction
+    write_force(out, recording, _force_of(estimates, recording))
     origins = Origins(recording, dynamics, None if files is None else files.balance)
-    components = {name: force_account(estimate, origins) for name, estimate in estimates.items()}
-    for name, spectrum in noises.items():
-        components[name]["noise_spectrum"] = noise_account(spectrum)
-    for name, result in checked.items():
-        components[name]["monte_carlo"] = monte_carlo_account(result)
     account: Account = {
         "written": out.name,
-        "components": components,
-        "components_without_dynamics": left_out,
+        "components": {name: found.account(name, origins) for name in estimates},
+        "components_without_dynamics": [name for name in COMPONENTS if name in recording and name not in estimates],
         **({} if reduction is None else {"loads": loads_account(reduction.felt, reduction.matrix)}),
         "warnings": collected,
     }
@@ -113,7 +73,77 @@ def force(
 
         write_force_report(report, account, estimates, recording=recording, inputs=inputs)
         account["report"] = report.name
-    return {**account, "summary": uncertainty_text(components)}
+    return {**account, "summary": uncertainty_text(account["components"])}
+
+
+class _Found(NamedTuple):
+    """The forces of a recording, and what else was found on the way, by component."""
+
+    recording: Recording
+    reduction: Reduction | None
+    estimates: dict[str, ForceEstimate]
+    noises: dict[str, NoiseSpectrum]
+    checked: dict[str, MonteCarlo]
+
+    def account(self, name: str, origins: Origins) -> Account:
+        """Plain data on one component."""
+        account = force_account(self.estimates[name], origins)
+        if name in self.noises:
+            account["noise_spectrum"] = noise_account(self.noises[name])
+        if name in self.checked:
+            account["monte_carlo"] = monte_carlo_account(self.checked[name])
+        return account
+
+
+def _found(
+    path: Path, source: Source, settings: Settings, *, noise_record: Path | None, check: Check | None
+) -> _Found:
+    """Work out the forces; what is doubtful is warned of."""
+    known = source.known
+    recording, reduction = source.recording(path)
+    if not known.names_in(recording):
+        raise FitError(
+            f"{path} has none of the components of the dynamics, {', '.join(known.components)}; it has "
+            f"{', '.join(recording.channels) or 'no channels'}"
+        )
+    noises = {}
+    if noise_record is not None:
+        noises = known.noises(source.recording(noise_record)[0], settings, run=recording)
+    estimates = known.forces(recording, settings, noises=noises)
+    if reduction is not None:
+        estimates = _with_matrix(estimates, reduction, known, rate=recording.rate)
+    texts = known.doubts(recording, estimates)
+    checked = {} if check is None else known.checked(recording, estimates, settings, check=check)
+    texts += [f"{name}: {text}" for name, result in checked.items() for text in result.doubts]
+    for text in texts:
+        warnings.warn(f"{recording.name}: {text}", DoubtWarning, stacklevel=2)
+    return _Found(recording, reduction, estimates, noises, checked)
+
+
+def _with_matrix(
+    estimates: Mapping[str, ForceEstimate], reduction: Reduction, known: Known, *, rate: float
+) -> dict[str, ForceEstimate]:
+    """Add what is not known of the balance matrix to the uncertainty."""
+    felt, matrix = reduction.felt, reduction.matrix
+    static = static_uncertainty(felt, matrix, forces={name: found.values for name, found in estimates.items()})
+    highest = max(found.bandwidth for found in estimates.values())
+    curvature = CurvatureErrors.of(felt, matrix, rate=rate, highest=highest)
+    names = list(estimates)
+    densities = curvature.in_force(known.ringing(names, curvature.resolved), names)
+    return {
+        name: with_balance(found, static[name], curvature=curvature.as_noise(density, bandwidth=found.bandwidth))
+        for (name, found), density in zip(estimates.items(), densities.T, strict=True)
+    }
+
+
+def _force_of(estimates: Mapping[str, ForceEstimate], recording: Recording) -> Force:
+    parts = list(estimates.values())
+    return Force(
+        components=tuple(estimates),
+        values=np.column_stack([part.values for part in parts]),
+        uncertainty=np.column_stack([part.uncertainty for part in parts]),
+        rate=recording.rate,
+    )
 
 
 def noise_account(spectrum: NoiseSpectrum) -> Account:

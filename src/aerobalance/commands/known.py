@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
@@ -75,6 +76,9 @@ class Known(Protocol):
     def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
         """Weight of the moving mass along a component at given attitudes, shape (n,) [N, N*m]."""
 
+    def ringing(self, names: Sequence[str], frequency: Array) -> NDArray[np.complex128]:
+        """Force over load felt, less 1, at frequencies of shape (m,) [Hz]; shape (m, n, n) for n names."""
+
     def noises(self, calm: Recording, settings: Settings, *, run: Recording) -> dict[str, NoiseSpectrum]:
         """Spectra of the noise of a run, by component, from a record of noise alone."""
 
@@ -116,6 +120,13 @@ class Separate:
     def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
         """Weight of the component's own moving mass."""
         return self.parts[name].mass * gravity * gravity_share(name, pitch=pitch, roll=roll)
+
+    def ringing(self, names: Sequence[str], frequency: Array) -> NDArray[np.complex128]:
+        """Every component by itself."""
+        found = np.zeros((frequency.size, len(names), len(names)), dtype=np.complex128)
+        for place, name in enumerate(names):
+            found[:, place, place] = 1 / self.parts[name].response(frequency) - 1
+        return found
 
     def noises(self, calm: Recording, settings: Settings, *, run: Recording) -> dict[str, NoiseSpectrum]:
         """Spectra of the noise of the components in the record; the run has no part in them."""
@@ -192,6 +203,12 @@ class Coupled:
             return np.zeros_like(pitch)
         return self.dynamics.mass.weight(pitch, roll, gravity=gravity)[:, COMPONENTS.index(name)]
 
+    def ringing(self, names: Sequence[str], frequency: Array) -> NDArray[np.complex128]:
+        """D s + A s^2, in the order of the names, which are those of all components."""
+        order = [self.components.index(name) for name in names]
+        ringing = np.linalg.inv(self.dynamics.response(frequency)) - np.eye(len(self.components))
+        return np.asarray(ringing[:, order][:, :, order])
+
     def noises(self, calm: Recording, settings: Settings, *, run: Recording) -> dict[str, NoiseSpectrum]:
         """Spectra of the noise of the components as they are taken apart in the run."""
         return noise_of_coupled(
@@ -229,7 +246,7 @@ class Coupled:
         return misfits_of_coupled(recording, self.dynamics, estimates)
 
 
-def read_known(path: Path) -> Known:
+def read_known(path: Path) -> Separate | Coupled:
     """Read a dynamics.json of either kind.
 
     Raises

@@ -171,6 +171,40 @@ def from_gauges(
     return (_without_gravity(ready) if files.tare else ready), Reduction(felt, matrix)
 
 
+class Source(NamedTuple):
+    """How a file becomes loads felt.
+
+    Attributes
+    ----------
+    known
+        The dynamics, whose mass carries the weight.
+    files
+        The balance with its zeros and tares; None where recordings hold loads already.
+    gravity
+        Local acceleration of gravity [m/s^2].
+    channel_map
+        Channel map of foreign files.
+    """
+
+    known: Known
+    files: BalanceFiles | None
+    gravity: float
+    channel_map: Path | None
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """All files that take part beside the recordings."""
+        balance = () if self.files is None else self.files.paths
+        return balance if self.channel_map is None else (*balance, self.channel_map)
+
+    def recording(self, path: Path) -> tuple[Recording, Reduction | None]:
+        """Read a file, and turn gauge outputs into loads felt."""
+        recording = recording_of(path, self.channel_map)
+        if self.files is None:
+            return recording, None
+        return from_gauges(recording, self.files, self.known, gravity=self.gravity, channel_map=self.channel_map)
+
+
 def _without_gravity(recording: Recording) -> Recording:
     """Drop the angles: the wind-off loads that were taken off have the weight in them."""
     for channel in recording:

@@ -58,8 +58,26 @@ def plan(
         component = next(iter(known))
     if component not in known:
         raise ValueError(f"{dynamics} has no {component}; it has {', '.join(known)}")
-    noise, force = _own(noise, component, "--noise"), None if force is None else _own(force, component, "--force")
-    chosen = known[component]
+    return _plan_one(
+        known[component],
+        rate=rate,
+        noise=_own(noise, component, "--noise"),
+        acceleration_noise=acceleration_noise,
+        force=None if force is None else _own(force, component, "--force"),
+        bandwidths=bandwidths,
+    )
+
+
+def _plan_one(
+    chosen: Dynamics,
+    *,
+    rate: float,
+    noise: float,
+    acceleration_noise: float,
+    force: float | None,
+    bandwidths: Sequence[float],
+) -> Account:
+    """Attainable uncertainty of a component that rings for itself."""
     sensors = {"noise": noise, "acceleration_noise": acceleration_noise, "force": force}
     with doubts() as collected:
         rows = [
@@ -71,8 +89,8 @@ def plan(
             for factor in (1, 2, 4, 8)
         ]
     account: Account = {
-        "component": component,
-        "unit": si_unit(component),
+        "component": chosen.component,
+        "unit": si_unit(chosen.component),
         "natural_frequency": {"value": chosen.natural_frequency, "unit": "Hz"},
         "further_natural_frequencies": [mode.natural_frequency for mode in chosen.further_modes],
         "rate": rate,

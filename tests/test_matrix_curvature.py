@@ -1,0 +1,106 @@
+"""What is not known of a matrix's curvature, in loads that change: against matrices drawn from its covariance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerobalance.balance import BalanceMatrix
+from aerobalance.calibration.fit import calibrate
+from aerobalance.channel import Array, Channel
+from aerobalance.loads import LoadsFelt, loads_felt
+from aerobalance.matrix_curvature import CurvatureErrors
+from aerobalance.recording import Recording
+from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
+from aerobalance.zeros import GaugeZero
+from seeds import generator, seed_from
+
+NOISE = 0.7e-3
+RATE, COUNT, HIGHEST = 1600.0, 16384, 200.0
+NATURAL = np.array([40.0, 45.0, 60.0, 70.0, 90.0, 150.0])
+
+
+def calibrated(rng: np.random.Generator, *, model: str, way: str = "iterative") -> BalanceMatrix:
+    schedule = CalibrationStand(random_balance(seed_from(rng), model=model), noise=NOISE).run(seed_from(rng)).schedule
+    return calibrate(schedule, model=model, way=way).matrix
+
+
+def shaking(rng: np.random.Generator) -> Array:
+    """Loads of a band of 5 to 60 Hz, shape (n, 6) [N, N*m]."""
+    frequency = np.fft.rfftfreq(COUNT, 1 / RATE)
+    inside = (frequency > 5) & (frequency < 60)
+    phasors = inside[:, None] * (rng.normal(size=(frequency.size, 6)) + 1j * rng.normal(size=(frequency.size, 6)))
+    loads = np.fft.irfft(phasors, COUNT, axis=0)
+    return 0.2 * CAPACITIES * loads / loads.std(axis=0)
+
+
+def felt_by(matrix: BalanceMatrix, outputs: Array) -> LoadsFelt:
+    gauges = {f"r{name}": outputs[:, place] for place, name in enumerate(matrix.gauges)}
+    channels = {name: Channel(name, values, "mV/V", noise=0.0) for name, values in gauges.items()}
+    recording = Recording.from_columns(np.arange(COUNT) / RATE, channels, name="run")
+    plain = replace(matrix, geometry=None)
+    return loads_felt(recording, plain, zero=GaugeZero(np.zeros(6), np.zeros(6), "none", np.zeros(6)))
+
+
+def ringing(frequency: Array) -> Array:
+    """Components each for itself, without damping: -(f / f0)^2."""
+    return -((frequency[:, None, None] / NATURAL[:, None]) ** 2) * np.eye(6) + 0j
+
+
+def drawn(matrix: BalanceMatrix, rng: np.random.Generator) -> BalanceMatrix:
+    """Another matrix that the calibration cannot tell from this one."""
+    mixed = np.linalg.cholesky(matrix.residual_correlation) @ rng.normal(size=(6, len(matrix.terms)))
+    change = [
+        np.linalg.cholesky(part + 1e-12 * np.diag(np.diag(part))) @ one
+        for part, one in zip(matrix.covariance, mixed, strict=True)
+    ]
+    return replace(matrix, coefficients=matrix.coefficients + np.array(change).T)
+
+
+def variance_in_force(error: Array, loads: Array) -> Array:
+    """Mean square of D e' + A e'' up to HIGHEST, what is linear in the loads taken off, shape (6,)."""
+    shapes = np.column_stack([np.ones(COUNT), loads])
+    curved = error - shapes @ np.linalg.lstsq(shapes, error, rcond=None)[0]
+    frequency = np.fft.rfftfreq(COUNT, 1 / RATE)
+    gain = np.einsum("mii->mi", ringing(frequency)) * (frequency <= HIGHEST)[:, None]
+    return np.mean(np.fft.irfft(np.fft.rfft(curved, axis=0) * gain, COUNT, axis=0) ** 2, axis=0)
+
+
+@pytest.mark.parametrize("way", ["iterative", "non-iterative"])
+def test_errors_of_matrices_drawn(way: str) -> None:
+    rng = generator()
+    matrix = calibrated(rng, model="27", way=way)
+    loads = shaking(rng)
+    outputs = matrix.outputs(loads)
+    felt = felt_by(matrix, outputs)
+    curvature = CurvatureErrors.of(felt, matrix, rate=RATE, highest=HIGHEST)
+    densities = curvature.in_force(ringing(curvature.resolved), list(matrix.components))
+    foretold = np.array([curvature.as_noise(part, bandwidth=HIGHEST)[0] for part in densities.T])
+    found = np.array(
+        [variance_in_force(drawn(matrix, rng).loads(outputs).loads - felt.native, loads) for _ in range(24)]
+    )
+    ratio = found / foretold**2
+    # 24 draws; and 6000 independent samples of 16384 in a window each, so that power differs from place to place by
+    # 2 % and, between a window and no window, by about as much: 5 of these
+    allowed = 5 * ratio.std(axis=0) / np.sqrt(24) + 0.1
+    assert np.all(np.abs(ratio.mean(axis=0) - 1) < allowed), (ratio.mean(axis=0), allowed)
+
+
+def test_a_linear_matrix_has_no_curvature() -> None:
+    rng = generator()
+    matrix = calibrated(rng, model="linear")
+    curvature = CurvatureErrors.of(felt_by(matrix, matrix.outputs(shaking(rng))), matrix, rate=RATE, highest=HIGHEST)
+    densities = curvature.in_force(ringing(curvature.resolved), list(matrix.components))
+    # what is left of a linear term is rounding: 1e-15 of capacity, enlarged by (200 / 40)^2
+    deviations = [curvature.as_noise(part, bandwidth=HIGHEST)[0] for part in densities.T]
+    assert np.all(np.array(deviations) < 1e-12 * CAPACITIES)
+
+
+def test_nothing_comes_of_a_band_without_frequencies() -> None:
+    rng = generator()
+    matrix = calibrated(rng, model="27")
+    curvature = CurvatureErrors.of(felt_by(matrix, matrix.outputs(shaking(rng))), matrix, rate=RATE, highest=HIGHEST)
+    deviation, spectrum = curvature.as_noise(np.zeros(curvature.resolved.size), bandwidth=HIGHEST)
+    assert deviation == 0 and spectrum.tolist() == [1.0]
