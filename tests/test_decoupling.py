@@ -100,7 +100,7 @@ def test_slopes_are_those_of_differences(drawn: Drawn) -> None:
     for number, own in zip(lone.rows(dynamics), slopes.T, strict=True):
         kind, i, j = np.unravel_index(number, (2, *dynamics.inertia.shape))
         name = ("inertia", "damping")[kind]
-        small = 1e-8 * float(np.sqrt(dynamics.inertia[i, i] * dynamics.inertia[j, j])) * (1, 2000)[kind]
+        small = 1e-6 * float(np.sqrt(dynamics.inertia[i, i] * dynamics.inertia[j, j])) * (1, 2000)[kind]
         rows = []
         for sign in (1, -1):
             changed = getattr(dynamics, name).copy()
@@ -108,8 +108,9 @@ def test_slopes_are_those_of_differences(drawn: Drawn) -> None:
             rows.append(replace(dynamics, **{name: changed}).inverse_response(frequency)[:, lone.place])
         change = np.einsum("mj,mj->m", (rows[0] - rows[1]) / (2 * small), lines) * lone.dynamics.response(frequency)
         expected = np.fft.irfft(change, count)
-        # the ripple of the interpolation's window (-80 dB) for each of the two times that something is driven
-        assert np.abs(own - expected).max() < 3e-4 * np.abs(expected).max(), f"{name} {i}, {j}, {entropy}"
+        # what the interpolation's window leaves (3e-6) each of the two times that something is driven; rounding of a
+        # difference over 1e-6, which powers of the frequency raise from 1e-10 to as much; five of these together
+        assert np.abs(own - expected).max() < 3e-5 * np.abs(expected).max(), f"{name} {i}, {j}, {entropy}"
 
 
 @pytest.mark.parametrize("frequency", [50.0, 600.0, 2000.0])
@@ -122,7 +123,7 @@ def test_straight_lines_do_a_sine_no_harm(frequency: float) -> None:
     clock = np.arange(fine.size) / (4 * RATE)
     size = 2 * np.mean(fine[middle] * np.sin(2 * np.pi * frequency * clock[middle]))
     whole = size * np.sinc(x / np.pi) ** 2  # amplitude of the sine in the lines between the points
-    # 4 x^4 / 60 for the lines, 2e-4 for the ripple of the interpolation's window (Kaiser, beta 8: -80 dB)
+    # 4 x^4 / 60 for the lines, 2e-4 for the ripple of the window of the interpolation (far less up to 0.3 of the rate)
     assert whole == pytest.approx(1, abs=4 * x**4 / 60 + 2e-4)
 
 

@@ -20,7 +20,7 @@ from aerobalance.channel import Array, Channel
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.contributions import Contribution, Systematic
 from aerobalance.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
-from aerobalance.decoupling import FINE, LoneComponent, finer
+from aerobalance.decoupling import FINE, SHARPNESS, LoneComponent, finer
 from aerobalance.estimate import FEWEST_SAMPLES, Job, Through
 from aerobalance.motion import GroundMotion, Unknown
 from aerobalance.noise import white_noise
@@ -378,7 +378,7 @@ def later(series: Array, by: float, *, interval: float) -> Array:
     """A band-limited series, shape (samples, ...), at instants that are later by so much [s]."""
     if not by or not series.any():
         return series
-    fine = resample_poly(series, FINE, 1, axis=0, window=("kaiser", 8.0), padtype="line")
+    fine = resample_poly(series, FINE, 1, axis=0, window=("kaiser", SHARPNESS), padtype="line")
     clock = np.arange(fine.shape[0]) * interval / FINE
     return np.asarray(CubicSpline(clock, fine)(np.clip(clock[::FINE] + by, clock[0], clock[-1])))
 

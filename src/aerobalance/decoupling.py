@@ -36,6 +36,13 @@ from aerobalance.elimination import Eliminated, modes_of, shares_of, stable_fact
 FINE: Final = 4
 """Steps into which a sampling interval is divided where readings drive a balance between samples."""
 
+SHARPNESS: Final = 12.0
+"""Parameter of the Kaiser window of the interpolation.
+
+It leaves errors below 3e-6 up to 0.3 of the sampling rate. A component may feel a hundred times the force that is to be
+found in another.
+"""
+
 EDGE: Final = 12
 """Samples at either end of a record that the window of the band-limited interpolation reaches beyond."""
 
@@ -224,7 +231,9 @@ def finer(series: Array) -> Array:
     difference, taken off beforehand, gives it back, and what is lost is (w h)^4 / 240.
     """
     first = series[:1]
-    fine = np.asarray(first + resample_poly(series - first, FINE, 1, axis=0, window=("kaiser", 8.0), padtype="line"))
+    fine = np.asarray(
+        first + resample_poly(series - first, FINE, 1, axis=0, window=("kaiser", SHARPNESS), padtype="line")
+    )
     # near the ends the window reaches beyond the record: a spline through the samples there knows better
     count = series.shape[0]
     near, part = min(EDGE, count), min(4 * EDGE, count)

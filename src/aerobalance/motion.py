@@ -12,6 +12,7 @@ from scipy.signal import resample_poly
 
 from aerobalance.channel import Array, Channel
 from aerobalance.components import STANDARD_GRAVITY
+from aerobalance.decoupling import SHARPNESS
 from aerobalance.dynamics import Dynamics
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning
@@ -285,7 +286,7 @@ def load_from_ground(motion: GroundMotion, dynamics: Dynamics, *, rate: float, l
     if not net.any():
         return np.zeros_like(net)
     lag = dynamics.delay + load_delay - motion.delay
-    fine = net[0] + resample_poly(net - net[0], FINE, 1, window=("kaiser", 8.0), padtype="line")
+    fine = net[0] + resample_poly(net - net[0], FINE, 1, window=("kaiser", SHARPNESS), padtype="line")
     if lag:
         clock = np.arange(fine.size) / (FINE * rate)
         inside = np.clip(clock - lag, clock[0], clock[-1])
