@@ -20,14 +20,11 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from aerobalance.channel import Array
-from aerobalance.decoupling import FINE
+from aerobalance.decoupling import FINE, SHARPNESS
 from aerobalance.dynamics import Mode
 
 REACH: Final = 10
 """Samples on either side that an interpolated value is made from."""
-
-SHARPNESS: Final = 8.0
-"""Parameter of the Kaiser window of the interpolation."""
 
 
 class LiveModes:
@@ -140,7 +137,7 @@ def _between(shift: float) -> tuple[Array, int]:
     As `aerobalance.decoupling.finer` makes it: a twelfth of the second difference is taken off, so that straight lines
     between its points do no harm. The first weight is that of the sample of the number returned beside them.
     """
-    weights, first = _interpolation(shift)
+    weights, first = interpolation(shift)
     count = weights.shape[1]
     # point p of the fine clock is at sample p // FINE and its phase; two intervals before the sample to one after it
     dense = np.zeros((4 * FINE, count + 3))
@@ -154,7 +151,7 @@ def _between(shift: float) -> tuple[Array, int]:
     return bent[:, used[0] : used[-1] + 1], first - 2 + int(used[0])
 
 
-def _interpolation(shift: float) -> tuple[Array, int]:
+def interpolation(shift: float) -> tuple[Array, int]:
     """Weights (FINE, taps) of the samples in the values on the fine clock, and the first tap's distance in samples."""
     place = np.arange(FINE) / FINE - shift
     first = int(np.floor(place[0])) - REACH + 1

@@ -60,6 +60,10 @@ LARGEST_SETUP: Final = 1_000_000
 """Largest set-up file that is read [bytes]."""
 
 
+LATEST: Final = 1.0
+"""Longest delay of a channel [s]; the live force waits for it."""
+
+
 class Files(Table):
     """Table ``[files]``: what turns the channels into loads and forces."""
 
@@ -227,6 +231,8 @@ def _check_channel(name: str, channel: SetChannel) -> None:
             conversion_for(name, channel.unit)
         except ValueError as error:
             raise ValueError(f"channels.{name}.unit: {error}") from None
+    if abs(channel.delay) > LATEST:
+        raise ValueError(f"channels.{name}.delay: must be at most {LATEST:g} s, either way, not {channel.delay:g} s")
     fault = channel.fault(name)
     if fault is not None:
         raise ValueError(f"{f'channels.{name}.{fault[0]}'.strip('.')}: {fault[1]}")

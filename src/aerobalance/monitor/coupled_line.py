@@ -32,10 +32,18 @@ class CoupledStream(Stream):
         Names of the columns, all components among them.
     channels
         Channels of the source, the first of the columns.
+    delays
+        Times by which the columns lag the clock [s].
     """
 
     def __init__(
-        self, dynamics: CoupledDynamics, *, rate: float, names: Sequence[str], channels: Sequence[StoredChannel]
+        self,
+        dynamics: CoupledDynamics,
+        *,
+        rate: float,
+        names: Sequence[str],
+        channels: Sequence[StoredChannel],
+        delays: Sequence[float],
     ) -> None:
         self.dynamics = dynamics
         columns = {name: place for place, name in enumerate(names)}
@@ -51,13 +59,15 @@ class CoupledStream(Stream):
         self._live: LiveCoupledForce | None = None
         loads = [columns[name] for name in dynamics.components]
         places = [columns[one.name] for one in sensors]
+        turning = [place for place in angles if place is not None]
         frequency = max([mode.natural_frequency for mode in dynamics.modes], default=rate / 16)
         super().__init__(
             rate=rate,
             frequency=frequency,
             loads=loads,
-            motion=[*places, *(place for place in angles if place is not None)],
+            motion=[*places, *turning],
             watched=[columns[one.name] for one in sensors if one.coupling != "dc"],
+            late=[*(delays[place] - delays[loads[0]] for place in (*loads, *places)), *(0.0 for _ in turning)],
         )
         self._sensors = slice(len(loads), len(loads) + len(places))
         self.lines = {name: CoupledLine(self, name) for name in dynamics.components}

@@ -12,6 +12,7 @@ import numpy as np
 from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
+from aerobalance.live_alignment import Aligner
 from aerobalance.live_state import Health, Learning, LiveEstimate, Snapshot
 from aerobalance.motion import AT_REST, gravity_share
 from aerobalance.noise import white_noise
@@ -48,13 +49,14 @@ LEARNED_FROM: Final = 12_000
 
 
 class Columns(NamedTuple):
-    """Where a component finds its channels; None for those that are not there."""
+    """Where a component finds its channels, None if not there, and how far the ground's lags the load [s]."""
 
     load: int
     ground: int | None
     pitch: int | None
     roll: int | None
     coupling: str
+    late: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,13 +123,23 @@ class Stream(ABC):
         Columns of the loads and of the other channels that are wanted.
     watched
         Which of the latter are accelerations of the ground end, to be taken as zero while they show nothing.
+    late
+        Times by which the loads and the other channels, in this order, lag the first load [s].
     """
 
     def __init__(
-        self, *, rate: float, frequency: float, loads: Sequence[int], motion: Sequence[int], watched: Sequence[int]
+        self,
+        *,
+        rate: float,
+        frequency: float,
+        loads: Sequence[int],
+        motion: Sequence[int],
+        watched: Sequence[int],
+        late: Sequence[float],
     ) -> None:
         self.factor = max(1, int(rate / (SAMPLES_A_PERIOD * frequency)))
         self.interval = self.factor / rate
+        self._late = [one * rate for one in late]
         self._loads, self._wanted = len(loads), [*loads, *motion]
         self._watched = [self._wanted.index(place) for place in watched]
         self.moves = np.zeros(len(watched), dtype=np.bool_)
@@ -166,7 +178,7 @@ class Stream(ABC):
         if not wanted.shape[0]:
             return {}
         self._last = wanted[-1]
-        return self._take(self._thinner.push(wanted))
+        return self._take(self._thinner.push(self._aligner.push(wanted)))
 
     def _take(self, rows: Array) -> dict[str, Piece]:
         self._see_ground(rows)
@@ -194,6 +206,7 @@ class Stream(ABC):
 
     def _reset(self, tick: int) -> None:
         """Begin with the sample at a tick."""
+        self._aligner = Aligner(self._late)
         self._thinner = Thinner(len(self._wanted), self.factor)
         self._origin, self._begun, self.pushed = tick, 0, 0
         self._waiting = np.empty((0, len(self._wanted)))
@@ -227,7 +240,8 @@ class Stream(ABC):
     @property
     def lag(self) -> float:
         """Time by which the force lags the readings [s]."""
-        return self._latency * self.interval + self._thinner.first * self.interval / self.factor
+        waits = self._thinner.first + self._aligner.ahead
+        return self._latency * self.interval + waits * self.interval / self.factor
 
     @property
     def _bridged(self) -> int:
@@ -308,8 +322,11 @@ class ForceLine(Stream):
         self._reads_gravity = columns.coupling == "dc" and columns.ground is not None
         watched = [] if self._reads_gravity or columns.ground is None else [columns.ground]
         motion = [place for place in columns[1:4] if place is not None]
+        late = [columns.late if place == columns.ground else 0.0 for place in (columns.load, *motion)]
         frequency = dynamics.natural_frequency
-        super().__init__(rate=rate, frequency=frequency, loads=[columns.load], motion=motion, watched=watched)
+        super().__init__(
+            rate=rate, frequency=frequency, loads=[columns.load], motion=motion, watched=watched, late=late
+        )
 
     @property
     def moving(self) -> bool:

@@ -98,6 +98,13 @@ class Panel:
         return () if self.balance is None else loads_of(self.balance)
 
     @property
+    def delays(self) -> tuple[float, ...]:
+        """Times by which the channels and the loads lag the clock [s]; a load lags as its gauges do on average."""
+        gauges = [channel.delay for channel in self.channels if is_gauge(channel.name)]
+        made = float(np.mean(gauges)) if gauges else 0.0
+        return (*(channel.delay for channel in self.channels), *(made for _ in self.loads))
+
+    @property
     def units(self) -> tuple[str, ...]:
         """Units in which the channels are shown."""
         return (*(_conversion(channel).unit for channel in self.channels), *(si_unit(name) for name in self.loads))
@@ -324,7 +331,9 @@ def _followed(panel: Panel) -> tuple[list[Stream], dict[str, Line]]:
     if isinstance(dynamics, CoupledDynamics):
         if not panel.components:
             return [], {}
-        stream = CoupledStream(dynamics, rate=panel.rate, names=panel.names, channels=panel.channels)
+        stream = CoupledStream(
+            dynamics, rate=panel.rate, names=panel.names, channels=panel.channels, delays=panel.delays
+        )
         return [stream], dict(stream.lines)
     lines = {name: _line(panel, name, dynamics[name]) for name in panel.components}
     return list(lines.values()), dict(lines)
@@ -334,7 +343,9 @@ def _line(panel: Panel, name: str, dynamics: Dynamics) -> ForceLine:
     places = {channel: place for place, channel in enumerate(panel.names)}
     ground = places.get(f"ground_acceleration{AXES.get(name, '')}", places.get("ground_acceleration"))
     coupling = "kinematic" if ground is None else panel.channels[ground].coupling
-    columns = Columns(places[name], ground, places.get("pitch"), places.get("roll"), coupling)
+    delays = panel.delays
+    late = 0.0 if ground is None else delays[ground] - delays[places[name]]
+    columns = Columns(places[name], ground, places.get("pitch"), places.get("roll"), coupling, late)
     return ForceLine(dynamics, rate=panel.rate, columns=columns)
 
 

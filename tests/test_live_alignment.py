@@ -1,0 +1,59 @@
+"""Channels that lag each other: brought onto one clock, whatever the lag, and however the samples come cut."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from aerobalance.live_alignment import Aligner
+from aerobalance.live_modes import REACH
+
+
+def pushed(aligner, rows, cuts):
+    parts = np.split(rows, sorted({min(cut, rows.shape[0]) for cut in cuts}))
+    return np.concatenate([aligner.push(part) for part in parts])
+
+
+def test_a_lag_of_any_part_of_a_sample_is_taken_out() -> None:
+    entropy = np.random.SeedSequence().entropy
+    rng = np.random.default_rng(entropy)
+    late = np.array([0.0, *rng.uniform(-30, 30, 4)])
+    k = np.arange(600.0)
+    # up to 0.7 of the Nyquist frequency; beyond, windows of so few samples fall off
+    turn = np.pi * rng.uniform(0.01, 0.7)
+    rows = np.sin(turn * (k[:, None] - late))
+    made = Aligner(late).push(rows)
+    expected = np.sin(turn * k[: made.shape[0]])
+    inside = slice(31 + REACH, None)
+    # the side lobes of a Kaiser window of parameter 8 are 58 dB below its peak, which is 1.3e-3
+    assert np.abs(made[inside] - expected[inside, None]).max() < 1.3e-3, entropy
+    assert made[:, 0] == pytest.approx(rows[: made.shape[0], 0], abs=0)
+
+
+def test_whole_samples_are_taken_out_exactly() -> None:
+    rows = np.random.default_rng(np.random.SeedSequence()).normal(size=(50, 3))
+    rows[20, 1] = np.nan
+    aligner = Aligner([0.0, 3.0, -4.0])
+    made = aligner.push(rows)
+    assert aligner.ahead == 3
+    assert made.shape == (47, 3)
+    assert np.array_equal(made[:, 0], rows[:47, 0])
+    assert np.array_equal(made[:, 1], rows[3:, 1], equal_nan=True)
+    assert np.array_equal(made[4:, 2], rows[:43, 2])
+    assert (made[:4, 2] == rows[0, 2]).all()
+
+
+def test_nothing_waits_where_nothing_is_late() -> None:
+    aligner = Aligner([0.0, 1e-15])
+    rows = np.ones((5, 2))
+    assert aligner.ahead == 0
+    assert aligner.push(rows) is rows
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.floats(-20, 20), min_size=1, max_size=3), st.lists(st.integers(0, 120), max_size=8))
+def test_chunks_make_no_difference(late, cuts) -> None:
+    rows = np.random.default_rng(1).normal(size=(120, len(late)))
+    rows[60, 0] = np.nan
+    whole = Aligner(late).push(rows)
+    assert pushed(Aligner(late), rows, cuts).tobytes() == whole.tobytes()

@@ -1,0 +1,108 @@
+"""Delays of channels, as a set-up gives them, are taken out of the live force."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerobalance.acquire.setup import setup_from, stored_channels
+from aerobalance.acquire.simulated import RigSettings, SimulatedSource, rig_dynamics
+from aerobalance.acquire.source import Block
+from aerobalance.io.hdf5_layout import StoredChannel
+from aerobalance.monitor.view import Panel, View
+from aerobalance.problems import ReadError
+from aerobalance.published import VIBRATION_RIG
+
+RATE = 25_000.0
+DYNAMICS = VIBRATION_RIG.dynamics
+
+
+def shaken(seed, *, load_late=0.0, ground_late=0.0):
+    """Load [N] and acceleration [m/s^2] of a balance shaken near resonance, each read late by so much [s]."""
+    time = np.arange(round(0.8 * RATE)) / RATE
+    felt, ground = np.zeros(time.size), np.zeros(time.size)
+    for frequency, amplitude in ((570.0, 20.0), (131.0, 30.0)):
+        turn = 2j * np.pi * frequency
+        response = complex(DYNAMICS.response(np.array([frequency]))[0])
+        ground += np.real(amplitude * np.exp(turn * (time - ground_late)))
+        felt -= np.real(DYNAMICS.mass * response * amplitude * np.exp(turn * (time - load_late)))
+    noise = np.random.default_rng(seed).normal(size=(2, time.size))
+    return np.column_stack((felt + 0.05 * noise[0], ground + 0.05 * noise[1]))
+
+
+def force_of(samples, *, delays=(0.0, 0.0), cuts=500):
+    channels = (
+        StoredChannel("AF", "N", delay=delays[0]),
+        StoredChannel("ground_acceleration", "m/s^2", delay=delays[1]),
+    )
+    view = View(Panel(channels, RATE, True, {"AF": DYNAMICS}, {}, {}))
+    found, tick = [], 0
+    edges = np.arange(0, len(samples), cuts) if isinstance(cuts, int) else cuts
+    for part in np.split(samples, edges):
+        if len(part):
+            view.feed(Block(tick, part, 0.0))
+            tick += len(part)
+            found += [bins.least[:, 0] for bins in view.take().forces.get("AF", ())]
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize("late", [(0.0, 37e-6), (53e-6, 0.0), (120e-6, 20e-6)])
+def test_delays_are_taken_out_of_the_force(late) -> None:
+    seed = np.random.SeedSequence().entropy
+    there = force_of(shaken(seed))
+    load_late, ground_late = late
+    samples = shaken(seed, load_late=load_late, ground_late=ground_late)
+    aligned, not_aligned = force_of(samples, delays=late), force_of(samples)
+    count = min(there.size, aligned.size)
+    after = slice(count // 2, count)
+    # no force is applied: what is left is noise, and as much of it whether channels are late or not
+    quiet = np.std(there[after])
+    assert np.std(aligned[after]) == pytest.approx(quiet, rel=0.2), seed
+    assert np.std(not_aligned[after]) > 5 * quiet, seed
+
+
+def test_chunks_make_no_difference() -> None:
+    seed = np.random.SeedSequence().entropy
+    rng = np.random.default_rng(seed)
+    late = (61e-6, 0.0)
+    samples = shaken(seed, load_late=late[0])[:12_000]
+    # whether the ground end moves is judged when 0.25 s have come, from as much as there is then
+    whole = force_of(samples, delays=late, cuts=[7000])
+    for _ in range(3):
+        cuts = np.sort(np.append(rng.integers(7000, len(samples), 40), 7000))
+        cut = force_of(samples, delays=late, cuts=cuts)
+        assert cut.tobytes() == whole.tobytes(), seed
+
+
+def test_delays_are_taken_out_of_forces_that_ring_together() -> None:
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    source = SimulatedSource(RigSettings(rig="six", speed=math.inf, seed=seed, noise=0.1, rate=6000.0))
+    source.start()
+    source.control("shake", 2.0)
+    channels = stored_channels(setup_from({}), source.channels)
+    whole = np.concatenate([source.read(1.0).samples for _ in range(80)])
+    lags = np.random.default_rng(seed).integers(0, 5, len(channels))
+    lags[0] = 0
+    late = np.column_stack([np.roll(column, lag) for column, lag in zip(whole.T, lags, strict=True)])[5:]
+    delayed = tuple(replace(one, delay=lag / 6000.0) for one, lag in zip(channels, lags, strict=True))
+    forces = []
+    for given, rows in ((channels, whole[5:]), (delayed, late)):
+        view = View(Panel(given, 6000.0, True, rig_dynamics("six"), {}, {}))
+        view.feed(Block(0, rows, 0.0))
+        found = view.take().forces
+        forces.append({name: np.concatenate([bins.least[:, 0] for bins in parts]) for name, parts in found.items()})
+    there, aligned = forces
+    assert set(there) == set(aligned) and len(there) == 6
+    for name, force in there.items():
+        count = min(force.size, aligned[name].size)
+        # the first samples are held where those before them are not there, which is forgotten by and by
+        after = slice(count // 2, count)
+        assert np.std(aligned[name][after] - force[after]) < 0.05 * np.std(force[after]), (seed, name)
+
+
+def test_a_delay_that_cannot_be_is_refused() -> None:
+    with pytest.raises(ReadError, match=r"channels\.AF.*delay.*at most 1 s"):
+        setup_from({"channels": {"AF": {"delay": 40.0}}})
