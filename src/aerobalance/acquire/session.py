@@ -17,6 +17,7 @@ from aerobalance.acquire.feed import Address, Feed, Hello, Order, Said, run_sour
 from aerobalance.acquire.planned import plan_of
 from aerobalance.acquire.recorder import Job, Progress, Tell, run_recorder
 from aerobalance.acquire.setup import Setup, setup_text, stored_channels
+from aerobalance.acquire.spawning import start
 from aerobalance.io.hdf5_layout import Provenance
 from aerobalance.problems import FitError
 
@@ -39,7 +40,7 @@ class Recorder:
     def __init__(self, job: Job, address: Address) -> None:
         self._control, other = _SPAWN.Pipe()
         self.process: SpawnProcess = _SPAWN.Process(target=run_recorder, args=(job, address, other), daemon=True)
-        self.process.start()
+        start(self.process)
         other.close()
         self.progress = Progress("waiting", "the recorder is starting", job.path)
 
@@ -119,7 +120,7 @@ class Session:
         self._control, other = _SPAWN.Pipe()
         arguments = (setup_text(setup), str(folder), self.address, other)
         self.process: SpawnProcess = _SPAWN.Process(target=run_source, args=arguments, daemon=True)
-        self.process.start()
+        start(self.process)
         other.close()
         self.said: list[Said] = []
         self._alive = True

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.context import SpawnProcess
 from typing import TYPE_CHECKING, Any, Final
 
+from aerobalance.acquire.spawning import start
 from aerobalance.monitor.jobs import Outcome, Task
 from aerobalance.monitor.messages import Answer, News, Trouble
 
@@ -60,7 +61,7 @@ class Engine:
         self._control, other = _SPAWN.Pipe()
         self.learner: SpawnProcess = _SPAWN.Process(target=_learner, args=(taught,), daemon=True)
         self.process: SpawnProcess = _SPAWN.Process(target=_engine, args=(other, learner), daemon=True)
-        self.process.start()
+        start(self.process)
         learner.close()
         other.close()
         self._taught: Pipe | None = taught
@@ -73,7 +74,7 @@ class Engine:
                 self._heard(answer)
                 if isinstance(answer, News) and self._taught is not None:
                     # not before: the first seconds belong to the charts
-                    self.learner.start()
+                    start(self.learner)
                     self._taught.close()
                     self._taught = None
         if not self._closed:
@@ -170,7 +171,7 @@ class Jobs:
         if self._pipe is None or self.process is None or not self.process.is_alive():
             self._pipe, other = _SPAWN.Pipe()
             self.process = _SPAWN.Process(target=_jobs, args=(other,), daemon=True)
-            self.process.start()
+            start(self.process)
             other.close()
         return self._pipe
 
