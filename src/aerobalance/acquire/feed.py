@@ -283,6 +283,9 @@ def run_source(setup: str, folder: str, address: Address, control: Connection[An
     # Where the starter was killed, nobody else removes the folder of the socket.
     with contextlib.suppress(OSError):
         Path(address.socket).parent.rmdir()
+    # Last, as the library of a device may end the process when its device is let go of.
+    with contextlib.suppress(Exception):
+        source.stop()
 
 
 def _serve(
@@ -312,9 +315,6 @@ def _serve(
         return "the program that started the source is gone"
     except (FitError, ReadError, OSError, ValueError) as problem:
         return f"the source failed: {problem}"
-    finally:
-        with contextlib.suppress(Exception):
-            source.stop()
     return stopped[0]
 
 
