@@ -1,8 +1,6 @@
 """openDAQ: a real server over the loopback is read without loss, killed, started again, and its gap known exactly."""
 
 import socket
-import subprocess
-import sys
 import time
 import warnings
 from fractions import Fraction
@@ -11,6 +9,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 from at_work import end_by_sigterm, follow, lost_by_a_kill
+from devices import RIG, Server, free_port
 
 from aerobalance.acquire.opendaq import DomainClock, OpendaqSource, origin_of
 from aerobalance.acquire.session import Session
@@ -26,9 +25,8 @@ installed = pytest.mark.skipif(
     reason="the extra opendaq is not installed",
 )
 
-# Processes that can be killed; they wait for a line before they listen, as starting Python takes its time. The first
-# publishes twelve channels at 25 kHz that count their own samples, and says which instant its first sample has, in
-# sampling intervals since 1970. The second is the command, with the simulated cable cut, slowly sampled.
+# A device of twelve channels at 25 kHz that count their own samples; it says which instant its first sample has, in
+# sampling intervals since 1970.
 SERVER = """
 import sys, time
 import numpy as np
@@ -52,61 +50,6 @@ while True:
         print(device.first, flush=True)
     tick += rows
 """
-
-
-RIG = """
-import sys
-from pathlib import Path
-import opendaq
-from aerobalance.acquire import opendaq_server, simulated
-from aerobalance.commands.publish import publish
-sys.stdin.readline()
-print(publish(setup=Path(sys.argv[2]), port=int(sys.argv[1]), say=lambda text: print(text, flush=True)))
-"""
-
-
-def free_port():
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
-
-
-def reachable(port, process):
-    """Wait until a server listens."""
-    limit = time.monotonic() + 30
-    while time.monotonic() < limit:
-        assert process.poll() is None, process.communicate()
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return
-        time.sleep(0.05)
-    raise AssertionError("the server does not listen")
-
-
-class Server:
-    """A process that is an openDAQ device, from `listen` on."""
-
-    def __init__(self, program, port, *arguments) -> None:
-        command = [sys.executable, "-c", program, str(port), *map(str, arguments)]
-        pipe = subprocess.PIPE
-        self.port = port
-        self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
-
-    def listen(self):
-        self.process.stdin.write("now\n")
-        self.process.stdin.flush()
-        reachable(self.port, self.process)
-        self.first = self.process.stdout.readline().strip()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.kill()
-
-    def kill(self):
-        self.process.kill()
-        self.process.communicate()
 
 
 def setup_of(address, *, channels=()):

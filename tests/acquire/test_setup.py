@@ -209,9 +209,7 @@ trees = st.recursive(
 )
 
 
-@settings(deadline=None, max_examples=400, suppress_health_check=[HealthCheck.too_slow])
-@given(st.dictionaries(keys, trees, max_size=6))
-def test_any_data_is_a_set_up_or_a_clear_error(given_data) -> None:
+def check_any_data(given_data):
     try:
         setup = setup_from(given_data)
     except ReadError as problem:
@@ -220,9 +218,7 @@ def test_any_data_is_a_set_up_or_a_clear_error(given_data) -> None:
     assert parse_setup(setup_text(setup)) == setup
 
 
-@settings(deadline=None, max_examples=300)
-@given(st.data())
-def test_any_damage_to_a_set_up_is_a_clear_error_or_a_set_up(data) -> None:
+def check_any_damage(data):
     text = FULL
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(text)))
@@ -234,3 +230,26 @@ def test_any_damage_to_a_set_up_is_a_clear_error_or_a_set_up(data) -> None:
         return
     back = parse_setup(setup_text(setup))
     assert back == setup or any(math.isnan(x) for x in (setup.source.model_dump().get("speed", 0),))
+
+
+def tried(check, of, examples):
+    """Run a check on so many examples, others every time."""
+    how = settings(deadline=None, max_examples=examples, suppress_health_check=list(HealthCheck), database=None)
+    how(given(of)(check))()
+
+
+ANY_DATA = st.dictionaries(keys, trees, max_size=6)
+
+
+def test_any_data_is_a_set_up_or_a_clear_error() -> None:
+    tried(check_any_data, ANY_DATA, 400)
+
+
+def test_any_damage_to_a_set_up_is_a_clear_error_or_a_set_up() -> None:
+    tried(check_any_damage, st.data(), 300)
+
+
+@pytest.mark.long
+def test_thousands_of_set_ups_in_data_and_text() -> None:
+    tried(check_any_data, ANY_DATA, 5_000)
+    tried(check_any_damage, st.data(), 5_000)

@@ -1,0 +1,52 @@
+"""The page in the process of a test, with the processes behind it."""
+
+import json
+import math
+import time
+
+from starlette.testclient import TestClient
+
+from aerobalance.acquire.simulated import RigSettings, SimulatedSource
+from aerobalance.monitor.access import Door
+from aerobalance.monitor.folder import Folder
+from aerobalance.monitor.server import Page
+from aerobalance.monitor.setups import rig_setup
+from aerobalance.monitor.station import Beginning
+
+BASE = "http://127.0.0.1:8765"
+LIVE = "ws://127.0.0.1:8765/live"
+
+
+class Running:
+    """A page in this process, with the processes behind it."""
+
+    def __init__(self, folder, rig="cable_cut", **door):
+        self.folder = folder
+        self.page = Page(Beginning(rig_setup(rig), Folder(folder), None), door=Door("127.0.0.1", 8765, **door))
+        self.client = TestClient(self.page.app, base_url=BASE, headers={"origin": BASE})
+
+    def __enter__(self):
+        self.client.__enter__()
+        self.wait(lambda state: state["source"]["state"] == "running")
+        return self
+
+    def __exit__(self, *error):
+        self.client.__exit__(*error)
+
+    def post(self, action, **body):
+        return self.client.post(f"/api/{action}", json=body)
+
+    def wait(self, holds, timeout=40.0):
+        limit = time.monotonic() + timeout
+        while time.monotonic() < limit:
+            state = self.client.get("/api/state").json()
+            if holds(state):
+                return state
+            time.sleep(0.05)
+        raise AssertionError(f"not within {timeout} s: {json.dumps(state)[:3000]}")
+
+
+def source_of(rig, **settings):
+    source = SimulatedSource(RigSettings(rig=rig, speed=math.inf, **settings))
+    source.start()
+    return source
