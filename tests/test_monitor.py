@@ -14,7 +14,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from aerobalance.acquire.feed import Hello
 from aerobalance.acquire.setup import setup_from, stored_channels
-from aerobalance.acquire.simulated import RigSettings, SimulatedSource, rig_dynamics
+from aerobalance.acquire.simulated import rig_dynamics
 from aerobalance.acquire.source import Block, SourceChannel
 from aerobalance.channel import QUANTITIES
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
@@ -25,7 +25,7 @@ from aerobalance.monitor.access import COOKIE, Door, is_loopback
 from aerobalance.monitor.board import Board, plain
 from aerobalance.monitor.command import Reach, monitor
 from aerobalance.monitor.folder import Folder
-from aerobalance.monitor.form import form_of
+from aerobalance.monitor.form import LABELS, form_of
 from aerobalance.monitor.jobs import Task, outcome_of
 from aerobalance.monitor.messages import News, Watching
 from aerobalance.monitor.panels import panel_of
@@ -39,12 +39,7 @@ from aerobalance.published import CABLE_CUT, VIBRATION_RIG
 from aerobalance.rigs.calibration_stand import random_balance
 from aerobalance.rigs.six_balance import random_balance as six_balance
 from aerobalance.stream import LiveForce
-
-
-def source_of(rig, **settings):
-    source = SimulatedSource(RigSettings(rig=rig, speed=math.inf, **settings))
-    source.start()
-    return source
+from running_page import BASE, LIVE, Running, source_of
 
 
 def view_of(source, **more):
@@ -399,40 +394,6 @@ def test_wrong_calls(tmp_path) -> None:
 
 # ---- the server
 
-BASE = "http://127.0.0.1:8765"
-LIVE = "ws://127.0.0.1:8765/live"
-
-
-class Running:
-    """A page in this process, with the processes behind it."""
-
-    def __init__(self, folder, rig="cable_cut", **door):
-        from starlette.testclient import TestClient
-
-        self.folder = folder
-        self.page = Page(Beginning(rig_setup(rig), Folder(folder), None), door=Door("127.0.0.1", 8765, **door))
-        self.client = TestClient(self.page.app, base_url=BASE, headers={"origin": BASE})
-
-    def __enter__(self):
-        self.client.__enter__()
-        self.wait(lambda state: state["source"]["state"] == "running")
-        return self
-
-    def __exit__(self, *error):
-        self.client.__exit__(*error)
-
-    def post(self, action, **body):
-        return self.client.post(f"/api/{action}", json=body)
-
-    def wait(self, holds, timeout=40.0):
-        limit = time.monotonic() + timeout
-        while time.monotonic() < limit:
-            state = self.client.get("/api/state").json()
-            if holds(state):
-                return state
-            time.sleep(0.05)
-        raise AssertionError(f"not within {timeout} s: {json.dumps(state)[:3000]}")
-
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory):
@@ -545,8 +506,9 @@ def test_form_lists_every_field() -> None:
     form = form_of(rig_setup("vibration"), None)
     fields = [field for key in ("files", "record", "envelope", "fouling") for field in form[key]]
     fields += [field for kind in (*form["sources"].values(), *form["tables"].values()) for field in kind]
-    for field in fields:
-        assert field["label"] != field["path"], f"{field['path']} has no label"
+    fields += [inner for field in fields for inner in field.get("fields", ())]
+    assert {"source.inputs.physical", "source.skew", "channels.axis"} <= {field["path"] for field in fields}
+    assert [field["path"] for field in fields if field["path"] not in LABELS] == []
     assert setup_from(
         {key: value for key, value in form["values"].items() if key != "kind"}
         | {"source": {**form["values"]["source"], "kind": form["values"]["kind"]}}

@@ -24,7 +24,7 @@ from aerobalance.monitor.setups import rig_setup
 from aerobalance.monitor.view import Panel, View
 from aerobalance.problems import DoubtWarning
 from aerobalance.published import CABLE_CUT, VIBRATION_RIG
-from test_monitor import Running, source_of
+from running_page import Running, source_of
 
 CHANNELS = (
     StoredChannel(name="NF", unit="kN"),

@@ -169,13 +169,11 @@ class Checks:
         self._show(kind, text, rows=rows, verdict=worst)
         self._station.note(text)
         for row in rows:
-            note = (
-                f"{_NAMES[kind]} {row['verdict']}: {row['channel']} changed by {row['change']:.5g} {row['unit']} "
-                f"+- {row['expanded']:.2g} (95 %), expected {row['expected']:.5g} +- {row['tolerance']:.2g}"
-            )
+            note = f"{_NAMES[kind]} {row['verdict']}: {_words(row)}"
             self.notes.append(note)
             self._station.note(note, shown=False)
-        self._station.say(text, kind="done" if worst == "passed" else "error")
+        bad = [_words(row).replace("+-", "±") for row in rows if row["verdict"] != "passed"]
+        self._station.say("; ".join([text, *bad]), kind="error" if bad else "done")
 
     def _shunts(self, changes: Mapping[str, Change]) -> list[dict[str, Any]]:
         setup, rows = self._station.setup, []
@@ -228,3 +226,10 @@ def _row(checked: Checked, unit: str) -> dict[str, Any]:
         "expanded": checked.expanded,
         "verdict": checked.verdict,
     }
+
+
+def _words(row: Mapping[str, Any]) -> str:
+    return (
+        f"{row['channel']} changed by {row['change']:.5g} {row['unit']} +- {row['expanded']:.2g} (95 %), "
+        f"expected {row['expected']:.5g} +- {row['tolerance']:.2g}"
+    )

@@ -32,7 +32,25 @@ LABELS: Final[Mapping[str, tuple[str, str, str]]] = {
     "source.circuit": ("Contact circuit", "", "between model and support"),
     "source.noise": ("Noise", "", "times the printed one"),
     "source.file": ("Recording", "", "file below the project folder"),
-    "source.map": ("Channel map", "", ""),
+    "source.map": ("Channel map", "", "for a recording of another program"),
+    "source.address": ("Address", "", "of the openDAQ device, such as daq.nd://192.168.0.5"),
+    "source.server": (
+        "NI gRPC server",
+        "",
+        "host:port, such as 192.168.0.5:31763; empty for devices of this computer",
+    ),
+    "source.skew": ("Skew", "s", "from one channel to the next of a device with one converter for all"),
+    "source.inputs": ("Inputs", "", "The analog inputs, in the order in which the device takes them."),
+    "source.inputs.physical": ("Physical channel", "", "such as cDAQ1Mod1/ai0"),
+    "source.inputs.measures": ("Measures", "", ""),
+    "source.inputs.low": ("Range from", "", "in mV/V, V or m/s²"),
+    "source.inputs.high": ("Range to", "", "in mV/V, V or m/s²"),
+    "source.inputs.excitation": ("Excitation", "V", "of a bridge"),
+    "source.inputs.excitation_source": ("Excitation from", "", "the device, or a supply of its own"),
+    "source.inputs.bridge": ("Bridge", "", ""),
+    "source.inputs.resistance": ("Bridge resistance", "ohm", ""),
+    "source.inputs.sensitivity": ("Sensitivity", "mV/g", "of an accelerometer"),
+    "source.inputs.current": ("Current", "A", "for an accelerometer"),
     "record.seconds": ("Length", "s", "empty for no end"),
     "record.block": ("Block on the disk", "s", "written and acknowledged at once"),
     "record.pre_trigger": ("Before the trigger", "s", ""),
@@ -48,9 +66,13 @@ LABELS: Final[Mapping[str, tuple[str, str, str]]] = {
     "channels.sign": ("Sign", "", ""),
     "channels.scale": ("Scale", "", ""),
     "channels.offset": ("Offset", "", ""),
-    "channels.delay": ("Delay", "s", ""),
+    "channels.delay": ("Delay", "s", "by which its readings are late; the force allows for it"),
     "channels.noise": ("Noise", "", "empty: estimated"),
     "channels.relative_uncertainty": ("Gain uncertainty", "", "relative"),
+    "channels.zero_uncertainty": ("Zero uncertainty", "", "in the channel's unit"),
+    "channels.place": ("Place", "m", "of a ground accelerometer, aft right up of the centre: 0.5 0 0.1"),
+    "channels.place_uncertainty": ("Place uncertainty", "m", ""),
+    "channels.axis": ("Axis", "", "of a ground accelerometer: aft, right or up, or its shares of these: 0 0.6 0.8"),
     "channels.coupling": ("Coupling", "", "of accelerations"),
     "channels.corner": ("Corner", "Hz", 'with coupling "ac"'),
     "channels.half_range": ("Half range", "", "percentages refer to it"),
@@ -75,6 +97,11 @@ LABELS: Final[Mapping[str, tuple[str, str, str]]] = {
 }
 """Label, unit and hint of the fields; the label of one that is not here is its key."""
 
+HINTS: Final[Mapping[str, str]] = {
+    "nidaqmx.rate": "the device takes the nearest that it has",
+}
+"""Hints that are others for one kind of source."""
+
 
 def form_of(setup: Setup, hello: Hello | None) -> dict[str, Any]:
     """Describe the form and what is in it, as plain data.
@@ -86,7 +113,7 @@ def form_of(setup: Setup, hello: Hello | None) -> dict[str, Any]:
     hello
         What the source says of itself; None where there is none.
     """
-    sources = {kind: _fields(model, "source", leave_out=("kind",)) for kind, model in SOURCES.items()}
+    sources = {kind: _fields(model, "source", leave_out=("kind",), kind=kind) for kind, model in SOURCES.items()}
     return {
         "values": setup.model_dump(mode="json", exclude_none=True, exclude_unset=True)
         | {"source": setup.source.model_dump(mode="json", exclude_none=True, exclude_unset=True)}
@@ -109,13 +136,23 @@ def form_of(setup: Setup, hello: Hello | None) -> dict[str, Any]:
     }
 
 
-def _fields(model: type[BaseModel], table: str, *, leave_out: tuple[str, ...] = ()) -> list[dict[str, Any]]:
+def _fields(
+    model: type[BaseModel], table: str, *, leave_out: tuple[str, ...] = (), kind: str = ""
+) -> list[dict[str, Any]]:
     schema = model.model_json_schema()
+    return [
+        field | ({"hint": HINTS[name]} if (name := f"{kind}.{field['key']}") in HINTS else {})
+        for field in _all(table, schema, schema.get("$defs", {}))
+        if field["key"] not in leave_out
+    ]
+
+
+def _all(table: str, schema: Mapping[str, Any], named: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """All fields of a table, and whether they are needed."""
     needed = schema.get("required", ())
     return [
-        _field(f"{table}.{key}", value, key, schema.get("$defs", {})) | {"needed": key in needed}
+        _field(f"{table}.{key}", value, key, named) | {"needed": key in needed}
         for key, value in schema["properties"].items()
-        if key not in leave_out
     ]
 
 
@@ -130,8 +167,7 @@ def _field(path: str, schema: Mapping[str, Any], key: str, named: Mapping[str, A
     field: dict[str, Any] = {"path": path, "key": key, "label": label, "unit": unit, "hint": hint}
     inner = next((kind["additionalProperties"] for kind in kinds if "additionalProperties" in kind), None)
     if inner is not None:
-        properties = named[inner["$ref"].rpartition("/")[2]]["properties"]
-        return field | {"type": "table", "fields": [_field(f"{path}.{k}", v, k, named) for k, v in properties.items()]}
+        return field | {"type": "table", "fields": _all(path, named[inner["$ref"].rpartition("/")[2]], named)}
     choices = next((kind["enum"] for kind in kinds if "enum" in kind), None)
     types = {kind.get("type") for kind in kinds}
     parts = [part for kind in kinds for part in (*kind.get("prefixItems", ()), kind.get("items")) if part]

@@ -42,6 +42,10 @@ export class Ring {
   }
 }
 
+// Canvases take no light-dark(): as properties of a registered kind the page's colours are read as what they come to.
+for (const name of ["band", "bad", "force", "grid", "muted", "raw", "third"])
+  CSS.registerProperty({ name: `--${name}`, syntax: "<color>", inherits: true, initialValue: "gray" });
+
 export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
 function fit(canvas) {
@@ -56,6 +60,10 @@ function fit(canvas) {
   paper.setTransform(ratio, 0, 0, ratio, 0, 0);
   paper.clearRect(0, 0, width, height);
   return { paper, width, height };
+}
+
+export function wipe(canvas) {
+  fit(canvas);
 }
 
 function nice(span, count) {

@@ -5,8 +5,14 @@ import { $, element } from "./dom.js";
 import { counters, factorOf, page, unitOf } from "./shown.js";
 
 const LOADS = /^(NF|PM|SF|YM|RM|AF)$/;
-const STATES = { ok: "● within limits", high: "▲ high", over: "■ over the limit", none: "– no readings" };
-const SHORT = { ok: "● ok", high: "▲ high", over: "■ over", none: "– none" };
+const STATES = {
+  ok: "● within limits",
+  high: "▲ high",
+  over: "■ over the limit",
+  none: "– no readings",
+  free: "– no limits set",
+};
+const SHORT = { ok: "● ok", high: "▲ high", over: "■ over", none: "– none", free: "– no limits" };
 const PROCESSES = {
   "start-up": "learning: wide band so far",
   learned: "learned",
@@ -148,9 +154,10 @@ function showEnvelope(found) {
 
 function showLoad(name, parts, reading) {
   const spread = reading.largest - reading.least,
-    { half_ranges: halves, limits } = page.panel;
-  parts.card.className = `card ${reading.state}${parts.small}`;
-  parts.state.textContent = (parts.small ? SHORT : STATES)[reading.state];
+    { half_ranges: halves, limits } = page.panel,
+    state = reading.state === "ok" && !halves[name] && !limits[name] ? "free" : reading.state;
+  parts.card.className = `card ${state}${parts.small}`;
+  parts.state.textContent = (parts.small ? SHORT : STATES)[state];
   if (reading.mean === null) {
     parts.felt.textContent = "–";
     parts.ends.textContent = "";
@@ -167,7 +174,7 @@ function showLoad(name, parts, reading) {
     words.push(`${number(100 * reading.limit, 3)} % ${of}${parts.small ? "" : "its "}limit`);
   const part = page.numbers.envelope?.parts[name];
   if (part !== undefined) words.push(`${number(100 * part, 2)} % ${parts.small ? "" : "in the "}envelope`);
-  parts.share.textContent = words.join(", ") || "no range given";
+  parts.share.textContent = words.join(", ");
 }
 
 function showForce(parts, estimate) {

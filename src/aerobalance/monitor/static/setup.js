@@ -24,7 +24,9 @@ function fieldOf(field, path, value) {
     input = inputOf(field, { id, "data-path": path }, value);
   input.field = field;
   const label = field.label + (field.unit ? ` [${field.unit}]` : ""),
-    hint = field.hint ? [element("span", { class: "hint" }, field.hint)] : [];
+    words = [field.needed ? "needed" : "", field.hint].filter(Boolean).join("; "),
+    hint = words ? [element("span", { class: "hint" }, words)] : [];
+  if (field.needed) input.setAttribute("aria-required", "true");
   return element("label", { class: field.long ? "long" : "", for: id }, label, input, ...hint);
 }
 

@@ -1,6 +1,6 @@
 // Strip charts, spectra and the waterfall: what has come from the server, drawn.
 
-import { Ring, Scale, spectrum, strip, waterfall } from "./charts.js";
+import { Ring, Scale, spectrum, strip, waterfall, wipe } from "./charts.js";
 import { $, element } from "./dom.js";
 import { factorOf, page, unitOf } from "./shown.js";
 
@@ -21,8 +21,9 @@ let rings = [],
 export function beginCharts() {
   makeRings();
   scales.clear();
-  rows = [];
-  $("no-force").hidden = page.panel.components.length > 0;
+  const forces = page.panel.components.length > 0;
+  for (const id of ["no-force", "no-spectrum"]) $(id).hidden = forces;
+  $("spectra-shown").hidden = !forces;
   $("channels").replaceChildren(
     ...page.panel.names.map((name, place) =>
       element(
@@ -39,6 +40,7 @@ export function beginCharts() {
       ),
     ),
   );
+  forgetSpectra();
 }
 
 function makeRings() {
@@ -59,6 +61,7 @@ export function chooseWindow(seconds) {
 
 export function forgetSpectra() {
   rows = [];
+  for (const id of ["spectrum", "waterfall"]) wipe($(id));
   redraw();
 }
 

@@ -1,0 +1,91 @@
+"""The page of the program, opened in Chromium."""
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+CHROMIUM = Path("/usr/bin/chromium")
+FLAGS = [
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+PROGRAM = """
+from pathlib import Path
+from aerobalance.monitor.command import Reach, monitor
+monitor(folder=Path({folder!r}), reach=Reach(port=0), browser=False, say=lambda text: print(text, flush=True))
+"""
+
+
+class Operator:
+    """A page of the program, in a browser."""
+
+    def __init__(self, browser, base, **how) -> None:
+        self.view = browser.new_page(**({"viewport": {"width": 1440, "height": 1000}} | how))
+        self.said, self.asked, self.base = [], [], base
+        self.view.on("console", lambda message: self.said.append(message.text))
+        self.view.on("pageerror", lambda error: self.said.append(str(error)))
+        self.view.on("request", lambda request: self.asked.append(request.url))
+        self.view.goto(base)
+
+    def until(self, expression, timeout=120.0):
+        """Wait for something to hold; the page's policy keeps Playwright's own way of waiting out."""
+        limit = time.monotonic() + timeout
+        while time.monotonic() < limit:
+            found = self.view.evaluate(expression)
+            if found:
+                return found
+            time.sleep(0.1)
+        messages = self.view.inner_text("#messages")
+        raise AssertionError(f"not within {timeout} s: {expression}; messages: {messages}; console: {self.said}")
+
+    def number(self, expression):
+        return self.view.evaluate(f"window.aerobalance.{expression}")
+
+    def report(self, text):
+        """Wait for a report whose name ends so, and return its words."""
+        self.until(f"document.getElementById('result-title').textContent.includes({text!r})", 300.0)
+        frame = self.view.frame_locator("#report")
+        frame.locator("h1").wait_for(timeout=60_000)
+        return frame.locator("main").inner_text()
+
+    def rig(self, name):
+        """Choose a simulated rig, and wait until its readings are shown."""
+        begun = self.view.evaluate("fetch('/api/state').then((a) => a.json()).then((s) => s.source.number)")
+        self.view.select_option("#rig", name)
+        self.until(f"fetch('/api/state').then((a) => a.json()).then((s) => s.source.number > {begun})")
+        self.until("window.aerobalance.source === 'running' && window.aerobalance.load !== null")
+
+    def open_setup(self):
+        self.view.click("#open-setup")
+        self.view.wait_for_selector("#setup[open]")
+
+    def use_setup(self):
+        """Take the set-up of the form, which has no fault."""
+        self.view.click("#setup-apply")
+        self.until("!document.getElementById('setup').open")
+
+    def setup_text(self):
+        return self.view.evaluate("fetch('/api/setup').then((answer) => answer.json()).then((form) => form.text)")
+
+
+@contextlib.contextmanager
+def page_in_chromium(folder):
+    """The page's program with a folder, and a browser: the browser, the address, and when the program was called."""
+    from playwright.sync_api import sync_playwright
+
+    begin = time.monotonic()
+    code = PROGRAM.format(folder=str(folder))
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            base = process.stdout.readline().split()[4].rstrip(";")
+            with sync_playwright() as playwright:
+                browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
+                yield browser, base, begin
+                process.send_signal(signal.SIGTERM)
+                assert process.wait(60) == 0  # with the browser's viewers connected
+                browser.close()
+        finally:
+            process.kill()
