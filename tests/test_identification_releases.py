@@ -5,13 +5,13 @@ import warnings
 
 import numpy as np
 import pytest
-from scipy.linalg import eigh, expm
+from scipy.linalg import expm
 from scipy.stats import chi2, norm
 
 from aerobalance.channel import Array, Channel
 from aerobalance.commands.identify_coupled import identify_decays
 from aerobalance.components import COMPONENTS, si_unit
-from aerobalance.coupled import CoupledDynamics, RigidMass
+from aerobalance.coupled import CoupledDynamics
 from aerobalance.dynamics import Dynamics
 from aerobalance.identification.coupled_model import compare_coupled, coupled_from_stiffness
 from aerobalance.identification.decay import identify_decay
@@ -26,11 +26,10 @@ from aerobalance.io import write_recording
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
+from rigid_balance import HALF_RANGE, RANGES, balance, truth
 
 RATE = 2500.0
 SECONDS = 0.6
-HALF_RANGE = np.array([2000.0, 150.0, 800.0, 80.0, 60.0, 500.0])
-RANGES = dict(zip(COMPONENTS, HALF_RANGE.tolist(), strict=True))
 NEVER = 1e-5
 """Probability with which a test of chance may fail for a fresh seed."""
 
@@ -38,25 +37,6 @@ NEVER = 1e-5
 def fresh() -> tuple[np.random.Generator, int]:
     seed = np.random.SeedSequence().entropy
     return np.random.default_rng(seed), seed
-
-
-def balance() -> tuple[RigidMass, Array, Array]:
-    """A rigid model off the balance's centre, its stiffness and its damping; modes from 76 to 406 Hz."""
-    inertia = np.array([[0.9, 0.03, -0.02], [0.03, 0.8, 0.05], [-0.02, 0.05, 0.15]])
-    mass = RigidMass(20.0, np.array([0.04, -0.02, 0.03]), inertia)
-    size = np.sqrt(np.diag(mass.matrix)) * 2 * np.pi * np.array([130.0, 300.0, 80.0, 180.0, 240.0, 400.0])
-    mixing = np.random.default_rng(5).uniform(-0.05, 0.05, (6, 6))
-    stiffness = (np.eye(6) + np.triu(mixing, 1) + np.triu(mixing, 1).T) * np.outer(size, size)
-    squares, shapes = eigh(stiffness, mass.matrix)
-    ratios = np.array([0.004, 0.01, 0.02, 0.006, 0.03, 0.015])
-    M = mass.matrix
-    return mass, stiffness, M @ shapes @ np.diag(2 * ratios * np.sqrt(squares)) @ shapes.T @ M
-
-
-def truth() -> CoupledDynamics:
-    mass, stiffness, damping = balance()
-    inverse = np.linalg.inv(stiffness)
-    return CoupledDynamics(COMPONENTS, mass.matrix @ inverse, damping @ inverse, mass=mass)
 
 
 def felt(dynamics: CoupledDynamics, held: Array, *, instant: float, duration: float = 0.0) -> Array:

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import eigh
 from scipy.stats import chi2
 
 from aerobalance.channel import Channel
@@ -22,11 +21,10 @@ from aerobalance.io.coupled_file import read_coupled
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.rigs.six_components import GROUND_CHANNELS, RATE_CHANNELS
+from rigid_balance import HALF_RANGE, RANGES, balance, truth
 
 RATE = 2500.0
 SAMPLES = 3000
-HALF_RANGE = np.array([2000.0, 150.0, 800.0, 80.0, 60.0, 500.0])
-RANGES = dict(zip(COMPONENTS, HALF_RANGE.tolist(), strict=True))
 LEVEL = np.array([2.0, 15.0, 2.0, 15.0, 30.0, 2.0])
 """Rms of the ground's motions [m/s^2, rad/s^2]."""
 GROUND_NOISE = np.array([0.02, 0.1, 0.02, 0.1, 0.1, 0.02])
@@ -40,46 +38,31 @@ def fresh():
     return np.random.default_rng(seed), seed
 
 
-def balance():
-    """A rigid model off the balance's centre on coupled springs; modes from 76 to 406 Hz."""
-    inertia = np.array([[0.9, 0.03, -0.02], [0.03, 0.8, 0.05], [-0.02, 0.05, 0.15]])
-    mass = RigidMass(20.0, np.array([0.04, -0.02, 0.03]), inertia)
-    size = np.sqrt(np.diag(mass.matrix)) * 2 * np.pi * np.array([130.0, 300.0, 80.0, 180.0, 240.0, 400.0])
-    mixing = np.random.default_rng(5).uniform(-0.05, 0.05, (6, 6))
-    stiffness = (np.eye(6) + np.triu(mixing, 1) + np.triu(mixing, 1).T) * np.outer(size, size)
-    squares, shapes = eigh(stiffness, mass.matrix)
-    ratios = np.array([0.004, 0.01, 0.02, 0.006, 0.03, 0.015])
-    M = mass.matrix
-    return mass, stiffness, M @ shapes @ np.diag(2 * ratios * np.sqrt(squares)) @ shapes.T @ M
-
-
-def truth():
-    mass, stiffness, damping = balance()
-    return CoupledDynamics.of_rigid_mass(mass, stiffness=stiffness, damping=damping)
-
-
 def shaken(generator, *, noise=1.0, along=None, extra=None, dynamics=None, late=0.0, rates=False, name="shake"):
-    """Middle of a periodic motion, so that its ends are in full motion; no w x (w x r), as the turns are small.
+    """Middle of a periodic motion, so that its ends are in full motion; all sensors are at the balance's centre.
 
-    The loads follow from the transform of the motion line by line; `extra` is what the mass matrix has beyond that of
-    the rigid mass.
+    The loads follow from the transforms of the motion and of what keeps the mass turning, line by line: the turns go
+    up to 600 Hz, their products to 1200 Hz, below half the sampling rate. `extra` is what the mass matrix has beyond
+    that of the rigid mass.
     """
     dynamics = truth() if dynamics is None else dynamics
-    mass = balance()[0].matrix if dynamics.mass is None else dynamics.mass.matrix
-    mass = mass if extra is None else mass + extra
+    rigid = balance()[0] if dynamics.mass is None else dynamics.mass
+    mass = rigid.matrix if extra is None else rigid.matrix + extra
     count = 2 * SAMPLES
     frequency = np.fft.rfftfreq(count, 1 / RATE)
     inside = (frequency > 15) & (frequency < 600)
     drawn = generator.normal(size=(frequency.size, 6)) + 1j * generator.normal(size=(frequency.size, 6))
     level = LEVEL * (np.ones(6) if along is None else along)
     lines = drawn * inside[:, None] * level * count / np.sqrt(4 * np.count_nonzero(inside))
-    felt = -np.einsum("mij,mj->mi", dynamics.response(frequency) @ mass, lines)
+    slow = np.where(inside, 2j * np.pi * frequency, 1.0)[:, None]
+    speed = np.fft.irfft(lines / slow, count, axis=0)
+    turning = rigid.turning_load(speed[:, [COMPONENTS.index(name) for name in MOMENTS]])
+    felt = -np.einsum("mij,mj->mi", dynamics.response(frequency), lines @ mass.T + np.fft.rfft(turning, axis=0))
     felt = felt * np.exp(-2j * np.pi * frequency * late)[:, None]
     part = slice(SAMPLES // 2, SAMPLES // 2 + SAMPLES)
     loads = np.fft.irfft(felt, count, axis=0)[part]
     motion = np.fft.irfft(lines, count, axis=0)[part]
-    slow = np.where(inside, 2j * np.pi * frequency, 1.0)[:, None]
-    speed = np.fft.irfft(lines / slow, count, axis=0)[part]
+    speed = speed[part]
     columns = {
         load: (column + generator.normal(0, noise * 1e-4 * size, SAMPLES), si_unit(load))
         for load, column, size in zip(COMPONENTS, loads.T, HALF_RANGE, strict=True)
@@ -118,18 +101,21 @@ def within(square, degrees):
     return chi2.ppf(NEVER, degrees) < square < chi2.isf(NEVER, degrees)
 
 
-def test_without_noise_it_is_exact():
+# The window passes 1e-7 of the loads. Near a mode A X'' is as large as X, while D X' is 2 zeta of it, 0.008 at least;
+# the mass is told beside the modes, which ring up the rms of the loads sqrt(pi f / (4 zeta 585 Hz)), up to six times.
+# A rate of turn that is integrated lacks a straight line, and its w x (w x r) and w x I w a tenth of themselves (the
+# uncertainty that `Turning` gives it); left out they make up to 1.4e-5 of A and 1.2e-3 of D.
+@pytest.mark.parametrize(("rates", "heavy", "slow"), [(True, 1e-7, 1e-7 / 0.008), (False, 1.4e-6, 1.2e-4)])
+def test_without_noise_it_is_exact(rates, heavy, slow):
     generator, seed = fresh()
-    found = identified(shaken(generator, noise=0.0))
+    found = identified(shaken(generator, noise=0.0, rates=rates))
     true = truth()
     scale = HALF_RANGE[None, :] / HALF_RANGE[:, None]
-    # the window passes 1e-7 of the loads, and an element that the motion hardly tells has that a hundred times over
-    # (1.4e-5 and 1.2e-3 at most in some twenty records); the damping is a hundredth of what it is told from
-    for kind, allowed in (("inertia", 1e-4), ("damping", 1e-2)):
+    for kind, allowed in (("inertia", heavy), ("damping", slow)):
         ours, theirs = getattr(found.dynamics, kind) * scale, getattr(true, kind) * scale
         assert np.abs(ours - theirs).max() < allowed * np.abs(theirs).max(), (seed, kind)
-    assert found.rigid.mass.mass == pytest.approx(20.0, rel=1e-5), seed
-    assert found.rigid.mass.centre == pytest.approx(true.mass.centre, abs=1e-5), seed
+    assert found.rigid.mass.mass == pytest.approx(20.0, rel=10 * heavy), seed
+    assert found.rigid.mass.centre == pytest.approx(true.mass.centre, abs=10 * heavy), seed
 
 
 def test_errors_are_those_that_are_told():
@@ -220,7 +206,8 @@ def test_a_mass_that_is_not_rigid_is_noticed():
 def test_a_mode_at_rest_is_refused_with_the_shake_to_add():
     generator, _ = fresh()
     mass, stiffness, _ = balance()
-    level = RigidMass(mass.mass, np.zeros(3), np.diag(np.diag(mass.inertia)))
+    # of equal inertia in pitch and yaw: then no turn of these two calls for a moment in roll
+    level = RigidMass(mass.mass, np.zeros(3), np.diag([0.9, 0.8, 0.8]))
     alone = np.diag(np.diag(stiffness))
     dynamics = CoupledDynamics.of_rigid_mass(level, stiffness=alone, damping=1e-5 * alone)
     along = np.where(np.array(COMPONENTS) == "RM", 0.0, 1.0)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from aerobalance.channel import Array
@@ -16,7 +17,7 @@ from aerobalance.coupled import CoupledDynamics
 from aerobalance.coupled_force import reconstruct_coupled
 from aerobalance.estimate import ForceEstimate
 from aerobalance.identification.coupled_identification import CoupledIdentification
-from aerobalance.identification.force_error import true_force_error
+from aerobalance.identification.force_error import predicted_force_error, true_force_error
 from aerobalance.identification.hidden_coordinates import static_shares
 from aerobalance.identification.releases import identify_releases
 from aerobalance.problems import DoubtWarning
@@ -29,6 +30,7 @@ from aerobalance.rigs.six_signals import Band, broadband
 RATE = 5000.0
 BALANCES = 12
 RIGID = 50
+GUSTS = 6
 SHARES = (0.03, 0.08)
 PLACES = (0.5, 1.5)
 """Frequencies of the further mode over the highest of the six."""
@@ -139,6 +141,11 @@ def test_the_seventh_mode_is_found(record) -> None:
 
 
 def test_six_modes_alone_cost(record) -> None:
+    """Six modes take up six of the seven, and what is said names the one that they lack.
+
+    Six modes alone are the six that ring most: nothing in them tells which mode is of the model or sting. So the one
+    that they lack may be of the balance, and that is what is missing in the force.
+    """
     rng = generator()
     gains, far = [], []
     for _ in range(4):
@@ -147,12 +154,19 @@ def test_six_modes_alone_cost(record) -> None:
         seven, six = identified(balance, made), identified(balance, made, modes=6)
         errors = [true_force_error(fit.dynamics, true, sizes=fit.applied) / balance.half_range for fit in (six, seven)]
         gains.append(float(errors[0].max() / errors[1].max()))
-        place = int(np.argmin(static_shares(true.modal_form)))
         named = [re.search(r"near (\S+) Hz as the 6 modes", note) for note in six.notes]
-        far.append(min(abs(float(m[1]) / true.modes[place].natural_frequency - 1) for m in named if m))
+        far.append(min(abs(float(m[1]) / lacking(six, true) - 1) for m in named if m))
     record("force error with six modes alone over that with the seventh, over 5", float(np.median(gains)) / 5, 1.0)
+    record("frequency of the mode that six lack: 1 % over the worst error", 0.01 / max(far), 1.0)
     assert np.median(gains) > 5
-    assert max(far) < 0.1, far
+    assert max(far) < 0.01, far  # a first guess without noise to speak of, four digits printed
+
+
+def lacking(six: CoupledIdentification, true: CoupledDynamics) -> float:
+    """Frequency of the true mode that is none of those found [Hz]."""
+    theirs, ours = (np.log([mode.natural_frequency for mode in modes]) for modes in (true.modes, six.modes))
+    rows, _ = linear_sum_assignment(np.abs(theirs[:, None] - ours))
+    return float(np.exp(np.delete(theirs, rows)[0]))
 
 
 def test_rigid_models_have_six_modes(record) -> None:
@@ -167,23 +181,30 @@ def test_rigid_models_have_six_modes(record) -> None:
 
 
 def test_the_force_with_a_bending_mode(record) -> None:
-    """A gust through all seven modes: the force by what releases gave, against that by the truth."""
+    """A gust through all seven modes: the force by what releases gave, against the truth and what is predicted of it.
+
+    Noise of the run and errors of the dynamics are independent of each other, so that the square of the error is that
+    with the true dynamics and the predicted square together, u^2, on average. The errors of one balance hang together:
+    at worst one normal deviate makes all of them, and the mean over the balances is chi2 / BALANCES or less.
+    """
     rng = generator()
-    ratios = []
-    for _ in range(3):
+    squares = []
+    for _ in range(GUSTS):
         balance, true = bent(rng)
         fit = identified(balance, released(balance, true, rng))
-        highest = true.modes[-1].natural_frequency
-        load = broadband(rng, Band(0, 1.1 * highest), rms=0.1 * balance.half_range, period=1.0)
+        highest, sizes = true.modes[-1].natural_frequency, 0.1 * balance.half_range
+        load = broadband(rng, Band(0, 1.1 * highest), rms=sizes, period=1.0)
         run = SixComponentRig(balance, applied=load, output="loads", dynamics=true).run(0.5, rng)
-        errors = [
+        found, best = (
             force_error(run, reconstruct_coupled(run.recording, dynamics, bandwidth=1.4 * highest))
+            / balance.half_range
             for dynamics in (fit.dynamics, true)
-        ]
-        ratios.append(float(np.divide(*(np.linalg.norm(error / balance.half_range) for error in errors))))
-    worst = max(ratios)
-    record("force by identified dynamics with a bending mode: 2 over its error to that by the true", 2 / worst, 1)
-    assert worst < 2
+        )
+        u = predicted_force_error(fit.dynamics, sizes=sizes, band=(0, 1.1 * highest)) / balance.half_range
+        squares.append(float(found @ found / (best @ best + u @ u)))
+    rms, high = float(np.sqrt(np.mean(squares))), float(np.sqrt(chi2.isf(1e-5, GUSTS) / GUSTS))
+    record("force with a bending mode: bound by chance over its error to that by the true and u", high / rms, 1)
+    assert rms < high, squares
 
 
 def force_error(run: SixSimulation, force: dict[str, ForceEstimate]) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from aerobalance.commands.identify import number_of_modes
 from aerobalance.commands.shared import Account, amounts, check_out, doubts, recording_of, table_text
 from aerobalance.commands.weighing import mass_file
 from aerobalance.components import COMPONENTS, MOMENTS, si_unit
-from aerobalance.identification.coupled_identification import CoupledIdentification
+from aerobalance.identification.coupled_identification import CoupledIdentification, CoupledResult
 from aerobalance.identification.releases import identify_releases
 from aerobalance.io.coupled_file import coupled_payload, write_coupled
 from aerobalance.io.mass_file import read_mass
@@ -66,22 +67,55 @@ def identify_decays(
     with doubts() as collected:
         recordings = [recording_of(path, channel_map) for path in paths]
         found = identify_releases(recordings, components=components, mass=weighed, half_range=half_range, modes=wanted)
-    details = _details(found, weighing)
+    return account_of(
+        found,
+        out,
+        details=_details(found, weighing),
+        summary=summary(found, weighing),
+        inputs=[*paths, channel_map, mass_file(mass)],
+        settings={"mass": mass, "half_range": half_range, "modes": modes},
+        doubted=collected,
+    )
+
+
+def account_of(
+    found: CoupledResult,
+    out: Path | None,
+    *,
+    details: Account,
+    summary: str,
+    inputs: Sequence[Path | None],
+    settings: Mapping[str, Any],
+    doubted: Sequence[str],
+) -> Account:
+    """Write dynamics.json where it is wanted, and tell what was found.
+
+    Parameters
+    ----------
+    found
+        What was found.
+    out
+        dynamics.json to write, or None.
+    details, summary
+        How the fit went, as plain data and as tables for people.
+    inputs
+        Files that were read; None where one was not given.
+    settings
+        Options of the command, the mass as it was given.
+    doubted
+        What was doubted on the way.
+    """
     if out is not None:
-        inputs = [*paths, *(file for file in (channel_map, mass_file(mass)) if file is not None)]
-        settings = {
+        mass, half_range = settings["mass"], settings["half_range"]
+        kept = {
             "components": list(found.dynamics.components),
-            "mass": mass if mass_file(mass) is None else Path(str(mass)).name,
+            **settings,
+            "mass": mass if mass_file(mass) is None else Path(mass).name,
             "half_range": None if half_range is None else dict(half_range),
-            "modes": modes,
         }
-        write_coupled(out, found.dynamics, details=details, inputs=inputs, settings=settings, warnings=collected)
-    return {
-        **coupled_payload(found.dynamics),
-        "fit": details,
-        "summary": summary(found, weighing),
-        "warnings": collected,
-    }
+        files = [file for file in inputs if file is not None]
+        write_coupled(out, found.dynamics, details=details, inputs=files, settings=kept, warnings=doubted)
+    return {**coupled_payload(found.dynamics), "fit": details, "summary": summary, "warnings": doubted}
 
 
 def half_ranges(texts: Sequence[str]) -> dict[str, float] | None:

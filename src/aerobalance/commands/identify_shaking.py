@@ -18,7 +18,7 @@ from aerobalance.commands.coupled_tables import (
     test_details,
     tests_text,
 )
-from aerobalance.commands.identify_coupled import weighed_mass
+from aerobalance.commands.identify_coupled import account_of, weighed_mass
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of, table_text
 from aerobalance.commands.weighing import mass_file
 from aerobalance.components import COMPONENTS, MOMENTS
@@ -26,7 +26,6 @@ from aerobalance.ground_sensors import motion_name
 from aerobalance.identification.mass_matrix import Departure
 from aerobalance.identification.shaking import identify_shaking
 from aerobalance.identification.shaking_identification import ShakingIdentification
-from aerobalance.io.coupled_file import coupled_payload, write_coupled
 from aerobalance.weighing.result import Weighing
 
 
@@ -58,21 +57,15 @@ def identify_shaken(
     with doubts() as collected:
         recordings = [recording_of(path, channel_map) for path in paths]
         found = identify_shaking(recordings, mass=weighed, half_range=half_range)
-    details = _details(found, weighing)
-    if out is not None:
-        inputs = [*paths, *(file for file in (channel_map, mass_file(mass)) if file is not None)]
-        settings = {
-            "components": list(found.dynamics.components),
-            "mass": mass if mass_file(mass) is None else Path(str(mass)).name,
-            "half_range": None if half_range is None else dict(half_range),
-        }
-        write_coupled(out, found.dynamics, details=details, inputs=inputs, settings=settings, warnings=collected)
-    return {
-        **coupled_payload(found.dynamics),
-        "fit": details,
-        "summary": _summary(found, weighing),
-        "warnings": collected,
-    }
+    return account_of(
+        found,
+        out,
+        details=_details(found, weighing),
+        summary=_summary(found, weighing),
+        inputs=[*paths, channel_map, mass_file(mass)],
+        settings={"mass": mass, "half_range": half_range},
+        doubted=collected,
+    )
 
 
 def motion_unit(component: str) -> str:

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
+from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from aerobalance.channel import Array
 from aerobalance.coupled import ModalForm
+from aerobalance.identification.free_motion import FreeMotion
 from aerobalance.identification.hidden_coordinates import static_shares
 from aerobalance.identification.realisation import Guess, from_modes, quick_guess
 from aerobalance.identification.release_advice import excitation, pairs
@@ -24,8 +27,10 @@ from aerobalance.identification.release_stages import (
     decays_of,
     fit_decays,
     guess_of,
+    margin_of,
     with_edges,
 )
+from aerobalance.identification.ring import HEAVIEST
 from aerobalance.problems import FitError
 
 MOST: Final = 3
@@ -37,9 +42,6 @@ EVIDENCE: Final = 25.0
 LOST: Final = 0.1
 """Part of its gain that a mode may lose where releases begin at rest: what rings before them as well is no mode."""
 
-HEAVIEST: Final = 0.3
-"""Damping ratio above which a further mode is none but the misfit of something else."""
-
 STRANGE: Final = 0.5
 """Distance of a mode's static share from 0 to 1 beyond which it is no mode of a structure."""
 
@@ -47,10 +49,13 @@ DECAYS: Final = 0.05
 """Logarithm of the decay over the longest record below which a line is hum and no mode."""
 
 SPLIT: Final = 2.0
-"""Distance of two poles, over the faster decay, below which two modes of one shape are one that is not linear."""
+"""Distance of two poles, over the faster decay, below which two modes of one shape may be one that is not linear."""
 
 ALIKE: Final = 0.95
 """Square of the cosine between shapes of modes from which they are one shape."""
+
+IN_TWO: Final = "one mode more takes the place of one that is not linear"
+"""What is said of such modes."""
 
 BEFORE: Final = 0.5
 """Power of a line before the releases, over that after them, from which it does not come from them."""
@@ -77,7 +82,7 @@ class ChosenFit:
     fit, units
         The fit.
     peak
-        Frequency of a narrow peak that is left in the residuals [Hz], or None.
+        Frequency of what rings beside the modes fitted [Hz], or None.
     why
         What stood against a further mode that the decays show, or None.
     """
@@ -100,27 +105,28 @@ def fit_modes(records: Sequence[ReleaseRecord], *, sizes: Array, modes: int | Li
         start = guess_of(records, hidden=modes - sizes.size)
         free, units = fit_decays(records, sizes=sizes, start=start)
         fit = with_edges(free, records, units)
-        return ChosenFit(fit, units, peak_of(fit, units, records))
+        return ChosenFit(fit, units, _missed(fit, units, records))
     free, units, gain = _free_decays(records, sizes=sizes)
     if not free.hidden:
         fit = with_edges(free, records, units)
-        return ChosenFit(fit, units, peak_of(fit, units, records))
+        return ChosenFit(fit, units, _missed(fit, units, records))
     try:
         fit = with_edges(free, records, units)
     except (FitError, np.linalg.LinAlgError) as problem:
-        return _without(records, sizes, str(problem))
-    if not _of_a_structure(fit):
-        return _without(records, sizes, "its share of the load is none of a structure")
+        return _without(records, sizes, IN_TWO if len(_twins(free)) else str(problem))
+    against = _against(fit)
+    if against is not None:
+        return _without(records, sizes, against)
     if gain_over(free, fit) > LOST * gain:
         return _without(records, sizes, "its motion does not begin at rest with the releases")
-    return ChosenFit(fit, units, peak_of(fit, units, records))
+    return ChosenFit(fit, units, _missed(fit, units, records))
 
 
 def _without(records: Sequence[ReleaseRecord], sizes: Array, why: str) -> ChosenFit:
     """The fit with one mode for each component, although the decays show more."""
     free, units = fit_decays(records, sizes=sizes, start=guess_of(records))
     fit = with_edges(free, records, units)
-    return ChosenFit(fit, units, peak_of(fit, units, records), why)
+    return ChosenFit(fit, units, _missed(fit, units, records), why)
 
 
 def _free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units, float]:
@@ -134,7 +140,8 @@ def _free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Rel
         except (FitError, np.linalg.LinAlgError):  # modes that are not found are none
             continue
         gained = gain_over(larger, free)
-        if gained > _by_chance(larger, hidden - free.hidden) + EVIDENCE and _physical(larger, others, records[0].rate):
+        clear = gained > _by_chance(larger, larger.hidden, hidden - free.hidden) + EVIDENCE
+        if clear and _physical(larger, others, records[0].rate) and len(_twins(larger)) <= len(_twins(free)):
             free, units, gain = larger, others, gained
     return free, units, gain
 
@@ -159,7 +166,7 @@ def _beginning(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Relea
             gain = gain_over(free, _with_one_less(free, units, records, sizes))
         except (FitError, np.linalg.LinAlgError):  # with less there is no fit, but a guess
             gain = count / 2 * float(np.log(before / quick.squares)) if np.isfinite(before) else 0.0
-        if gain > _by_chance(free, 1) + EVIDENCE and _physical(free, units, rate):
+        if gain > _by_chance(free, free.hidden, 1) + EVIDENCE and _physical(free, units, rate):
             return free, units, gain
     free, units = fit_decays(records, sizes=sizes, start=guess_of(records))
     return free, units, 0.0
@@ -178,11 +185,11 @@ def _with_one_less(free: ReleaseFit, units: Units, records: Sequence[ReleaseReco
     return fit_decays(records, sizes=sizes, start=Start(Guess(*units.bare(*matrices), squares=0.0), 0.0))[0]
 
 
-def _by_chance(larger: ReleaseFit, more: int) -> float:
-    """Log-likelihood that the parameters of some modes more may gain by chance."""
-    size, e = larger.size + larger.hidden, larger.hidden
-    count = 2 * (size**2 - e**2) - 2 * ((size - more) ** 2 - (e - more) ** 2) + 2 * more * len(larger.pieces)
-    return count / 2 * float(np.log(max(larger.degrees_of_freedom, 2)))
+def _by_chance(fit: ReleaseFit, hidden: int, more: int) -> float:
+    """Log-likelihood that the parameters of the last modes more, of so many hidden, may gain by chance."""
+    size, fewer = fit.size + hidden, hidden - more
+    count = 2 * (size**2 - hidden**2) - 2 * ((size - more) ** 2 - fewer**2) + 2 * more * len(fit.pieces)
+    return count / 2 * float(np.log(max(fit.degrees_of_freedom, 2)))
 
 
 def gain_over(larger: ReleaseFit, smaller: ReleaseFit) -> float:
@@ -201,29 +208,67 @@ def gain_over(larger: ReleaseFit, smaller: ReleaseFit) -> float:
 
 
 def _physical(fit: ReleaseFit, units: Units, rate: float) -> bool:
-    """Whether all modes oscillate, decay lightly damped, lie in the band and are apart."""
-    motion = fit.motion
-    up, sizes = pairs(motion)
-    poles, shapes = motion.poles[up], motion.felt[:, up] / np.linalg.norm(motion.felt[:, up], axis=0)
+    """Whether all modes oscillate, decay lightly damped and lie in the band."""
+    poles, sizes = fit.motion.poles, pairs(fit.motion)[1]
     longest = max(float(piece.time[-1] - piece.edge[1]) for piece in fit.pieces)
-    near = np.abs(poles[:, None] - poles) < SPLIT * np.maximum(-poles.real[:, None], -poles.real)
-    alike = np.abs(shapes.conj().T @ shapes) ** 2 > ALIKE
     return bool(
-        up.size == fit.size + fit.hidden
+        sizes.size == fit.size + fit.hidden
         and (-poles.real * longest > DECAYS).all()
-        and (-poles.real < HEAVIEST * sizes).all()
+        and (-poles.real < HEAVIEST * np.abs(poles)).all()
         and sizes.max() * units.rate / (2 * np.pi) < TOP * rate / 2
-        and not np.triu(near & alike, 1).any()
     )
 
 
-def _of_a_structure(fit: ReleaseFit) -> bool:
-    """Whether each mode carries a part of the loads at rest that modes of a structure may."""
+def _twins(fit: ReleaseFit) -> NDArray[np.intp]:
+    """Pairs of modes near each other and of one shape, as one that is not linear splits into, shape (k, 2)."""
+    motion = fit.motion
+    up, _ = pairs(motion)
+    poles, shapes = motion.poles[up], motion.felt[:, up] / np.linalg.norm(motion.felt[:, up], axis=0)
+    near = np.abs(poles[:, None] - poles) < SPLIT * np.maximum(-poles.real[:, None], -poles.real)
+    alike = np.abs(shapes.conj().T @ shapes) ** 2 > ALIKE
+    return np.argwhere(np.triu(near & alike, 1))
+
+
+def _against(fit: ReleaseFit) -> str | None:
+    """What speaks against modes of a structure in the part of the loads at rest that each mode carries, or None.
+
+    Two modes of the balance may be near each other and of one shape: they carry 2 between them. Where a mode is not
+    linear, the two into which it splits carry its 1.
+    """
     motion, n = fit.motion, fit.size
     spring = fit.matrices.reshape(2, motion.size, motion.size)[0]
-    form = ModalForm(motion.poles, motion.felt, motion.shares[:, motion.size :] @ spring[:, :n])
-    shares = static_shares(form)
-    return bool(((shares > -STRANGE) & (shares < 1 + STRANGE)).all())
+    shares = static_shares(ModalForm(motion.poles, motion.felt, motion.shares[:, motion.size :] @ spring[:, :n]))
+    if not ((shares > -STRANGE) & (shares < 1 + STRANGE)).all():
+        return "its share of the load is none of a structure"
+    if (shares[_twins(fit)].sum(axis=1) < 1 + STRANGE).any():
+        return IN_TWO
+    return None
+
+
+def _missed(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> float | None:
+    """Frequency of what rings beside the modes fitted [Hz], or None.
+
+    That of the narrow peak in the residuals, or rather of the mode that a motion with one more has and the fit lacks,
+    where the decays show it clearly: the residuals are that mode less what the others take of it.
+    """
+    peak = peak_of(fit, units, records)
+    decays = decays_of(records, 0.0)
+    if peak is None or not decays or fit.hidden >= MOST:
+        return peak
+    quick = quick_guess(decays, rate=records[0].rate, hidden=fit.hidden + 1)
+    count = sum(decay.size for decay in decays)
+    noise = np.min([record.noise for record in records], axis=0) / units.sizes
+    left = np.vstack([linear.ringing for linear in fit.linears]) / noise
+    if quick is None:
+        return peak
+    gain = count / 2 * float(np.log(np.mean(left**2) * count / quick.squares))
+    if gain < _by_chance(fit, fit.hidden + 1, 1) + EVIDENCE:
+        return peak
+    theirs = np.log(pairs(FreeMotion.of(quick.spring, quick.brake, components=fit.size))[1])
+    ours = np.log(pairs(fit.motion)[1] * units.rate)
+    rows, _ = linear_sum_assignment(np.abs(theirs[:, None] - ours))
+    others = np.delete(theirs, rows)
+    return float(np.exp(others[0])) / (2 * np.pi) if others.size == 1 else peak
 
 
 def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> float | None:
@@ -259,13 +304,14 @@ def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
 
 
 def _rings_before(fit: ReleaseFit, line: float, units: Units, records: Sequence[ReleaseRecord]) -> bool:
-    """Whether a line is there before the releases as well, as hum is."""
+    """Whether a line is there before the releases as well, as hum is: over stretches of one length on both sides."""
     before, after = 0.0, 0.0
     for piece, linear, record in zip(fit.pieces, fit.linears, records, strict=True):
-        held = max(record.onset - 4, 0)
+        held = int(np.searchsorted(piece.time, -margin_of(record, units)))
         if held and piece.time[held - 1] - piece.time[0] > 2 * (2 * np.pi / line):
+            time = piece.time[-len(linear.ringing) :]
             before += _power_of(line, piece.time[:held], record.values[:held] / units.sizes, fit.noise)
-            after += _power_of(line, piece.time[-len(linear.ringing) :], linear.ringing, fit.noise)
+            after += _power_of(line, time[:held], linear.ringing[:held], fit.noise)
     return before > BEFORE * after > 0
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from aerobalance.channel import Array
 from aerobalance.identification.maximum_likelihood import Estimate, first_weights, gain_over, maximise, rough_mode
 from aerobalance.identification.response import Parameters, Problem, point
+from aerobalance.identification.ring import HEAVIEST
 from aerobalance.identification.spectra import Complex, Spectra
 from aerobalance.problems import FitError
 
@@ -22,9 +23,6 @@ has up to some thousand places, which makes a false mode in less than one record
 
 HINT: Final = 10.0
 """Log-likelihood that the search, on a grid and with the share alone free, must promise before a fit is tried."""
-
-HEAVIEST: Final = 0.3
-"""Damping ratio above which a further mode is none but the misfit of something else."""
 
 LOSSES: Final = (0.004, 0.012, 0.035, 0.1, 0.3)
 """Losses 2 zeta that are tried."""

@@ -22,7 +22,7 @@ ENOUGH: Final = 1e-3
 """Promised drop of the squares, in variances, at which a fit has settled."""
 
 VALLEY: Final = 20
-"""Steps over which a fit that gains less than one variance has settled."""
+"""Steps over which a fit that gains less than one variance has settled, or at the end less than one of the misfit."""
 
 LARGEST_GROWTH: Final = 20.0
 """Logarithm of the growth of a trial motion over a record beyond which it is not tried."""
@@ -161,8 +161,9 @@ def settle(
     known: Known | None = None,
     steps: int = MOST_STEPS,
     enough: float = ENOUGH,
+    flat: float = 1.0,
 ) -> ReleaseFit:
-    """Minimise over all parameters by damped Gauss-Newton steps.
+    """Minimise over all parameters by damped Gauss-Newton steps, until `VALLEY` of them gain less than `flat`.
 
     Raises
     ------
@@ -178,7 +179,7 @@ def settle(
     history = []
     for _ in range(steps * (1 + coordinates_of(matrices) - n)):  # valleys bend more with hidden coordinates
         history.append(squares)
-        if len(history) > VALLEY and history[-VALLEY] - squares < 1:  # as flat as this is for the covariance to tell
+        if len(history) > VALLEY and history[-VALLEY] - squares < flat:  # for the covariance to tell
             return ReleaseFit(pieces, matrices, own, noise, here)
         unseen = invariances(matrices, n, loads=loads_let_go(pieces, own))
         move, moves, promised = _step(pieces, here, caution, known=known, matrices=matrices, unseen=unseen)
@@ -195,10 +196,35 @@ def settle(
             return ReleaseFit(pieces, matrices, own, noise, here)
         else:
             caution = max(10 * caution, 1e-3)
+    if history[-VALLEY] - squares < _worth(here, whitener):
+        return ReleaseFit(pieces, matrices, own, noise, here)
     raise FitError(
         f"{', '.join(piece.name for piece in pieces)}: the fit of the decays does not settle; are these releases of "
         "one and the same balance and model, with nothing touching it?"
     )
+
+
+def reweighed(fit: ReleaseFit, noise: Array) -> ReleaseFit:
+    """A settled fit under noise of another covariance; where it no longer settles, it stands where it is."""
+    try:
+        return settle(fit.pieces, fit.matrices, fit.own, noise=noise)
+    except FitError:  # the valley of a mode that is left out
+        linears = _linears(fit.pieces, fit.matrices, fit.own, whitener_of(noise))
+        return replace(fit, noise=noise, linears=linears)
+
+
+def _worth(linears: Sequence[Linear], whitener: Array) -> float:
+    """Drop of the squares that is worth one variance: 1 for noise, and more for a misfit in few frequencies.
+
+    A mode that the motion lacks leaves a misfit that no step takes away, and makes the valley long and flat.
+    """
+    power = np.concatenate(
+        [
+            np.abs(np.fft.rfft(linear.ringing @ whitener.T, axis=0)[1:]).ravel() ** 2 / len(linear.ringing)
+            for linear in linears
+        ]
+    )
+    return float(np.sum(power**2) / (2 * np.sum(power)))  # the squares of noise, of exponential distribution, are 2
 
 
 def _tried(

@@ -139,7 +139,8 @@ def with_edges(free: ReleaseFit, records: Sequence[ReleaseRecord], units: Units)
         edged = replaced(edged, number, piece=found.pieces[number], own=found.own[number])
     if free.hidden:
         _check_let_go(edged)  # then what fits from anywhere, and from rest
-        edged = _from_rest(settle(edged.pieces, edged.matrices, edged.own, noise=edged.noise))
+        near = float(edged.parameters)  # a start from which the next fit settles: a deviation off in each
+        edged = _from_rest(settle(edged.pieces, edged.matrices, edged.own, noise=edged.noise, flat=near))
     try:
         settled = settle(edged.pieces, edged.matrices, edged.own, noise=edged.noise)
         return _with_noise(settled, np.full(free.size, ROUNDING))
@@ -272,7 +273,7 @@ def _free(
 def _with_edge(fit: ReleaseFit, number: int, record: ReleaseRecord, units: Units) -> ReleaseFit:
     """The fit with one record taken as a release from rest, at once or over a duration, where that explains it."""
     piece = fit.pieces[number]
-    before = int(np.searchsorted(piece.time, -_margin(record, units)))
+    before = int(np.searchsorted(piece.time, -margin_of(record, units)))
     if before < LEAST_HELD:
         return fit
     held, earliest = piece.values[:before].mean(axis=0), float(piece.time[before - 1])
@@ -309,7 +310,7 @@ def _fresh(linear: Linear, rows: int, noise: Array) -> float:
     return float(count + 5 * np.sqrt(2 * count)) * LOUDER
 
 
-def _margin(record: ReleaseRecord, units: Units) -> float:
+def margin_of(record: ReleaseRecord, units: Units) -> float:
     """Time before the onset from which readings are not taken as held."""
     return float(max(4 / record.rate * units.rate, 2.0))
 

@@ -38,7 +38,7 @@ from aerobalance.identification.release_advice import (
     physical_covariance,
     unmoved,
 )
-from aerobalance.identification.release_fit import ReleaseFit, settle
+from aerobalance.identification.release_fit import ReleaseFit, reweighed
 from aerobalance.identification.release_record import ReleaseRecord, release_record
 from aerobalance.identification.release_stages import Units
 from aerobalance.problems import DoubtWarning, FitError
@@ -95,7 +95,7 @@ def identify_releases(
     fit, units = chosen.fit, chosen.units
     colour = _colour(fit)
     if (colour > 1).any():
-        fit = settle(fit.pieces, fit.matrices, fit.own, noise=fit.noise * np.sqrt(np.outer(colour, colour)))
+        fit = reweighed(fit, fit.noise * np.sqrt(np.outer(colour, colour)))
     _check_seen(fit, names)
     found = _result(
         fit, units, records, names, colour=colour, mass=mass, given=half_range is not None, share=release_share

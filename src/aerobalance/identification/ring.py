@@ -23,7 +23,7 @@ from aerobalance.dynamics import Dynamics
 from aerobalance.identification.onset import Look, Shape
 
 HEAVIEST: Final = 0.3
-"""Damping ratio above which a further line is no mode but the misfit of something else."""
+"""Damping ratio above which a further line or mode is none but the misfit of something else."""
 
 TAPPED: Final = 0.5
 """Change of level over amplitude of the ringing below which it was set off by a blow and not by a release."""
