@@ -79,7 +79,6 @@ def check(file, acknowledged, expected):
         assert samples.tobytes() == expected[place : place + len(samples)].tobytes()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)
-        warnings.simplefilter("ignore", RuntimeWarning)  # fits of very short records
         account = recordings.info(file)
         assert (account["samples"], account["gaps"]) == (found, [])
         if found >= LONG_ENOUGH:
