@@ -46,8 +46,8 @@ def test_cut_record_identify_and_force(opened, operator) -> None:
     time.sleep(1.0)
     view.click("#control-cut")
     # the load rings to nearly as much on the other side, while the force goes to zero and stays there
-    operator.until("window.aerobalance.load.largest > 500", 10.0)
-    operator.until("Math.abs(window.aerobalance.force.force) < 20 && window.aerobalance.force.largest < 60", 10.0)
+    operator.until("window.aerobalance.load.largest > 500")
+    operator.until("Math.abs(window.aerobalance.force.force) < 20 && window.aerobalance.force.largest < 60")
     view.fill("#mark", "all quiet")
     view.press("#mark", "Enter")
     time.sleep(6.0)
