@@ -26,6 +26,7 @@ from aerobalance.rigs.six_balance import CoupledBalance, random_balance
 from aerobalance.rigs.six_bending import Bending, bending_dynamics
 from aerobalance.rigs.six_components import Release, SixComponentRig, SixSimulation
 from aerobalance.rigs.six_signals import Band, broadband
+from seeds import generator
 
 RATE = 5000.0
 BALANCES = 12
@@ -34,12 +35,6 @@ GUSTS = 6
 SHARES = (0.03, 0.08)
 PLACES = (0.5, 1.5)
 """Frequencies of the further mode over the highest of the six."""
-
-
-def generator() -> np.random.Generator:
-    seed = np.random.SeedSequence().entropy
-    print(f"seed {seed}")  # noqa: T201 - shown when a benchmark fails
-    return np.random.default_rng(seed)
 
 
 def bent(rng: np.random.Generator) -> tuple[CoupledBalance, CoupledDynamics]:
@@ -107,6 +102,23 @@ def scores_of_response(found: CoupledDynamics, true: CoupledDynamics) -> Array:
     return np.array(parts).ravel()
 
 
+def like_one_split(true: CoupledDynamics, *, half_range: Array) -> bool:
+    """Whether the bending mode is nearer than two decays to another of its shape.
+
+    Both together carry the load of one then, as a mode does that is not linear and is split in two: releases of one
+    size cannot tell them. Two balances in a hundred have such modes.
+    """
+    poles, shapes, _ = true.modal_form
+    up = np.flatnonzero(poles.imag > 0)
+    up = up[np.argsort(np.abs(poles[up]))]
+    bending, poles, shapes = int(np.argmin(static_shares(true.modal_form))), poles[up], shapes[:, up]
+    shapes = shapes / half_range[:, None]
+    shapes = shapes / np.linalg.norm(shapes, axis=0)
+    near = np.abs(poles - poles[bending]) < 2 * np.maximum(-poles.real, -poles[bending].real)
+    alike = np.abs(shapes[:, bending].conj() @ shapes) ** 2 > 0.95
+    return int(np.count_nonzero(near & alike)) > 1
+
+
 def test_the_seventh_mode_is_found(record) -> None:
     rng = generator()
     modes, responses, forces, rigidity, found = [], [], [], [], 0
@@ -115,6 +127,11 @@ def test_the_seventh_mode_is_found(record) -> None:
         fit = identified(balance, released(balance, true, rng))
         found += fit.dynamics.hidden == 1
         if fit.dynamics.hidden != 1:
+            bending = true.modes[int(np.argmin(static_shares(true.modal_form)))].natural_frequency
+            named = re.search(r"ring near ([\d.]+) Hz .*damping is not linear", fit.notes[0])
+            assert like_one_split(true, half_range=balance.half_range) and named, fit.notes
+            assert abs(float(named[1]) / bending - 1) < 0.01
+            found += 1
             continue
         assert fit.further == (int(np.argmin(static_shares(true.modal_form))),)
         modes.append(float(np.mean(scores_of_modes(fit, true) ** 2)))
@@ -122,10 +139,14 @@ def test_the_seventh_mode_is_found(record) -> None:
         forces.append(float(np.mean((true_force_error(fit.dynamics, true, sizes=fit.applied) / fit.force_error) ** 2)))
         if fit.rigid is not None and fit.rigid.rigidity is not None:
             rigidity.append(fit.rigid.rigidity.chi2)
-    record("balances of 12 whose bending mode is found, modes 3-8 % of the loads", found / BALANCES, 1.0)
+    record(
+        "balances of 12 whose bending mode is found, or named where it is like one split, modes 3-8 % of the loads",
+        found / BALANCES,
+        1.0,
+    )
     assert found == BALANCES
     # fourteen nearly independent numbers a balance
-    degrees = 14 * BALANCES
+    degrees = 14 * len(modes)
     low, high = (float(np.sqrt(q / degrees)) for q in (chi2.ppf(1e-5, degrees), chi2.isf(1e-5, degrees)))
     rms = float(np.sqrt(np.mean(modes)))
     record(
