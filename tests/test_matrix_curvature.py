@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from aerobalance.balance import BalanceMatrix
 from aerobalance.calibration.fit import calibrate
@@ -68,6 +69,12 @@ def variance_in_force(error: Array, loads: Array) -> Array:
     return np.mean(np.fft.irfft(np.fft.rfft(curved, axis=0) * gain, COUNT, axis=0) ** 2, axis=0)
 
 
+def mean_error(other: BalanceMatrix, matrix: BalanceMatrix, outputs: Array, loads: Array) -> Array:
+    """Mean of the error, less that at the mean load, shape (6,)."""
+    mean = loads.mean(axis=0)[None, :]
+    return (other.loads(outputs).loads - loads).mean(axis=0) - (other.loads(matrix.outputs(mean)).loads - mean)[0]
+
+
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
 def test_errors_of_matrices_drawn(way: str) -> None:
     rng = generator()
@@ -88,6 +95,21 @@ def test_errors_of_matrices_drawn(way: str) -> None:
     assert np.all(np.abs(ratio.mean(axis=0) - 1) < allowed), (ratio.mean(axis=0), allowed)
 
 
+@pytest.mark.parametrize("way", ["iterative", "non-iterative"])
+def test_means_of_errors_of_matrices_drawn(way: str) -> None:
+    rng = generator()
+    matrix = calibrated(rng, model="27", way=way)
+    outputs = matrix.outputs(shaking(rng))
+    felt = felt_by(matrix, outputs)
+    curvature = CurvatureErrors.of(felt, matrix, rate=RATE, highest=HIGHEST)
+    foretold = [curvature.offset(name) for name in matrix.components]
+    found = np.array([mean_error(drawn(matrix, rng), matrix, outputs, felt.native) for _ in range(24)])
+    # normal deviates, as they are linear in the coefficients but for a percent
+    squares = np.sum((found / foretold) ** 2, axis=0)
+    low, high = (scipy.stats.chi2.ppf(p, 24) for p in (1e-6, 1 - 1e-6))
+    assert np.all((0.97 * low < squares) & (squares < 1.03 * high)), squares
+
+
 def test_a_linear_matrix_has_no_curvature() -> None:
     rng = generator()
     matrix = calibrated(rng, model="linear")
@@ -96,6 +118,7 @@ def test_a_linear_matrix_has_no_curvature() -> None:
     # what is left of a linear term is rounding: 1e-15 of capacity, enlarged by (200 / 40)^2
     deviations = [curvature.as_noise(part, bandwidth=HIGHEST)[0] for part in densities.T]
     assert np.all(np.array(deviations) < 1e-12 * CAPACITIES)
+    assert np.all(np.array([curvature.offset(name) for name in matrix.components]) < 1e-12 * CAPACITIES)
 
 
 def test_nothing_comes_of_a_band_without_frequencies() -> None:

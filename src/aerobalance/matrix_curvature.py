@@ -3,7 +3,8 @@
 The error of a matrix is a function of the loads felt. As far as it is linear it stretches and turns the loads, and the
 dynamics are identified from loads that are stretched and turned as well, so that Eq. (17) of [Gorbushin2020]_ makes
 the error of a static load of it. The rest is curved: under loads that change it is an error with a spectrum of its
-own, as wide as that of the loads and wider, to which D e' + A e'' belong as to the loads themselves.
+own, as wide as that of the loads and wider, to which D e' + A e'' belong as to the loads themselves, and its mean is
+not that of the mean load.
 
 References
 ----------
@@ -49,6 +50,8 @@ class CurvatureErrors:
         Frequencies from 0 to half the sampling rate, evenly spaced, shape (m,) [Hz].
     density
         Two-sided cross spectral densities of the loads' errors at the first k of them, shape (k, c, c) [N^2/Hz ...].
+    rectified
+        Covariance of the mean errors, less those at the mean loads, shape (c, c) [N^2 ...].
     rate
         Sampling rate [Hz].
     """
@@ -56,6 +59,7 @@ class CurvatureErrors:
     components: tuple[str, ...]
     frequency: Array
     density: Array
+    rectified: Array
     rate: float
 
     @classmethod
@@ -82,17 +86,33 @@ class CurvatureErrors:
             for bridge, covariance in enumerate(matrix.covariance):
                 power[:, bridge] += np.real(np.sum((transform @ covariance) * transform.conj(), axis=1))
             count += 1
-        deviation = np.sqrt(np.maximum(power, 0.0) / (max(count, 1) * rate))
-        # the coefficients of all bridges come from the same points, and go together as their readings do
-        bridges = deviation[:, :, None] * matrix.residual_correlation * deviation[:, None, :]
+        shift = _rectified(native, matrix)
+        held = np.array([shift @ covariance @ shift for covariance in matrix.covariance])
         T = felt.transform @ _to_loads(matrix, np.median(native, axis=0))
-        density = np.asarray(T @ bridges @ T.T, dtype=np.float64)
-        return cls(felt.components, np.asarray(frequency, dtype=np.float64), density, rate)
+
+        def of_loads(variance: Array) -> Array:
+            # the coefficients of all bridges come from the same points, and go together as their readings do
+            deviation = np.sqrt(np.maximum(variance, 0.0))
+            bridges = deviation[..., :, None] * matrix.residual_correlation * deviation[..., None, :]
+            return np.asarray(T @ bridges @ T.T, dtype=np.float64)
+
+        return cls(
+            components=felt.components,
+            frequency=np.asarray(frequency, dtype=np.float64),
+            density=of_loads(power / (count * rate)),
+            rectified=of_loads(held),
+            rate=rate,
+        )
 
     @property
     def resolved(self) -> Array:
         """Frequencies that the density is given at, shape (k,) [Hz]."""
         return self.frequency[: self.density.shape[0]]
+
+    def offset(self, component: str) -> float:
+        """Standard uncertainty of a force from the mean of the errors, beyond that at the mean load [N, N*m]."""
+        place = self.components.index(component)
+        return float(np.sqrt(max(self.rectified[place, place], 0.0)))
 
     def in_force(self, ringing: NDArray[np.complex128], components: list[str]) -> Array:
         """Two-sided densities of what a force gets beyond the error of a static load, shape (k, n) [N^2/Hz ...].
@@ -118,9 +138,23 @@ class CurvatureErrors:
         return float(np.sqrt(mean * self.rate)), whole / mean
 
 
+def _variables(native: Array, matrix: BalanceMatrix) -> Array:
+    """What the terms are made of at these loads, shape (n, c)."""
+    return native / matrix.load_scale if matrix.way == "iterative" else matrix.outputs(native) / matrix.output_scale
+
+
+def _rectified(native: Array, matrix: BalanceMatrix) -> Array:
+    """Mean of the terms less what they are at the mean, shape (t,)."""
+    x = _variables(native[:: max(len(native) // FITTED, 1)], matrix)
+    mean = np.ascontiguousarray(x.mean(axis=0)[None, :])
+    terms = codes(matrix.terms)
+    found = kernels.design(*terms, np.ascontiguousarray(x)).mean(axis=0) - kernels.design(*terms, mean)[0]
+    return np.asarray(found)
+
+
 def _curved_parts(native: Array, matrix: BalanceMatrix, *, size: int) -> Iterator[Array]:
     """Terms of the matrix less their linear parts, windowed, of some segments of the loads, shape (size, t)."""
-    x = native / matrix.load_scale if matrix.way == "iterative" else matrix.outputs(native) / matrix.output_scale
+    x = _variables(native, matrix)
     some = np.ascontiguousarray(x[:: max(len(x) // FITTED, 1)])
     slopes = np.linalg.lstsq(_with_one(some), kernels.design(*codes(matrix.terms), some), rcond=None)[0]
     window = hann(size, sym=False)

@@ -35,13 +35,16 @@ from seeds import generator
 BALANCES = 6
 RATE, DURATION = 25_000.0, 1.0
 
-SMALL_PART = 0.5
-"""Uncertainty of the matrix over the bound up to which it leaves the error what it is, to 12 %.
+SMALL_PART = 0.2
+"""Uncertainty of the matrix over the bound up to which it leaves an error of 1.1 below 1.4, were it four times as large.
 
 The bound knows no errors of calibration and identification. A calibration with a noise of 1e-4 of half range leaves
-offsets of up to 4e-5, and nonlinear terms that are off by 2e-5, which grow with the square of the frequency above the
-lowest modes.
+nonlinear terms that are off by 2e-5, which make offsets of up to 6e-5 of shaking loads, and grow with the square of the
+frequency above the lowest modes.
 """
+
+RARE = 4
+"""Standard uncertainties that the matrix of one of six balances is off by in one of six components once in 400 runs."""
 
 MATRIX = ("balance matrix, zeros and tares", "curvature of the balance matrix, ringing")
 """Contributions of the matrix."""
@@ -108,7 +111,7 @@ def test_from_gauge_outputs_to_forces(record, tmp_path: Path) -> None:
             worst = max(worst, float(np.max(rms / bound)))
             large = matrix < SMALL_PART * bound
             of_large = max(of_large, float(np.max((rms / bound)[large], initial=0.0)))
-            with_matrix = max(with_matrix, float(np.max(rms / np.hypot(bound, matrix))))
+            with_matrix = max(with_matrix, float(np.max(rms / np.hypot(1.4 * bound, RARE * matrix))))
             small = bound < 2e-3 * balance.half_range
             share = max(share, float(np.max((rms / balance.half_range)[small], initial=0.0)))
             covered += np.mean(np.abs(error) < 1.96 * inner(u), axis=0).tolist()
@@ -124,16 +127,16 @@ def test_from_gauge_outputs_to_forces(record, tmp_path: Path) -> None:
     cover = float(np.mean(covered))
     over = "1.4 over worst error of a component over"
     record(
-        f"{over} the multi-channel Wiener bound where the matrix is half of it or less, from mV/V", 1.4 / of_large, 1.0
+        f"{over} the multi-channel Wiener bound where the matrix is a fifth of it or less, from mV/V", 1.4 / of_large, 1.0
     )
-    record(f"{over} that bound and the uncertainty of the matrix, from mV/V", 1.4 / with_matrix, 1.0)
+    record("1.4 of that bound and 4 u of the matrix over the worst error, from mV/V", 1 / with_matrix, 1.0)
     record(f"{over} that bound, however small, from mV/V", 1.4 / worst, 0.0)
     record("0.3 % over worst error in half range where the bound is under 0.2 %, from mV/V", 3e-3 / share, 1.0)
     record("0.05 % over the worst plateau in half range, from mV/V", 5e-4 / plateau, 1.0)
     record("least of cover over 93 % and 97 % over cover, from mV/V", min(cover / 0.93, 0.97 / cover), 1.0)
     record("median error of the diagonal model over that of the coupled one, from mV/V", float(np.median(alone)), 0.0)
     assert of_large < 1.4
-    assert with_matrix < 1.4
+    assert with_matrix < 1
     assert share < 3e-3
     assert plateau < 5e-4
     # components of one balance share its matrix, dynamics and record: 6 independent shares that scatter by 2 % each

@@ -131,7 +131,11 @@ def _with_matrix(
     names = list(estimates)
     densities = curvature.in_force(known.ringing(names, curvature.resolved), names)
     return {
-        name: with_balance(found, static[name], curvature=curvature.as_noise(density, bandwidth=found.bandwidth))
+        name: with_balance(
+            found,
+            np.hypot(static[name], curvature.offset(name)),
+            curvature=curvature.as_noise(density, bandwidth=found.bandwidth),
+        )
         for (name, found), density in zip(estimates.items(), densities.T, strict=True)
     }
 
