@@ -36,15 +36,15 @@ BALANCES = 6
 RATE, DURATION = 25_000.0, 1.0
 
 SMALL_PART = 0.2
-"""Uncertainty of the matrix over the bound up to which it leaves an error of 1.1 below 1.4, were it four times as large.
+"""Uncertainty of the matrix over the bound up to which an error of 1.1 stays below 1.4 with four times as much of it.
 
 The bound knows no errors of calibration and identification. A calibration with a noise of 1e-4 of half range leaves
-nonlinear terms that are off by 2e-5, which make offsets of up to 6e-5 of shaking loads, and grow with the square of the
-frequency above the lowest modes.
+nonlinear terms that are off by 2e-5, which make offsets of up to 6e-5 of shaking loads, and grow with the square of
+the frequency above the lowest modes.
 """
 
 RARE = 4
-"""Standard uncertainties that the matrix of one of six balances is off by in one of six components once in 400 runs."""
+"""Standard uncertainties that the matrix is off by in one of 36 components once in 400 runs."""
 
 MATRIX = ("balance matrix, zeros and tares", "curvature of the balance matrix, ringing")
 """Contributions of the matrix."""
@@ -127,7 +127,9 @@ def test_from_gauge_outputs_to_forces(record, tmp_path: Path) -> None:
     cover = float(np.mean(covered))
     over = "1.4 over worst error of a component over"
     record(
-        f"{over} the multi-channel Wiener bound where the matrix is a fifth of it or less, from mV/V", 1.4 / of_large, 1.0
+        f"{over} the multi-channel Wiener bound where the matrix is a fifth of it or less, from mV/V",
+        1.4 / of_large,
+        1.0,
     )
     record("1.4 of that bound and 4 u of the matrix over the worst error, from mV/V", 1 / with_matrix, 1.0)
     record(f"{over} that bound, however small, from mV/V", 1.4 / worst, 0.0)
