@@ -39,8 +39,8 @@ FINE: Final = 4
 SHARPNESS: Final = 12.0
 """Parameter of the Kaiser window of the interpolation.
 
-It leaves errors below 3e-6 up to 0.3 of the sampling rate. A component may feel a hundred times the force that is to be
-found in another.
+It leaves errors below 3e-6 up to 0.3 of the sampling rate. A component may feel a hundred times the force that is to
+be found in another.
 """
 
 EDGE: Final = 12

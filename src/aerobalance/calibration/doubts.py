@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-
 from typing import Final
 
 import numpy as np
@@ -74,9 +73,9 @@ def _doubt_reading_noise(calibration: Calibration) -> None:
     if quiet.size:
         texts = ", ".join(f"{schedule.components[i]} {found[i] / noise[i]:.2g} times" for i in quiet)
         _doubt(
-            f"{schedule.name}: the readings scatter less about the matrix than the noise of {matrix.reading_noise:g} mV/V "
-            f"given for them: {texts} as much. The noise given is too large, or not of these readings; the scatter counts "
-            "for nothing in the uncertainty of the loads"
+            f"{schedule.name}: the readings scatter less about the matrix than the noise of {matrix.reading_noise:g} "
+            f"mV/V given for them: {texts} as much. The noise given is too large, or not of these readings; the "
+            "scatter counts for nothing in the uncertainty of the loads"
         )
 
 

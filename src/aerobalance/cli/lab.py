@@ -67,7 +67,7 @@ def calibrate(
         typer.Option(
             "--reading-noise",
             metavar="MV/V",
-            help="Standard deviation of one reading of the schedule, where known: it is no part of the balance's scatter.",
+            help="Standard deviation of one reading of the schedule, where known: no part of the balance's scatter.",
         ),
     ] = 0.0,
     report: Annotated[Path | None, typer.Option("--report", help="Write a page with figures and tables.")] = None,
