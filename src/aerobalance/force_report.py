@@ -159,7 +159,8 @@ def spectrum_figure(estimate: ForceEstimate, load: Array, *, rate: float) -> str
     drawn = np.maximum(shown, least)
     ax.plot(found.frequency[inner], drawn, color=colours.second, linewidth=1.4, label="force applied")
     ax.axvline(max(estimate.bandwidth, float(frequency[1])), color=colours.muted, linewidth=0.8, linestyle=":")
-    ax.set(xlabel="frequency [Hz]", ylabel=f"density [({unit})²/Hz]", ylim=(least * 0.8, 3 * highest))
+    squared = f"({unit})²" if "*" in unit else f"{unit}²"
+    ax.set(xlabel="frequency [Hz]", ylabel=f"density [{squared}/Hz]", ylim=(least * 0.8, 3 * highest))
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")  # powers would need mathematical type
     ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     legend(ax, colours, "lower left")
