@@ -34,7 +34,7 @@ def shaking(rng: np.random.Generator) -> Array:
     inside = (frequency > 5) & (frequency < 60)
     phasors = inside[:, None] * (rng.normal(size=(frequency.size, 6)) + 1j * rng.normal(size=(frequency.size, 6)))
     loads = np.fft.irfft(phasors, COUNT, axis=0)
-    return 0.2 * CAPACITIES * loads / loads.std(axis=0)
+    return 0.12 * CAPACITIES * loads / loads.std(axis=0)  # capacity, the end of what is calibrated, is 8 deviations
 
 
 def felt_by(matrix: BalanceMatrix, outputs: Array) -> LoadsFelt:
