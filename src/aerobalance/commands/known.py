@@ -206,7 +206,7 @@ class Coupled:
     def ringing(self, names: Sequence[str], frequency: Array) -> NDArray[np.complex128]:
         """D s + A s^2, in the order of the names, which are those of all components."""
         order = [self.components.index(name) for name in names]
-        ringing = np.linalg.inv(self.dynamics.response(frequency)) - np.eye(len(self.components))
+        ringing = self.dynamics.inverse_response(frequency) - np.eye(len(self.components))
         return np.asarray(ringing[:, order][:, :, order])
 
     def noises(self, calm: Recording, settings: Settings, *, run: Recording) -> dict[str, NoiseSpectrum]:
