@@ -123,8 +123,8 @@ def test_straight_lines_do_a_sine_no_harm(frequency: float) -> None:
     clock = np.arange(fine.size) / (4 * RATE)
     size = 2 * np.mean(fine[middle] * np.sin(2 * np.pi * frequency * clock[middle]))
     whole = size * np.sinc(x / np.pi) ** 2  # amplitude of the sine in the lines between the points
-    # 4 x^4 / 60 for the lines, 2e-4 for the ripple of the window of the interpolation (far less up to 0.3 of the rate)
-    assert whole == pytest.approx(1, abs=4 * x**4 / 60 + 2e-4)
+    # 4 x^4 / 60 for the lines, 3e-6 for what the interpolation's window leaves up to 0.3 of the rate
+    assert whole == pytest.approx(1, abs=4 * x**4 / 60 + 3e-6)
 
 
 def test_the_ends_of_a_record_are_as_good_as_its_middle(drawn: Drawn) -> None:
