@@ -33,6 +33,7 @@ from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.rigs.six_balance import random_balance
 from aerobalance.rigs.six_bending import Bending, bending_dynamics
+from seeds import fresh
 
 RATE = 2500.0
 SECONDS = 0.8
@@ -41,11 +42,6 @@ HALF_RANGE = np.array([1000.0, 500.0])
 RANGES = dict(zip(NAMES, HALF_RANGE.tolist(), strict=True))
 NEVER = 1e-5
 """Probability with which a test of chance may fail for a fresh seed."""
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def structure() -> tuple[Array, Array, Array, Array, Array]:

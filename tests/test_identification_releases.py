@@ -27,16 +27,12 @@ from aerobalance.io.coupled_file import read_coupled
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from rigid_balance import HALF_RANGE, RANGES, balance, truth
+from seeds import fresh
 
 RATE = 2500.0
 SECONDS = 0.6
 NEVER = 1e-5
 """Probability with which a test of chance may fail for a fresh seed."""
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def felt(dynamics: CoupledDynamics, held: Array, *, instant: float, duration: float = 0.0) -> Array:

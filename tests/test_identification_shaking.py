@@ -22,6 +22,7 @@ from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.rigs.six_components import GROUND_CHANNELS, RATE_CHANNELS
 from rigid_balance import HALF_RANGE, RANGES, balance, truth
+from seeds import fresh
 
 RATE = 2500.0
 SAMPLES = 3000
@@ -31,11 +32,6 @@ GROUND_NOISE = np.array([0.02, 0.1, 0.02, 0.1, 0.1, 0.02])
 STRAIGHT = np.array([float(name not in MOMENTS) for name in COMPONENTS])
 NEVER = 1e-5
 """Probability with which a test of chance may fail for a fresh seed."""
-
-
-def fresh():
-    seed = np.random.SeedSequence().entropy
-    return np.random.default_rng(seed), seed
 
 
 def shaken(generator, *, noise=1.0, along=None, extra=None, dynamics=None, late=0.0, rates=False, name="shake"):

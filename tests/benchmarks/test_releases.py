@@ -18,15 +18,10 @@ from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.rigs.six_balance import CoupledBalance, random_balance
 from aerobalance.rigs.six_components import Release, SixComponentRig
+from seeds import generator
 
 SETS = {1: ("YM",), 2: ("NF", "YM"), 3: ("NF", "SF", "AF"), 6: COMPONENTS}
 BALANCES = 6
-
-
-def generator() -> np.random.Generator:
-    seed = np.random.SeedSequence().entropy
-    print(f"seed {seed}")  # noqa: T201 - shown when a benchmark fails
-    return np.random.default_rng(seed)
 
 
 def recorded(balance: CoupledBalance, rng: np.random.Generator, along: tuple[str, ...]) -> list[Recording]:

@@ -25,18 +25,13 @@ from aerobalance.recording import Recording
 from aerobalance.rigs import Band, BaseMotion, Sweep, broadband, driven_motion, random_motion
 from aerobalance.rigs.six_balance import CoupledBalance, random_balance
 from aerobalance.rigs.six_components import Release, SixComponentRig
+from seeds import generator
 
 BALANCES = int(os.environ.get("AEROBALANCE_BALANCES", "12"))
 """Random balances of the first test; a longer run can ask for more."""
 
 SECONDS = 3.0
 BAND = Band(20.0, 800.0)
-
-
-def generator() -> np.random.Generator:
-    seed = np.random.SeedSequence().entropy
-    print(f"seed {seed}")  # noqa: T201 - shown when a benchmark fails
-    return np.random.default_rng(seed)
 
 
 def levels(balance: CoupledBalance, *, along: Array | None = None) -> Array:
