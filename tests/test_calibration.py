@@ -309,20 +309,21 @@ def covers(truth: str, model: str, rng: np.random.Generator, *, count: int) -> l
 
 
 @pytest.mark.parametrize(
-    ("model", "count", "low", "high"),
+    ("truth", "model", "low", "high"),
     # two standard deviations: 95.45 %. The errors of a calibration are common to all its points, the more so the more
-    # terms it has, so that one calibration differs from the next by 0.6 % (12 terms) to 2.3 % (96 terms)
-    [("linear", 12, 0.93, 0.97), ("abs", 12, 0.93, 0.97), ("96", 12, 0.92, 0.98)],
+    # terms it has, so that one calibration differs from the next by 0.6 % (12 terms) to 2.3 % (96 terms); that the
+    # widths of the kinds are learned, and then taken as known, costs another percent
+    [
+        ("linear", "linear", 0.93, 0.97),
+        ("abs", "abs", 0.93, 0.97),
+        ("96", "96", 0.92, 0.98),
+        ("linear", "auto", 0.93, 0.98),
+        ("96", "auto", 0.91, 0.98),
+    ],
 )
-def test_cover_of_confirmation_points(model: str, count: int, low: float, high: float) -> None:
-    shares = covers(model, model, generator(), count=count)
+def test_cover_of_confirmation_points(truth: str, model: str, low: float, high: float) -> None:
+    shares = covers(truth, model, generator(), count=12)
     assert low <= np.mean(shares) <= high, shares
-
-
-def test_cover_with_selected_terms() -> None:
-    # terms left out keep their uncertainty, but what they were worth is missing from the load
-    shares = covers("96", "auto", generator(), count=6)
-    assert np.mean(shares) >= 0.85, shares
 
 
 # ---- statistics against closed forms --------------------------------------------------------------------
@@ -335,9 +336,8 @@ def test_regression_beside_closed_forms() -> None:
     X[:, 3] = X[:, 2] + 0.3 * X[:, 3]
     Z = np.eye(3)[np.arange(n) % 3]
     y = X @ rng.normal(size=t) + Z @ [1, 2, 3] + rng.normal(0, 0.5, n)
-    included = np.array([True, True, True, True, False, True, True])
-    fit = regress(y, X, Z, included=included)
-    A = np.hstack([X[:, included], Z])
+    fit = regress(y, X, Z, included=np.ones(t, dtype=bool), penalty=np.zeros(t))
+    A = np.hstack([X, Z])
     inverse = np.linalg.inv(A.T @ A)
     b = inverse @ A.T @ y
     rest = y - A @ b
@@ -345,13 +345,12 @@ def test_regression_beside_closed_forms() -> None:
     variance = rest @ rest / freedom
     u = np.sqrt(variance * np.diag(inverse))
     close = {"rtol": 1e-9, "atol": 1e-12}  # a condition number of 20 squared, and some hundred roundings
-    np.testing.assert_allclose(fit.coefficients[included], b[:6], **close)
-    assert fit.coefficients[4] == 0
-    np.testing.assert_allclose(fit.covariance[np.ix_(included, included)], variance * inverse[:6, :6], **close)
-    np.testing.assert_allclose(fit.t[included], b[:6] / u[:6], **close)
-    np.testing.assert_allclose(fit.p[included], 2 * scipy.stats.t.sf(np.abs(b[:6] / u[:6]), freedom), **close)
-    np.testing.assert_allclose(fit.intercepts, b[6:], **close)
-    np.testing.assert_allclose(fit.u_intercepts, u[6:], **close)
+    np.testing.assert_allclose(fit.coefficients, b[:t], **close)
+    np.testing.assert_allclose(fit.covariance, variance * inverse[:t, :t], **close)
+    np.testing.assert_allclose(fit.t, b[:t] / u[:t], **close)
+    np.testing.assert_allclose(fit.p, 2 * scipy.stats.t.sf(np.abs(b[:t] / u[:t]), freedom), **close)
+    np.testing.assert_allclose(fit.intercepts, b[t:], **close)
+    np.testing.assert_allclose(fit.u_intercepts, u[t:], **close)
     np.testing.assert_allclose(fit.deviation, np.sqrt(variance), **close)
     assert fit.degrees_of_freedom == freedom
     np.testing.assert_allclose(fit.r_squared, 1 - rest @ rest / np.sum((y - y.mean()) ** 2), **close)
@@ -365,19 +364,45 @@ def test_regression_beside_closed_forms() -> None:
         student[k] = left_out[k] / np.sqrt(without * (1 + A[k] @ np.linalg.inv(A[keep].T @ A[keep]) @ A[k]))
     np.testing.assert_allclose(fit.press, np.sqrt(np.mean(left_out**2)), **close)
     np.testing.assert_allclose(fit.studentised, student, **close)
-    for column, number in enumerate(np.flatnonzero(included)):
+    for column, inflated in enumerate(fit.vif):
         own = A[:, column]
         others = np.delete(A, column, axis=1)
         unexplained = own - others @ np.linalg.lstsq(others, own, rcond=None)[0]
         centred = own - Z @ np.linalg.lstsq(Z, own, rcond=None)[0]
-        np.testing.assert_allclose(fit.vif[number], (centred @ centred) / (unexplained @ unexplained), **close)
-    assert np.isnan(fit.vif[4])
-    assert np.isnan(fit.t[4])
+        np.testing.assert_allclose(inflated, (centred @ centred) / (unexplained @ unexplained), **close)
+
+
+def test_regression_with_terms_left_out_and_drawn_to_zero() -> None:
+    rng = generator()
+    n, t = 60, 7
+    X, Z = rng.normal(size=(n, t)), np.eye(3)[np.arange(n) % 3]
+    y = X @ rng.normal(size=t) + Z @ [1, 2, 3] + rng.normal(0, 0.5, n)
+    penalty = np.array([0, 0, *rng.uniform(1, 50, t - 2)])
+    included = np.array([True, True, True, True, False, True, False])
+    fit = regress(y, X, Z, included=included, penalty=penalty)
+    A, drawn = np.hstack([X, Z]), np.concatenate([penalty, np.zeros(3)])
+    inverse = np.linalg.inv(A.T @ A + np.diag(drawn))
+    everything = inverse @ A.T @ y
+    rest = y - A @ everything
+    freedom = n - np.trace(A @ inverse @ A.T)
+    used = np.concatenate([included, [True] * 3])
+    found = np.zeros(t + 3)
+    found[used] = np.linalg.solve(A[:, used].T @ A[:, used] + np.diag(drawn[used]), A[:, used].T @ y)
+    covariance = rest @ rest / freedom * inverse + np.outer(found - everything, found - everything)
+    close = {"rtol": 1e-9, "atol": 1e-12}
+    np.testing.assert_allclose(fit.coefficients, found[:t], **close)
+    np.testing.assert_allclose(fit.covariance, covariance[:t, :t], **close)
+    np.testing.assert_allclose(fit.u_intercepts, np.sqrt(np.diag(covariance)[t:]), **close)
+    np.testing.assert_allclose(fit.deviation, np.sqrt(rest @ rest / freedom), **close)
+    np.testing.assert_allclose(fit.t[included], (found[:t] / np.sqrt(np.diag(covariance)[:t]))[included], **close)
+    assert fit.degrees_of_freedom == round(freedom)
+    assert np.isnan(fit.vif[~included]).all()
+    assert np.isnan(fit.t[~included]).all()
 
 
 def test_too_few_points_are_refused() -> None:
     with pytest.raises(FitError, match=r"5 points for 5 unknowns \(4 terms and 1 series"):
-        regress(np.ones(5), np.eye(5)[:, :4], np.ones((5, 1)), included=np.ones(4, dtype=bool))
+        regress(np.ones(5), np.eye(5)[:, :4], np.ones((5, 1)), included=np.ones(4, dtype=bool), penalty=np.zeros(4))
 
 
 # ---- what a schedule can tell ---------------------------------------------------------------------------
@@ -437,9 +462,10 @@ def test_selection_keeps_what_is_there_and_little_else() -> None:
     linear = np.array([term.kind == 0 for term in fit.matrix.terms])
     chosen = np.array([part.included for part in fit.regressions])
     assert chosen[:, linear].all()
-    # PRESS must fall by 2 % for a term to stay; each of 90 idle terms does that, taken alone, when its t is above
-    # sqrt(0.02 * 240) = 2.2, which chance does in 3 %; the best few of 90 together do somewhat better
-    assert chosen[:, ~linear].mean() < 0.3
+    # idle terms are drawn to a sixth or less: their squares over their variances are then 90 / 6 = 15 on average, of
+    # which 0.05 * 96 = 4.8 may go; as the squares of the least half of normal numbers are a seventh of all, more
+    # than half of the terms go
+    assert chosen[:, ~linear].mean() < 0.5
 
 
 def test_model_and_way_are_checked() -> None:

@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 from aerobalance.calibration.fit import Calibration
 from aerobalance.calibration.quality import BIDIRECTIONAL, OUTLIER, Quality
-from aerobalance.calibration.selection import HIGHEST_INFLATION
+from aerobalance.calibration.regression import HIGHEST_INFLATION
 from aerobalance.calibration_figures import MOST_LABELS, direction_figure, residual_panels, series_key
 from aerobalance.io.artefacts import provenance
 from aerobalance.io.balance_file import calibration_payload

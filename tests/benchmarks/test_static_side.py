@@ -5,9 +5,17 @@ from __future__ import annotations
 import time
 
 import numpy as np
+import pytest
+from statsmodels.regression.linear_model import OLS
 
+from aerobalance import _term_kernels as kernels
+from aerobalance.balance import BalanceMatrix
 from aerobalance.calibration.fit import calibrate
+from aerobalance.calibration.scaled import ScaledPoints
+from aerobalance.channel import Array
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
+from aerobalance.schedule import Schedule
+from aerobalance.terms import codes
 from seeds import generator, seed_from
 from tare_bound import tare_bound
 
@@ -37,6 +45,51 @@ def test_residuals_beside_the_noise(record) -> None:
     ratio = NOISE / np.sqrt(np.mean((matrix.residual_deviation * matrix.output_scale) ** 2))
     record("noise over standard deviation of the residuals, 6x96 model", ratio, 0.9)
     assert ratio > 0.9
+
+
+@pytest.mark.parametrize("truth", ["linear", "abs", "quadratic", "96"])
+def test_chosen_terms_beside_other_choices(record, truth: str) -> None:
+    rng = generator()
+    ways = {"auto": [], "all of the 96": [], "elimination by Student's t": [], "the terms of the balance": []}
+    for _ in range(8):
+        balance = random_balance(seed_from(rng), model=truth)
+        schedule = CalibrationStand(balance, noise=NOISE).run(seed_from(rng)).schedule
+        loads = rng.uniform(-0.6, 0.6, (500, 6))
+        outputs = balance.outputs(loads * CAPACITIES)
+        auto, whole = calibrate(schedule, model="auto").matrix, calibrate(schedule, model="96")
+        steps = by_students_t(schedule, whole.tares / CAPACITIES, whole.matrix)
+        own = calibrate(schedule, model=truth).matrix
+        for way, matrix, C in (
+            ("auto", auto, auto.coefficients),
+            ("all of the 96", whole.matrix, whole.matrix.coefficients),
+            ("elimination by Student's t", whole.matrix, steps),
+            ("the terms of the balance", own, own.coefficients),
+        ):
+            given = kernels.design(*codes(matrix.terms), loads) @ C
+            ways[way].append(np.sqrt(np.mean((given - outputs / matrix.output_scale) ** 2)))
+    rms = {way: float(np.sqrt(np.mean(np.square(each)))) for way, each in ways.items()}
+    for way in list(ways)[1:]:
+        record(f"error with {way} over error with auto, a balance of the model {truth}", rms[way] / rms["auto"], 0.0)
+    assert rms["auto"] < rms["all of the 96"]
+    assert rms["auto"] < rms["elimination by Student's t"]
+
+
+def by_students_t(schedule: Schedule, tares: Array, matrix: BalanceMatrix) -> Array:
+    """Least squares without the terms that are not significant at 5 %, taken out one by one, shape (t, c)."""
+    data = ScaledPoints.of(schedule, "iterative")
+    design = data.design(matrix.terms, data.variables(tares))
+    linear = np.array([term.kind == 0 for term in matrix.terms])
+    C = np.zeros_like(matrix.coefficients)
+    for i, values in enumerate(data.targets.T):
+        kept = np.arange(linear.size)
+        while True:
+            fit = OLS(values, np.hstack([design[:, kept], data.intercepts])).fit()
+            p = np.where(linear[kept], 0.0, fit.pvalues[: kept.size])
+            if p.max() < 0.05:
+                break
+            kept = np.delete(kept, np.argmax(p))
+        C[kept, i] = fit.params[: kept.size]
+    return C
 
 
 def test_calibration_beside_the_clock(record) -> None:

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from aerobalance.balance import BalanceMatrix
 from aerobalance.calibration.fit import Calibration
 from aerobalance.calibration.quality import Quality
-from aerobalance.calibration.selection import HIGHEST_INFLATION
+from aerobalance.calibration.regression import HIGHEST_INFLATION
 from aerobalance.problems import DoubtWarning
 
 TOO_QUIET: Final = 1e-6
@@ -59,7 +59,7 @@ def doubt_quality(calibration: Calibration, quality: Quality) -> None:
         _doubt(
             f"{schedule.name}: some terms are near copies of each other (variance inflation factor up to "
             f"{max(inflated):.3g}, above {HIGHEST_INFLATION:g}); their coefficients mean little one by one. "
-            "--model auto leaves out those that do not pay"
+            "--model auto keeps of them what the readings support"
         )
     _doubt_reading_noise(calibration)
 

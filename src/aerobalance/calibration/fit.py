@@ -11,13 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerobalance.balance import BalanceMatrix, Way
 from aerobalance.calibration.faults import check_residuals, check_schedule
-from aerobalance.calibration.regression import Regression
+from aerobalance.calibration.regression import Choice, Regression, without_intercepts
 from aerobalance.calibration.scaled import ScaledPoints
 from aerobalance.calibration.selection import Unidentified, identifiable, select
+from aerobalance.calibration.shrinkage import Fitted, shrink
 from aerobalance.channel import Array
 from aerobalance.schedule import Schedule
 from aerobalance.terms import Model, Term, terms_of
@@ -36,7 +36,7 @@ class Calibration:
     matrix
         The result.
     regressions
-        Least squares of every component, in the order of the components.
+        Fit of every component, in the order of the components.
     tares, u_tares
         Loads of the fixtures found in every series by intercepts, and their standard uncertainties, shape (s, c)
         [N, N*m]; NaN in series without points in the fit. Zero, with NaN uncertainty, without natural zeros.
@@ -79,7 +79,8 @@ def calibrate(
         Loads and outputs; points marked for confirmation take no part.
     model
         ``"linear"``; ``"quadratic"`` or ``"27"``, the terms of Eq. (2); ``"abs"``, linear with absolute values;
-        ``"96"``, all of AIAA R-091; ``"auto"``, those of the 96 that are significant.
+        ``"96"``, all of AIAA R-091; ``"auto"``, those of the 96 that are significant,
+        each kind drawn to zero as far as the readings do not support it (`shrink`).
     way
         ``"iterative"``: outputs fitted on loads. ``"non-iterative"``: loads fitted on outputs.
     reading_noise
@@ -104,19 +105,15 @@ def calibrate(
     if way == "non-iterative":  # small interactions must not pass for products of loads that were never combined
         terms, more = identifiable(data.design(terms, data.outputs), data.intercepts, terms)
         unknown += more
-    masks = np.ones((len(schedule.components), len(terms)), dtype=bool)
-    tares, regressions = data.fit(terms, masks)
-    everything = regressions
+    choice = Choice.everything(len(schedule.components), len(terms))
+    tares, regressions = data.fit(terms, choice)
     if model == "auto":
-        masks = _chosen(data, terms, tares)
-        tares, regressions = data.fit(terms, masks)
-    # leaving a term out does not make it known: the uncertainty stays that of all terms together
-    covariance = np.array([fit.covariance for fit in everything])
-    matrix = data.matrix(terms, regressions, tares, covariance=covariance)
-    matrix = replace(matrix, reading_noise=reading_noise)
+        choice = _chosen(data, terms, tares)
+        tares, regressions = data.fit(terms, choice)
+    matrix = replace(data.matrix(terms, regressions, tares), reading_noise=reading_noise)
     residuals = data.residuals(matrix, regressions, tares)
     check_residuals(schedule, residuals[schedule.fitted] / schedule.capacities)
-    by_iteration = data.tares_by_iteration(terms, masks, regressions) if data.absolute else None
+    by_iteration = data.tares_by_iteration(terms, choice, regressions) if data.absolute else None
     return Calibration(
         schedule=schedule,
         model=model,
@@ -124,7 +121,7 @@ def calibrate(
         matrix=matrix,
         regressions=regressions,
         tares=tares * schedule.capacities,
-        u_tares=data.tare_uncertainty(matrix, everything) * schedule.capacities,
+        u_tares=data.tare_uncertainty(matrix, regressions) * schedule.capacities,
         tares_by_iteration=None if by_iteration is None else by_iteration * schedule.capacities,
         residuals=residuals,
         unidentified=unknown,
@@ -142,8 +139,14 @@ def _beyond_model(
     return tuple(item for item in others if item.term not in known)
 
 
-def _chosen(data: ScaledPoints, terms: tuple[Term, ...], tares: Array) -> NDArray[np.bool_]:
-    """Terms of every component by significance, shape (c, t)."""
+def _chosen(data: ScaledPoints, terms: tuple[Term, ...], tares: Array) -> Choice:
+    """Terms of every component by significance, and what draws their coefficients to zero."""
     design = data.design(terms, data.variables(tares))
-    targets = data.targets
-    return np.array([select(targets[:, i], design, data.nuisance(i), terms=terms) for i in range(targets.shape[1])])
+    kinds = np.array([term.kind for term in terms])
+    points = []
+    for i, values in enumerate(data.targets.T):
+        nuisance = data.nuisance(i)
+        own = without_intercepts(np.column_stack([design, values]), nuisance)
+        points.append(Fitted(own[:, :-1], own[:, -1], values.size - nuisance.shape[1]))
+    coefficients = shrink(points, kinds)
+    return Choice(select(coefficients, kinds), coefficients.penalty)

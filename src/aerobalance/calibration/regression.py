@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
+from scipy.stats import t as student
 from statsmodels.regression.linear_model import OLS
 from statsmodels.stats.outliers_influence import OLSInfluence
 
@@ -16,17 +18,50 @@ from aerobalance.problems import FitError
 LEAST_FREEDOM: Final = 1
 """Fewest points beyond the number of unknowns."""
 
+HIGHEST_INFLATION: Final = 10.0
+"""Variance inflation factor above which terms are near copies of each other (AIAA R-091 warns from 5)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """Which terms the components have, and what draws their coefficients to zero: c components, t terms.
+
+    Attributes
+    ----------
+    included
+        Shape (c, t).
+    penalty
+        Variance of a reading over that expected of a coefficient, shape (c, t); zero for least squares.
+    """
+
+    included: NDArray[np.bool_]
+    penalty: Array
+
+    @classmethod
+    def everything(cls, components: int, terms: int) -> Choice:
+        """All terms, by least squares."""
+        return cls(np.ones((components, terms), dtype=bool), np.zeros((components, terms)))
+
+    def solve(self, index: int, design: Array, others: Array, values: Array) -> tuple[Array, Array]:
+        """Coefficients of one component, shape (t,), zero for terms left out, and of other columns, shape (s,)."""
+        mask = self.included[index]
+        X, y = _drawn_to_zero(np.hstack([design[:, mask], others]), values, self.penalty[index, mask])
+        solved = scipy.linalg.lstsq(X, y, lapack_driver="gelsy")[0]
+        kept = int(np.count_nonzero(mask))
+        return _spread(solved[:kept], mask, 0.0), np.asarray(solved[kept:])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Regression:
-    """Ordinary least squares of one component, n points, p terms in the model, intercepts left out of what is kept.
+    """Least squares of one component, n points, p terms in the model, intercepts left out of what is kept.
 
     Attributes
     ----------
     included
         Which of the t candidate terms are in the model, shape (t,).
     coefficients, covariance
-        Of all t terms, shape (t,) and (t, t); zero for those left out.
+        Of all t terms, shape (t,) and (t, t). A term left out for want of significance has the coefficient zero and
+        yet an uncertainty, and what it may be worth is part of that of the others.
     t, p
         Student's statistic and its two-sided probability, shape (t,); NaN for those left out.
     vif
@@ -36,9 +71,9 @@ class Regression:
     residuals
         Shape (n,).
     deviation
-        Standard deviation of the residuals, degrees of freedom counted.
+        Standard deviation of the residuals about all candidate terms, degrees of freedom counted.
     degrees_of_freedom
-        Points less unknowns.
+        Points less unknowns; a coefficient drawn to zero counts as the part of one that the readings determine.
     press
         Root mean square of the residuals that each point would have, were it left out of the fit.
     r_squared
@@ -63,7 +98,9 @@ class Regression:
     studentised: Array
 
 
-def regress(values: Array, design: Array, intercepts: Array, *, included: NDArray[np.bool_]) -> Regression:
+def regress(
+    values: Array, design: Array, intercepts: Array, *, included: NDArray[np.bool_], penalty: Array
+) -> Regression:
     """Fit one component.
 
     Parameters
@@ -76,48 +113,70 @@ def regress(values: Array, design: Array, intercepts: Array, *, included: NDArra
         One column for each series, one in its points, shape (n, s).
     included
         Which terms to use, shape (t,).
+    penalty
+        What draws the coefficients to zero, shape (t,); zero for least squares. Terms that could be left out have one.
 
     Raises
     ------
     FitError
         There are fewer points than unknowns.
     """
-    X = np.hstack([design[:, included], intercepts])
-    n, unknowns = X.shape
+    n, unknowns = values.size, int(np.count_nonzero(included)) + intercepts.shape[1]
     if n < unknowns + LEAST_FREEDOM:
         raise FitError(
             f"{n} points for {unknowns} unknowns ({np.count_nonzero(included)} terms and {intercepts.shape[1]} series "
             "intercepts); add points, or choose a model with fewer terms"
         )
-    fit = OLS(values, X).fit()
-    influence = OLSInfluence(fit)
-    kept = int(np.count_nonzero(included))
+    fit = _fit(values, design[:, included], intercepts, penalty[included])
+    # leaving a term out does not make it known: scatter and uncertainty are those with all terms
+    whole = fit if included.all() else _fit(values, design, intercepts, penalty)
+    freedom = n - float(np.sum(_leverage(whole, n)))
+    deviation = float(np.sqrt(np.sum(whole.resid[:n] ** 2) / freedom))
+    found = _spread(fit.params, np.concatenate([included, np.ones(intercepts.shape[1], dtype=bool)]), 0.0)
+    covariance = whole.normalized_cov_params * deviation**2 + np.outer(found - whole.params, found - whole.params)
+    u = np.sqrt(np.diag(covariance))
+    leverage = np.minimum(_leverage(fit, n), 1 - 1e-12)
+    rest = np.asarray(fit.resid[:n])
+    squares = float(rest @ rest)
     spread = float(np.sum((values - values.mean()) ** 2))
-    where = np.flatnonzero(included)
-    covariance = np.zeros((included.size, included.size))
-    covariance[np.ix_(where, where)] = fit.cov_params()[:kept, :kept]
-    leave_one_out = 1 - np.minimum(influence.hat_matrix_diag, 1 - 1e-12)
-    deviation = float(np.sqrt(fit.scale))
     with np.errstate(divide="ignore", invalid="ignore"):
-        t, p = fit.tvalues[:kept], fit.pvalues[:kept]
-        left = np.sqrt(np.maximum(fit.ssr - fit.resid**2 / leave_one_out, 0.0) / max(n - unknowns - 1, 1))
-        studentised = np.nan_to_num(fit.resid / (left * np.sqrt(leave_one_out)))
+        t = (found / u)[: included.size]
+        left = np.sqrt(np.maximum(squares - rest**2 / (1 - leverage), 0.0) / max(freedom - 1, 1.0))
+        studentised = np.nan_to_num(rest / (left * np.sqrt(1 - leverage)))
     return Regression(
         included=included,
-        coefficients=_spread(fit.params[:kept], included, 0.0),
-        covariance=covariance,
-        t=_spread(t, included, np.nan),
-        p=_spread(p, included, np.nan),
+        coefficients=found[: included.size],
+        covariance=covariance[: included.size, : included.size],
+        t=np.where(included, t, np.nan),
+        p=np.where(included, 2 * student.sf(np.abs(t), freedom), np.nan),
         vif=_spread(inflation(design[:, included], intercepts), included, np.nan),
-        intercepts=np.asarray(fit.params[kept:]),
-        u_intercepts=np.asarray(fit.bse[kept:]),
-        residuals=np.asarray(fit.resid),
+        intercepts=found[included.size :],
+        u_intercepts=u[included.size :],
+        residuals=rest,
         deviation=deviation,
-        degrees_of_freedom=n - unknowns,
-        press=float(np.sqrt(np.mean((fit.resid / leave_one_out) ** 2))),
-        r_squared=1 - float(fit.ssr) / spread if spread > 0 else 0.0,
+        degrees_of_freedom=round(freedom),
+        press=float(np.sqrt(np.mean((rest / (1 - leverage)) ** 2))),
+        r_squared=1 - squares / spread if spread > 0 else 0.0,
         studentised=studentised,
     )
+
+
+def _fit(values: Array, design: Array, intercepts: Array, penalty: Array) -> Any:
+    X, y = _drawn_to_zero(np.hstack([design, intercepts]), values, penalty)
+    return OLS(y, X).fit()
+
+
+def _leverage(fit: Any, points: int) -> Array:
+    """Part of each point's own reading in its fitted value, shape (n,)."""
+    return np.asarray(OLSInfluence(fit).hat_matrix_diag[:points])
+
+
+def _drawn_to_zero(X: Array, y: Array, penalty: Array) -> tuple[Array, Array]:
+    """Append readings of zero of the first coefficients, weighted as the penalty says."""
+    rows = np.flatnonzero(penalty)
+    added = np.zeros((rows.size, X.shape[1]))
+    added[np.arange(rows.size), rows] = np.sqrt(penalty[rows])
+    return np.vstack([X, added]), np.concatenate([y, np.zeros(rows.size)])
 
 
 def _spread(values: Array, included: NDArray[np.bool_], rest: float) -> Array:

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from aerobalance import _term_kernels as kernels
 from aerobalance.balance import BalanceMatrix, TemperatureEffect, Way
-from aerobalance.calibration.regression import Regression, regress
+from aerobalance.calibration.regression import Choice, Regression, regress
 from aerobalance.channel import Array
 from aerobalance.problems import FitError
 from aerobalance.schedule import Schedule
@@ -128,51 +127,46 @@ class ScaledPoints:
             columns.append(self.warmth[:, None] * np.column_stack([np.ones(len(self.loads)), self.loads[:, index]]))
         return np.hstack(columns)
 
-    def fit(self, terms: tuple[Term, ...], masks: NDArray[np.bool_]) -> tuple[Array, tuple[Regression, ...]]:
+    def fit(self, terms: tuple[Term, ...], choice: Choice) -> tuple[Array, tuple[Regression, ...]]:
         """Fit all components and the tares together, tares as intercepts: (s, c) over capacity, and the fits."""
         c = self.loads.shape[1]
         tares = np.zeros((len(self.schedule.series_names), c))
         if not self.absolute:
-            return tares, self._regress(terms, masks, tares)
+            return tares, self._regress(terms, choice, tares)
         if self.way == "non-iterative":
-            regressions = self._regress(terms, masks, tares)
+            regressions = self._regress(terms, choice, tares)
             tares[self.series_used] = -np.column_stack(
                 [fit.intercepts[: self.intercepts.shape[1]] for fit in regressions]
             )
             return tares, regressions
         for _ in range(TARE_ROUNDS):
-            C, left = self._coefficients(terms, masks, tares)
+            C, left = self._coefficients(terms, choice, tares)
             # where only differences within a series are fitted, what is left of the outputs is a load of the fixture
             change = np.linalg.solve(_linear(terms, C), left.T).T
             tares[self.series_used] += change
             if np.max(np.abs(change)) < TARE_TOLERANCE:
-                return tares, self._regress(terms, masks, tares)
+                return tares, self._regress(terms, choice, tares)
         raise FitError(
             f"{self.schedule.name}: the tares do not settle (last change {100 * np.max(np.abs(change)):.2g} % of "
             "capacity); choose a model with fewer terms, or check the natural zeros"
         )
 
-    def _coefficients(self, terms: tuple[Term, ...], masks: NDArray[np.bool_], tares: Array) -> tuple[Array, Array]:
+    def _coefficients(self, terms: tuple[Term, ...], choice: Choice, tares: Array) -> tuple[Array, Array]:
         """Coefficients (t, c) and series intercepts (s, c) alone, without the statistics that `regress` adds."""
         design, targets = self.design(terms, self.variables(tares)), self.targets
-        C = np.zeros((len(terms), targets.shape[1]))
-        left = np.zeros((self.intercepts.shape[1], targets.shape[1]))
-        for i, mask in enumerate(masks):
-            X = np.hstack([design[:, mask], self.nuisance(i)])
-            solved = scipy.linalg.lstsq(X, targets[:, i], lapack_driver="gelsy")[0]
-            kept = int(np.count_nonzero(mask))
-            C[mask, i] = solved[:kept]
-            left[:, i] = solved[kept : kept + left.shape[0]]
-        return C, left
+        solved = [choice.solve(i, design, self.nuisance(i), values) for i, values in enumerate(targets.T)]
+        series = self.intercepts.shape[1]
+        return np.column_stack([C for C, _ in solved]), np.column_stack([left[:series] for _, left in solved])
 
-    def _regress(self, terms: tuple[Term, ...], masks: NDArray[np.bool_], tares: Array) -> tuple[Regression, ...]:
-        design, targets = self.design(terms, self.variables(tares)), self.targets
+    def _regress(self, terms: tuple[Term, ...], choice: Choice, tares: Array) -> tuple[Regression, ...]:
+        design = self.design(terms, self.variables(tares))
         return tuple(
-            regress(targets[:, i], design, self.nuisance(i), included=masks[i]) for i in range(targets.shape[1])
+            regress(values, design, self.nuisance(i), included=choice.included[i], penalty=choice.penalty[i])
+            for i, values in enumerate(self.targets.T)
         )
 
     def tares_by_iteration(
-        self, terms: tuple[Term, ...], masks: NDArray[np.bool_], regressions: tuple[Regression, ...]
+        self, terms: tuple[Term, ...], choice: Choice, regressions: tuple[Regression, ...]
     ) -> Array:
         """Tares by the iteration of AIAA R-091, over capacity, shape (s, c).
 
@@ -184,13 +178,13 @@ class ScaledPoints:
         tares = np.full((len(self.schedule.series_names), self.loads.shape[1]), np.nan)
         now: Array = np.zeros((used.size, self.loads.shape[1]))
         if self.way == "iterative":  # from nothing it need not settle where the fixtures are heavy
-            C, left = self._coefficients(terms, masks, np.zeros_like(tares))
+            C, left = self._coefficients(terms, choice, np.zeros_like(tares))
             now = np.asarray(np.linalg.solve(_linear(terms, C), left.T).T, dtype=np.float64)
         places: list[Array] = []
         steps: list[Array] = []
         for _ in range(TARE_ROUNDS):
             tares[used] = now
-            step = self._tare_step(terms, masks, outputs, tares)
+            step = self._tare_step(terms, choice, outputs, tares)
             if not np.isfinite(step).all():
                 break
             if np.max(np.abs(step)) < ITERATION_TOLERANCE:
@@ -203,15 +197,14 @@ class ScaledPoints:
             now = following.reshape(now.shape)
         return tares
 
-    def _tare_step(self, terms: tuple[Term, ...], masks: NDArray[np.bool_], outputs: Array, tares: Array) -> Array:
+    def _tare_step(self, terms: tuple[Term, ...], choice: Choice, outputs: Array, tares: Array) -> Array:
         """Mean difference of computed and applied load in every series, over capacity, shape (s, c)."""
         series = self.schedule.series[self.schedule.fitted]
         total = self.loads + self.per_point(tares)
         x, y = (total, outputs) if self.way == "iterative" else (outputs, total)
         design = self.design(terms, x)
-        C = np.zeros((len(terms), self.loads.shape[1]))
-        for i, mask in enumerate(masks):
-            C[mask, i] = scipy.linalg.lstsq(design[:, mask], y[:, i], lapack_driver="gelsy")[0]
+        none = np.zeros((len(design), 0))
+        C = np.column_stack([choice.solve(i, design, none, values)[0] for i, values in enumerate(y.T)])
         if self.way == "non-iterative":
             computed = design @ C
         else:
@@ -221,9 +214,7 @@ class ScaledPoints:
             computed = np.where(np.isfinite(computed).all(axis=1, keepdims=True), computed, near)
         return np.array([(computed - total)[series == number].mean(axis=0) for number in self.series_used])
 
-    def matrix(
-        self, terms: tuple[Term, ...], regressions: tuple[Regression, ...], tares: Array, *, covariance: Array
-    ) -> BalanceMatrix:
+    def matrix(self, terms: tuple[Term, ...], regressions: tuple[Regression, ...], tares: Array) -> BalanceMatrix:
         """Put the matrix together from the fits of all components."""
         schedule = self.schedule
         total = (self.loads + self.per_point(tares)) * schedule.capacities
@@ -236,7 +227,7 @@ class ScaledPoints:
             coefficients=np.column_stack([fit.coefficients for fit in regressions]),
             load_scale=schedule.capacities,
             output_scale=self.output_scale,
-            covariance=covariance,
+            covariance=np.array([fit.covariance for fit in regressions]),
             residual_deviation=np.array([fit.deviation for fit in regressions]),
             residual_correlation=_correlation(rest),
             degrees_of_freedom=np.array([fit.degrees_of_freedom for fit in regressions]),
