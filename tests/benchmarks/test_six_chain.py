@@ -39,8 +39,8 @@ RARE = 4
 """Standard uncertainties that the matrix is off by in one of 36 components once in 400 runs.
 
 The bound knows no errors of calibration and identification. A calibration with a noise of 1e-4 of half range leaves
-nonlinear terms that are off by 2e-5, which make offsets of up to 6e-5 of shaking loads, and grow with the square of
-the frequency above the lowest modes.
+nonlinear terms that make offsets of some 1e-5 of shaking loads, and grow with the square of the frequency above the
+lowest modes.
 """
 
 MATRIX = ("balance matrix, zeros and tares", "curvature of the balance matrix, ringing")
@@ -129,8 +129,8 @@ def test_from_gauge_outputs_to_forces(record, tmp_path: Path) -> None:
     record("0.05 % over the worst plateau in half range, from mV/V", 5e-4 / plateau, 1.0)
     record("least of cover over 93 % and 97 % over cover, from mV/V", min(cover / 0.93, 0.97 / cover), 1.0)
     record("median error of the diagonal model over that of the coupled one, from mV/V", float(np.median(alone)), 0.0)
-    assert np.median(ratios) < 1.4
+    assert np.mean(np.array(ratios) < 1.4) > 0.9
     assert with_matrix < 1
     assert share < 3e-3
     assert plateau < 5e-4
-    assert cover > 0.93
+    assert 0.93 < cover < 0.98  # the mean of 36, of which those where the matrix counts most go together
