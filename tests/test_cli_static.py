@@ -151,6 +151,29 @@ def test_loads_weigh_and_force_from_gauge_outputs(here, capsys, truth, seed):
         assert abs(entry["mean"] - expected) < 4 * entry["u_calibration_rms"], name
 
 
+@pytest.mark.parametrize("at_zero", [4.0, 9.0])
+def test_a_wrong_mass_is_wrong_in_a_zero_read_with_the_model_on(here, capsys, truth, seed, at_zero):
+    generator = np.random.default_rng(seed)
+    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
+    time = np.arange(1200) / 1000.0
+    pitch, up = np.full((2, time.size), np.radians([[4.0], [at_zero]]))
+    felt = weight(pitch)
+    felt[:, 5] += 200 * np.sin(2 * np.pi * 3 * time)
+    write("run.csv", time, gauges(truth, felt, generator) | {"pitch [deg]": np.degrees(pitch)})
+    write("zero.csv", time, gauges(truth, weight(up), generator) | {"pitch [deg]": np.degrees(up)})
+    u = 0.02 * MASS
+    dynamics = {"mass": {"value": MASS, "u": u}, "stiffness": {"value": STIFFNESS}, "damping": {"value": DAMPING}}
+    Path("dynamics.json").write_text(json.dumps({"components": {"AF": dynamics}}))
+    files = ["--dynamics", "dynamics.json", "--balance", "balance.json", "--zero", "zero.csv", "-o", "force.csv"]
+    account = run(capsys, "force", "run.csv", *files, "--monte-carlo", "20")
+    found = account["components"]["AF"]["uncertainty_budget_rms"]["mass, stiffness, damping, delay"]
+    alone, expected = (GRAVITY * u * abs(np.sin(pitch[0]) - sine) for sine in (0.0, np.sin(up[0])))
+    # the mass in M / k AF'' is (3 / 112)^2 of 2 % of 141 N, rms, and as much of what the smoother lets through of noise
+    assert found == pytest.approx(expected, rel=0.01, abs=0.01), alone
+    assert alone > 50 * 0.01
+    assert not [text for text in account["warnings"] if "mass" in text and "Monte Carlo" in text]
+
+
 @pytest.mark.parametrize("zero", ["natural", "with the model on, nose up"])
 def test_force_counts_gravity_once(here, capsys, truth, seed, zero):
     generator = np.random.default_rng(seed)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from aerobalance.channel import Array, Channel
-from aerobalance.components import COMPONENTS, si_unit
+from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.coupled import CoupledDynamics, RigidMass
 from aerobalance.coupled_force import noise_of_coupled, reconstruct_coupled
 from aerobalance.coupled_record import CoupledRecord
@@ -93,6 +93,40 @@ def test_monte_carlo_agrees_with_the_first_order(options: dict[str, object]) -> 
         # ten per cent is what is promised; the scatter of 25 draws of noise is beside that
         whole = result.contributions[-1]
         assert abs(whole.ratio - 1) < 0.1 + 4 * whole.scatter, (name, seed)
+
+
+@pytest.mark.parametrize("at_zero", [0.1, -0.3])
+def test_a_wrong_mass_is_wrong_in_the_zero_of_the_loads_too(at_zero: float) -> None:
+    generator, seed = fresh()
+    dynamics = pair()
+    dynamics = replace(dynamics, covariance=np.zeros_like(dynamics.covariance))
+    mass, pitch = dynamics.mass, 0.1
+    assert mass is not None
+    own = [COMPONENTS.index(name) for name in dynamics.components]
+    force = 0.03 * SIZE * band(generator, 250, count=COUNT, rate=RATE, columns=2)
+    felt = dynamics.load_felt(force, interval=1 / RATE) + mass.weight(np.array([pitch]))[:, own]
+    recording = recording_of(felt + NOISE * generator.normal(size=felt.shape), pitch=np.full(COUNT, pitch))
+    up, aft = -STANDARD_GRAVITY * np.cos(at_zero), STANDARD_GRAVITY * np.sin(at_zero)
+    recording = replace(recording, pull_on_zero=(up, 0.0, 0.0, 0.0, 0.0, aft))
+    found = reconstruct_coupled(recording, dynamics)
+    checked = monte_carlo_of_coupled(recording, dynamics, found, draws=25, seed=seed)
+
+    def weighs(values: Array) -> Array:
+        """What the loads have too much of, in the run and in the zero."""
+        run, zero = RigidMass.of_values(values).weight(np.array([pitch, at_zero]))[:, own]
+        return run - zero
+
+    # the weight is linear in mass times centre: what the centre and the mass do together is of second order
+    size = np.sqrt(np.diag(mass.covariance))
+    moved = [weighs(mass.values + row) - weighs(mass.values - row) for row in np.diag(size)]
+    expected = np.sqrt(np.sum(np.square(moved), axis=0)) / 2
+    for name, u in zip(dynamics.components, expected, strict=True):
+        given = found[name].budget["inertia, damping and mass"]
+        # the balance answers a weight that stands still as it is; 1e-4 of the weight's own is left by the inverse
+        assert given == pytest.approx(u, rel=1e-3, abs=1e-4 * 2e-3 * mass.mass * STANDARD_GRAVITY), (name, seed)
+        drawn = [row.drawn for row in checked[name].contributions if row.name == "inertia, damping and mass"]
+        # a row of nothing is left out
+        assert sum(drawn) == pytest.approx(np.sqrt(24 / 25) * u, rel=0.03, abs=1e-3), (name, seed)
 
 
 def test_gaps_are_filled_in_the_draws_as_in_the_force() -> None:

@@ -82,7 +82,9 @@ class LoneJob(Job):
         names = [self.coupled.parameters[number] for number in rows]
         if mass is not None and mass.covariance.any() and self.platform.specific_force.any():
             own = [COMPONENTS.index(component) for component in self.coupled.components]
-            felt = [self._read(-self.platform.specific_force @ part[own].T) for part in mass_slopes(mass)]
+            # the loads count from a zero that was read under the weight: the mass is wrong there too
+            acting = self.platform.specific_force + self.platform.pull_on_zero
+            felt = [self._read(-acting @ part[own].T) for part in mass_slopes(mass)]
             slopes = np.column_stack([slopes, -through(np.column_stack(felt))])
             zero = np.zeros((rows.size, len(felt)))
             covariance = np.block([[covariance, zero], [zero.T, mass.covariance]])
@@ -144,7 +146,10 @@ class CoupledRecord:
     noise
         Covariance of the noise of a reading, shape (n, n) [N^2, N^2*m, N^2*m^2].
     from_ground
-        Loads felt under gravity and the ground's motion alone, on the clock, shape (samples, n).
+        Loads felt under gravity and the ground's motion alone, on the clock, shape (samples, n); less what other
+        dynamics' mass would have put on the zero that the loads count from, where that was read under the weight.
+    on_zero
+        Weight in the loads that was taken out of their zero, shape (n,) [N, N*m].
     lones
         The components' own balances.
     """
@@ -156,6 +161,7 @@ class CoupledRecord:
     loads: Array
     noise: Array
     from_ground: Array
+    on_zero: Array
     lones: tuple[LoneComponent, ...]
 
     @classmethod
@@ -180,18 +186,19 @@ class CoupledRecord:
         platform = PlatformMotion.of(recording, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
         loads = np.column_stack([np.where(channel.at_limit, np.nan, channel.values) for channel in channels])
         noise = noise_covariance(channels, bridged(loads))
-        nothing = np.zeros_like(loads)
-        return cls(recording, dynamics, platform, channels, loads, noise, nothing, ()).taken_with(dynamics)
+        nothing, on_zero = np.zeros_like(loads), _weight_on_zero(platform, dynamics)
+        return cls(recording, dynamics, platform, channels, loads, noise, nothing, on_zero, ()).taken_with(dynamics)
 
     def taken_with(self, dynamics: CoupledDynamics, *, noise: Array | None = None) -> CoupledRecord:
         """The same record with other dynamics of its components, or with another covariance of their noise."""
         noise = self.noise if noise is None else noise
         from_ground = load_felt(dynamics, net_load(self.platform, dynamics), interval=self.interval)
+        shift = self.on_zero - _weight_on_zero(self.platform, dynamics)
         return replace(
             self,
             dynamics=dynamics,
             noise=noise,
-            from_ground=later(from_ground, self.platform.delay, interval=self.interval),
+            from_ground=later(from_ground, self.platform.delay, interval=self.interval) + shift,
             lones=tuple(LoneComponent.of(dynamics, name, noise=noise) for name in dynamics.components),
         )
 
@@ -272,6 +279,14 @@ def net_load(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
             "when they are identified (--mass)"
         )
     return platform.force(dynamics.mass)[:, [COMPONENTS.index(name) for name in dynamics.components]]
+
+
+def _weight_on_zero(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
+    """Weight of the mass while the zero of the loads was read, shape (n,); zero where it was not taken out of it."""
+    if dynamics.mass is None:
+        return np.zeros(len(dynamics.components))
+    own = [COMPONENTS.index(name) for name in dynamics.components]
+    return np.asarray((platform.pull_on_zero @ dynamics.mass.matrix.T)[own])
 
 
 def mass_slopes(mass: RigidMass) -> list[Array]:

@@ -190,6 +190,14 @@ class Job:
             color=None if self.noise is None else self.noise.states(channel.values.size * self.interval),
         )
 
+    def with_dynamics(self, other: Dynamics) -> Job:
+        """The same record with other dynamics, whose mass has another weight in the zero that the load counts from."""
+        shift = (other.mass - self.dynamics.mass) * self.motion.pull_on_zero
+        channel = self.recording.channel(self.dynamics.component)
+        moved = replace(channel, values=channel.values + shift)
+        recording = replace(self.recording, channels={**self.recording.channels, channel.name: moved})
+        return replace(self, recording=recording, dynamics=other)
+
     def parameter_errors(self, values: Array, again: Callable[[Job], Array], through: Through) -> Systematic:
         """What the parameters of the dynamics do to the force: the method is run again with each of them changed.
 
@@ -202,7 +210,7 @@ class Job:
             if deviation > 0:
                 changed = d.values
                 changed[place] += PROBE * deviation
-                moved = again(replace(self, dynamics=d.with_parameters(changed)))
+                moved = again(self.with_dynamics(d.with_parameters(changed)))
                 slopes[:, place] = (moved - values) / (PROBE * deviation)
         return Systematic(PARAMETERS_NAME, "dynamics", d.parameters, slopes, d.covariance)
 

@@ -167,7 +167,7 @@ def monte_carlo(
     def changed(generator: np.random.Generator) -> Iterator[Job]:
         if not dynamics.covariance.any():
             return repeat(job, draws)
-        return (replace(job, dynamics=other) for other in drawn_dynamics(generator, dynamics, draws))
+        return (job.with_dynamics(other) for other in drawn_dynamics(generator, dynamics, draws))
 
     trial = _Trial(job, estimate, changed, draws, np.random.default_rng(seed))
     return trial.run(seed, method=method, bandwidth=bandwidth)

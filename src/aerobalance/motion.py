@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
 from aerobalance.channel import Array, Channel
-from aerobalance.components import STANDARD_GRAVITY
+from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.decoupling import SHARPNESS
 from aerobalance.dynamics import Dynamics
 from aerobalance.noise import channel_noise
@@ -75,6 +75,8 @@ class GroundMotion:
     unknowns
         What holds along the record and is not known exactly: gain and zero of the accelerometer and of the angles,
         and gravity.
+    pull_on_zero
+        That of the recording, along the component [m/s^2].
     """
 
     specific_force: Array
@@ -84,6 +86,7 @@ class GroundMotion:
     delay: float
     assumptions: tuple[str, ...]
     unknowns: tuple[Unknown, ...] = ()
+    pull_on_zero: float = 0.0
 
     @classmethod
     def of(
@@ -155,6 +158,7 @@ class GroundMotion:
             delay=delay,
             assumptions=tuple(assumptions),
             unknowns=tuple(item for item in unknowns if item.uncertainty > 0 and item.slope.any()),
+            pull_on_zero=recording.pull_on_zero[COMPONENTS.index(component if component in AXES else "AF")],
         )
 
     def moved(self, changes: Array) -> GroundMotion:

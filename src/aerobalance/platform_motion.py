@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -55,6 +55,8 @@ class PlatformMotion:
     unknowns
         What holds along the record and is not known exactly: gain, zero and place of the sensors, zero and gain of
         the angles, and gravity; slopes have shape (n, 6).
+    pull_on_zero
+        That of the recording, shape (6,) [m/s^2].
     """
 
     acceleration: Array
@@ -64,6 +66,7 @@ class PlatformMotion:
     delay: float
     assumptions: tuple[str, ...]
     unknowns: tuple[Unknown, ...] = ()
+    pull_on_zero: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
 
     @classmethod
     def of(
@@ -185,6 +188,7 @@ class _Job:
             delay=fit.sensors[0].channel.delay if fit.sensors else 0.0,
             assumptions=(*said, *_told(self.first, found), *self.pull.assumptions),
             unknowns=tuple(self._unknowns(fit, effects, known)),
+            pull_on_zero=np.array(self.recording.pull_on_zero),
         )
 
     def _at_rest(self) -> tuple[GroundFit, Array, Array, list[str]]:

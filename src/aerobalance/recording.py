@@ -35,6 +35,9 @@ class Recording:
         The channels by name, each of n samples.
     time_unit
         Unit that the time column had in its file, in which it is written again.
+    pull_on_zero
+        Pull of gravity, along NF PM SF YM RM AF, on the mass whose weight was added to loads that count from a zero
+        read under it [m/s^2]: what is wrong with that mass is wrong in these loads. Zero for loads as they are felt.
     """
 
     name: str
@@ -44,6 +47,7 @@ class Recording:
     rate: float
     channels: Mapping[str, Channel]
     time_unit: str = "s"
+    pull_on_zero: tuple[float, ...] = (0.0,) * 6
 
     @classmethod
     def from_columns(

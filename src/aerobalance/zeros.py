@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from aerobalance.balance import BalanceMatrix
 from aerobalance.channel import Array, Channel
-from aerobalance.components import is_gauge
+from aerobalance.components import COMPONENTS, is_gauge
 from aerobalance.forms import role_of
 from aerobalance.gauges import gauge_outputs
 from aerobalance.problems import FitError
@@ -28,12 +28,16 @@ class GaugeZero:
         Where they are from.
     drift
         Change from the beginning to the end of the run, shape (c,) [mV/V]; zero where no closing zero was read.
+    pull
+        Pull of gravity on the mass whose weight was taken out, along NF PM SF YM RM AF (moments: 0) [m/s^2]; zero
+        where none was.
     """
 
     values: Array
     u: Array
     source: str
     drift: Array
+    pull: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
 
 
 def gauge_table(recording: Recording, balance: BalanceMatrix) -> tuple[Array, tuple[Channel, ...]]:

@@ -14,7 +14,7 @@ from aerobalance.balance import TOLERANCE, BalanceMatrix
 from aerobalance.channel import Array
 from aerobalance.commands.known import Known
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of
-from aerobalance.components import COMPONENTS
+from aerobalance.components import COMPONENTS, MOMENTS
 from aerobalance.forms import Form
 from aerobalance.io import check_output, write_loads
 from aerobalance.io.balance_file import write_balance
@@ -22,6 +22,7 @@ from aerobalance.io.balfit_matrix import write_balfit_matrix
 from aerobalance.io.matrix_file import read_matrix
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_loads, with_loads
+from aerobalance.motion import gravity_share
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.weighing import LoadPoints, points_from_recordings
@@ -93,12 +94,12 @@ def reduced(
     *,
     form: Form | None = None,
     channel_map: Path | None = None,
-    on_zero: Callable[[Sequence[Recording]], Array] | None = None,
+    on_zero: Callable[[Sequence[Recording]], Carried] | None = None,
 ) -> tuple[LoadsFelt, BalanceMatrix]:
     """Loads felt in a recording, with zeros and tares from their files.
 
-    `on_zero` gives the weight that hung on the balance while its zero was read, by component: taken out of the zero,
-    it stays in the loads, and curved bridges are read from where they were calibrated.
+    `on_zero` gives the weight that hung on the balance while its zero was read: taken out of the zero, it stays in
+    the loads, and curved bridges are read from where they were calibrated.
     """
     if files.tare and files.mass is not None:
         raise ValueError("give --tare or --mass, not both: each takes the weight off")
@@ -121,6 +122,21 @@ def reduced(
     elif files.mass is not None:
         tare = _weight(recording, files.mass, matrix)
     return loads_felt(recording, matrix, zero=zero, tare=tare, form=form), matrix
+
+
+class Carried(NamedTuple):
+    """What hung on the balance while its zero was read, along the components.
+
+    Attributes
+    ----------
+    weight
+        Shape (6,) [N, N*m].
+    pull
+        Pull of gravity on it, shape (6,) [m/s^2]; zero for moments.
+    """
+
+    weight: Array
+    pull: Array
 
 
 class Reduction(NamedTuple):
@@ -163,8 +179,8 @@ def from_gauges(
     if files.mass is not None:
         raise ValueError("the weight comes from the mass in the dynamics; --mass would take it off twice")
 
-    def carried(zeros: Sequence[Recording]) -> Array:
-        return _weight_on_zero(zeros, known, gravity=gravity, pitched="pitch" in recording)
+    def carried(zeros: Sequence[Recording]) -> Carried:
+        return _carried_on_zero(zeros, known, gravity=gravity, pitched="pitch" in recording)
 
     felt, matrix = reduced(recording, files, channel_map=channel_map, on_zero=None if files.tare else carried)
     ready = with_loads(recording, felt)
@@ -217,8 +233,8 @@ def _without_gravity(recording: Recording) -> Recording:
     return replace(recording, channels=channels)
 
 
-def _weight_on_zero(zeros: Sequence[Recording], known: Known, *, gravity: float, pitched: bool) -> Array:
-    """Weight of the moving mass on the balance while its zero was read, in the order of the components, shape (6,)."""
+def _carried_on_zero(zeros: Sequence[Recording], known: Known, *, gravity: float, pitched: bool) -> Carried:
+    """Weight of the moving mass on the balance while its zero was read."""
     lacking = [zero.name for zero in zeros if "pitch" not in zero]
     if lacking and pitched:
         warnings.warn(
@@ -226,14 +242,16 @@ def _weight_on_zero(zeros: Sequence[Recording], known: Known, *, gravity: float,
             DoubtWarning,
             stacklevel=3,
         )
-    weights = np.zeros((len(zeros), len(COMPONENTS)))
-    for row, zero in zip(weights, zeros, strict=True):
+    weights, pulls = np.zeros((2, len(zeros), len(COMPONENTS)))
+    for row, pull, zero in zip(weights, pulls, zeros, strict=True):
         pitch, roll = (
             zero.channel(angle).values if angle in zero else np.zeros(zero.samples) for angle in ("pitch", "roll")
         )
         for name in known.components:
             row[COMPONENTS.index(name)] = np.nanmean(known.weight(name, pitch=pitch, roll=roll, gravity=gravity))
-    return np.asarray(weights.mean(axis=0))
+        for name in set(COMPONENTS) - set(MOMENTS):
+            pull[COMPONENTS.index(name)] = gravity * np.nanmean(gravity_share(name, pitch=pitch, roll=roll))
+    return Carried(weights.mean(axis=0), pulls.mean(axis=0))
 
 
 def _stand_in(zero: GaugeZero | None, recordings: Sequence[Recording], matrix: BalanceMatrix) -> GaugeZero | None:
@@ -254,7 +272,7 @@ def _zero(
     matrix: BalanceMatrix,
     channel_map: Path | None,
     *,
-    on_zero: Callable[[Sequence[Recording]], Array] | None = None,
+    on_zero: Callable[[Sequence[Recording]], Carried] | None = None,
 ) -> GaugeZero | None:
     if files.as_they_are:
         nothing = np.zeros(len(matrix.components))
@@ -269,10 +287,11 @@ def _zero(
         return _without_weight(zero, _weighed(before, files.mass, matrix), matrix)
     if on_zero is None:
         return zero
-    direct = on_zero(before)
+    carried = on_zero(before)
+    zero = replace(zero, pull=carried.pull)
     if matrix.direct is not None:
-        return _without_weight(zero, direct, matrix)
-    own = [direct[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in matrix.components]
+        return _without_weight(zero, carried.weight, matrix)
+    own = [carried.weight[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in matrix.components]
     return _without_weight(zero, np.array(own), matrix)
 
 
