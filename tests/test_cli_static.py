@@ -80,8 +80,9 @@ def test_calibrate_gives_matrix_statistics_and_warnings(here, capsys, truth):
     for i, entry in enumerate(account["components"].values()):
         noise = 100 * 0.7e-3 / truth.output_scale[i]
         assert 0.6 * noise < entry["residual_std_percent_of_capacity"] < 1.1 * noise
-        assert entry["confirmation_within_two_u_percent"] > 60
         assert {"term", "value", "u", "t", "p", "vif", "percent_contribution"} == set(entry["terms"][0])
+    covered = [entry["confirmation_within_two_u_percent"] for entry in account["components"].values()]
+    assert np.mean(covered) > 75  # of six times 17 points; those of a component share its errors
     assert account["unidentified_terms"] == []
     assert account["tares"]["largest_difference_of_both_methods_percent_of_capacity"] < 0.05
     artefact = json.loads(Path("balance.json").read_text())

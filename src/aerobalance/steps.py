@@ -39,8 +39,12 @@ of freedom. At 25 it was once in 600 (measured: 4 in 3600 records).
 FEW_INSTANTS: Final = 3200
 """Samples of a record up to which that is enough; every further instant is one more chance to be misled."""
 
-RAMP_EVIDENCE: Final = 10.0
-"""Gain in twice the log-likelihood for which a step is given a duration."""
+RAMP_EVIDENCE: Final = 20.0
+"""Gain in twice the log-likelihood for which a step is given a duration.
+
+Chance brings it to one sudden step in a hundred thousand (chi-square with one degree of freedom); at 10 it was one in
+600, which was then found half a sample early.
+"""
 
 RAMPS: Final = np.array([0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0])
 """Durations that are tried to begin with, in samples."""
