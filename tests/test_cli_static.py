@@ -169,7 +169,7 @@ def test_a_wrong_mass_is_wrong_in_a_zero_read_with_the_model_on(here, capsys, tr
     account = run(capsys, "force", "run.csv", *files, "--monte-carlo", "20")
     found = account["components"]["AF"]["uncertainty_budget_rms"]["mass, stiffness, damping, delay"]
     alone, expected = (GRAVITY * u * abs(np.sin(pitch[0]) - sine) for sine in (0.0, np.sin(up[0])))
-    # the mass in M / k AF'' is (3 / 112)^2 of 2 % of 141 N, rms, and as much of what the smoother lets through of noise
+    # the mass in M / k AF'' is (3 / 112)^2 of 2 % of 141 N, rms, and the smoother lets through as much of noise
     assert found == pytest.approx(expected, rel=0.01, abs=0.01), alone
     assert alone > 50 * 0.01
     assert not [text for text in account["warnings"] if "mass" in text and "Monte Carlo" in text]
