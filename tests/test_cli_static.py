@@ -82,7 +82,8 @@ def test_calibrate_gives_matrix_statistics_and_warnings(here, capsys, truth):
         assert 0.6 * noise < entry["residual_std_percent_of_capacity"] < 1.1 * noise
         assert {"term", "value", "u", "t", "p", "vif", "percent_contribution"} == set(entry["terms"][0])
     covered = [entry["confirmation_within_two_u_percent"] for entry in account["components"].values()]
-    assert np.mean(covered) > 75  # of six times 17 points; those of a component share its errors
+    # 95.4 % of six times 17 points, by chance +- 2.1 %, and one calibration differs from the next by 2.3 %: five times
+    assert np.mean(covered) > 80
     assert account["unidentified_terms"] == []
     assert account["tares"]["largest_difference_of_both_methods_percent_of_capacity"] < 0.05
     artefact = json.loads(Path("balance.json").read_text())
@@ -150,6 +151,26 @@ def test_loads_weigh_and_force_from_gauge_outputs(here, capsys, truth, seed):
     for name, expected in zip(("NF", "PM", "SF", "YM", "RM", "AF"), aero[0], strict=True):
         entry = account["components"][name]
         assert abs(entry["mean"] - expected) < 4 * entry["u_calibration_rms"], name
+
+
+def test_a_run_without_pitch_counts_from_the_attitude_of_its_zero(here, capsys, truth, seed):
+    generator = np.random.default_rng(seed)
+    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
+    time = np.arange(1200) / 1000.0
+    up = np.full(time.size, np.radians(9.0))
+    applied = 200 * np.sin(2 * np.pi * 3 * time)
+    felt = weight(up)
+    felt[:, 5] += applied
+    write("run.csv", time, gauges(truth, felt, generator))
+    write("zero.csv", time, gauges(truth, weight(up), generator) | {"pitch [deg]": np.degrees(up)})
+    dynamics = {"mass": {"value": MASS}, "stiffness": {"value": STIFFNESS}, "damping": {"value": DAMPING}}
+    Path("dynamics.json").write_text(json.dumps({"components": {"AF": dynamics}}))
+    files = ["--dynamics", "dynamics.json", "--balance", "balance.json", "--zero", "zero.csv", "-o", "force.csv"]
+    run(capsys, "force", "run.csv", *files)
+    table = np.genfromtxt("force.csv", delimiter=",", names=True)
+    # the weight left in would be M g sin(9 deg) = 92 N, some hundred times what the matrix leaves
+    assert abs(np.mean(table["AF_N"] - applied)) < 4 * np.sqrt(np.mean(table["u_AF_N"] ** 2))
+    assert np.sqrt(np.mean(table["u_AF_N"] ** 2)) < 0.1 * MASS * GRAVITY * np.sin(up[0])
 
 
 @pytest.mark.parametrize("at_zero", [4.0, 9.0])

@@ -28,15 +28,16 @@ class GaugeZero:
         Where they are from.
     drift
         Change from the beginning to the end of the run, shape (c,) [mV/V]; zero where no closing zero was read.
-    pull
-        Pull of gravity on the mass whose weight was taken out, along NF PM SF YM RM AF (moments: 0) [m/s^2]; zero
-        where none was.
+    weight, pull
+        Weight that was taken out, shape (6,) along NF PM SF YM RM AF [N, N*m], and the pull of gravity that made it,
+        0 for moments [m/s^2]; zero where none was.
     """
 
     values: Array
     u: Array
     source: str
     drift: Array
+    weight: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
     pull: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
 
 

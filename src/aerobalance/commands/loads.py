@@ -183,8 +183,18 @@ def from_gauges(
         return _carried_on_zero(zeros, known, gravity=gravity, pitched="pitch" in recording)
 
     felt, matrix = reduced(recording, files, channel_map=channel_map, on_zero=None if files.tare else carried)
+    if "pitch" not in recording and not any(channel.coupling == "dc" for channel in recording):
+        felt = _from_its_zero(felt)
     ready = with_loads(recording, felt)
     return (_without_gravity(ready) if files.tare else ready), Reduction(felt, matrix)
+
+
+def _from_its_zero(felt: LoadsFelt) -> LoadsFelt:
+    """Loads less the weight in their zero, for a run of no known attitude: it is taken for that of the zero."""
+    zero = felt.zero
+    own = [zero.weight[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in felt.components]
+    counted = replace(zero, pull=np.zeros_like(zero.pull))
+    return replace(felt, values=felt.values - np.array(own), zero=counted)
 
 
 class Source(NamedTuple):
@@ -288,7 +298,7 @@ def _zero(
     if on_zero is None:
         return zero
     carried = on_zero(before)
-    zero = replace(zero, pull=carried.pull)
+    zero = replace(zero, weight=carried.weight, pull=carried.pull)
     if matrix.direct is not None:
         return _without_weight(zero, carried.weight, matrix)
     own = [carried.weight[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in matrix.components]
