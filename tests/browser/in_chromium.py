@@ -25,6 +25,7 @@ class Operator:
     def __init__(self, browser, base, **how) -> None:
         self.view = browser.new_page(**({"viewport": {"width": 1440, "height": 1000}} | how))
         self.said, self.asked, self.base = [], [], base
+        self.view.set_default_timeout(120_000)  # as long as the machine of a test may be busy with others
         self.view.on("console", lambda message: self.said.append(message.text))
         self.view.on("pageerror", lambda error: self.said.append(str(error)))
         self.view.on("request", lambda request: self.asked.append(request.url))
@@ -48,7 +49,7 @@ class Operator:
         """Wait for a report whose name ends so, and return its words."""
         self.until(f"document.getElementById('result-title').textContent.includes({text!r})", 300.0)
         frame = self.view.frame_locator("#report")
-        frame.locator("h1").wait_for(timeout=60_000)
+        frame.locator("h1").wait_for()
         return frame.locator("main").inner_text()
 
     def rig(self, name):

@@ -39,6 +39,7 @@ def test_live_force_without_set_up(opened, operator) -> None:
 
 def test_cut_record_identify_and_force(opened, operator) -> None:
     view, folder = operator.view, opened[2]
+    view.select_option("#window", "60")  # what a busy page missed as a number stays on its chart as long as this
     view.fill("#record-name", "cut")
     view.fill("#record-notes", "the cable is cut")
     view.click("#record")
@@ -46,7 +47,7 @@ def test_cut_record_identify_and_force(opened, operator) -> None:
     time.sleep(1.0)
     view.click("#control-cut")
     # the load rings to nearly as much on the other side, while the force goes to zero and stays there
-    operator.until("window.aerobalance.load.largest > 500")
+    operator.until("window.aerobalance.shown.felt.largest > 500")
     operator.until("Math.abs(window.aerobalance.force.force) < 20 && window.aerobalance.force.largest < 60")
     view.fill("#mark", "all quiet")
     view.press("#mark", "Enter")

@@ -87,6 +87,16 @@ export function number(value, digits = 4) {
   return text.replace("-", "−");
 }
 
+// As many decimals as the spread of the readings bears.
+export function rounded(value, spread) {
+  return spread > 0 ? fixed(value, Math.max(0, Math.min(6, 2 - Math.floor(Math.log10(spread))))) : number(value);
+}
+
+export function fixed(value, places) {
+  const text = value.toFixed(places);
+  return (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "−");
+}
+
 // Follows the values shown: grows at once, shrinks when much of it has been empty for a while.
 export class Scale {
   constructor() {
@@ -174,6 +184,12 @@ function band(paper, ring, view, low, high) {
   paper.fill();
 }
 
+// Least and largest value of a line between two bins; null where it has none.
+export function extent({ ring, column }, begin, end) {
+  const pair = [0, 0];
+  return ring.range(Math.floor(begin), end, column, pair) ? pair : null;
+}
+
 // Draw one strip chart. lines: [{ring, column, colour, width, band}]
 export function strip(canvas, scale, options) {
   const { lines, end, rate, seconds, now, marks = [], limits = [], axes = true, unit = "" } = options;
@@ -190,16 +206,8 @@ export function strip(canvas, scale, options) {
     begin: end - seconds * rate,
     bins: seconds * rate,
   };
-  const pair = [0, 0];
-  let least = Infinity,
-    largest = -Infinity;
-  for (const { ring, column } of lines) {
-    if (ring.range(Math.floor(view.begin), end, column, pair)) {
-      least = Math.min(least, pair[0]);
-      largest = Math.max(largest, pair[1]);
-    }
-  }
-  scale.follow(least, largest, now);
+  const ends = lines.flatMap((line) => extent(line, view.begin, end) ?? []);
+  scale.follow(Math.min(...ends), Math.max(...ends), now);
   if (!(scale.low < scale.high)) return;
   const { low, high } = scale,
     y = (value) => view.top + view.height * (1 - (value - low) / (high - low));

@@ -1,6 +1,6 @@
 // Big numbers with their limits, the load envelope, and the state of health.
 
-import { number } from "./charts.js";
+import { fixed, number, rounded } from "./charts.js";
 import { $, element } from "./dom.js";
 import { counters, factorOf, page, unitOf } from "./shown.js";
 
@@ -182,16 +182,6 @@ function showForce(parts, estimate) {
     places = Math.max(0, Math.min(4, 1 - Math.floor(Math.log10(band || 1))));
   parts.applied.textContent = fixed(estimate.force, places);
   parts.doubt.textContent = `± ${fixed(band, places)} (95 %)`;
-}
-
-// As many decimals as the spread of the readings bears.
-function rounded(value, spread) {
-  return spread > 0 ? fixed(value, Math.max(0, Math.min(6, 2 - Math.floor(Math.log10(spread))))) : number(value);
-}
-
-function fixed(value, places) {
-  const text = value.toFixed(places);
-  return (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "−");
 }
 
 const good = (text) => element("span", { class: "yes" }, `✓ ${text}`);

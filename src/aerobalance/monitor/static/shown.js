@@ -8,6 +8,7 @@ export const counters = {
   latency: { newest: null, oldest: null },
   force: null,
   load: null,
+  shown: { felt: null, force: null },
   envelope: null,
   touching: null,
   source: null,

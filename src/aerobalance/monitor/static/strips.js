@@ -1,8 +1,8 @@
 // Strip charts, spectra and the waterfall: what has come from the server, drawn.
 
-import { Ring, Scale, spectrum, strip, waterfall, wipe } from "./charts.js";
+import { Ring, Scale, extent, rounded, spectrum, strip, waterfall, wipe } from "./charts.js";
 import { $, element } from "./dom.js";
-import { factorOf, page, unitOf } from "./shown.js";
+import { counters, factorOf, page, unitOf } from "./shown.js";
 
 const STEP = 10; // bins of a level in one of the next
 const PERIODS = 5; // natural frequencies that a spectrum shows
@@ -137,6 +137,18 @@ function limitsOf(name) {
   return half ? [-half, half] : [];
 }
 
+// What the main chart's lines run between over the window: a peak stays there to be read after the numbers have gone on.
+function showExtents(lines, begin, end, unit) {
+  ["felt", "force"].forEach((line, k) => {
+    const found = lines[k] && extent(lines[k], begin, end);
+    counters.shown[line] = found ? { least: found[0], largest: found[1] } : null;
+    const spread = found ? found[1] - found[0] : 0;
+    $(`${line}-extent`).textContent = found
+      ? `${rounded(found[0], spread)} to ${rounded(found[1], spread)} ${unit}`
+      : "";
+  });
+}
+
 export function draw() {
   const { panel } = page;
   if (!panel || !dirty || document.hidden) return;
@@ -155,6 +167,7 @@ export function draw() {
   const lines = [{ ring: rings[0], column: place, colour: "raw", width: 1 }];
   if (force > 0) lines.push({ ring: rings[force], column: 0, colour: "force", width: 2.2, band: true });
   strip($("main-chart"), scaleOf(`main ${name}`), { ...all, lines, limits: limitsOf(name), unit: unitOf(place) });
+  showExtents(lines, begin, end, unitOf(place));
   panel.names.forEach((channel, column) => {
     const canvas = $(`channel-${column}`),
       box = canvas.getBoundingClientRect();
