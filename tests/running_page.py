@@ -36,7 +36,7 @@ class Running:
     def post(self, action, **body):
         return self.client.post(f"/api/{action}", json=body)
 
-    def wait(self, holds, timeout=40.0):
+    def wait(self, holds, timeout=120.0):
         limit = time.monotonic() + timeout
         while time.monotonic() < limit:
             state = self.client.get("/api/state").json()

@@ -333,7 +333,7 @@ def test_browser_shows_the_page_wide_and_narrow(page):
         view.emulate_media(media="screen")
         view.focus("summary")
         view.keyboard.press("Enter")
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + 60
         while not view.evaluate("document.querySelector('details').open") and time.monotonic() < deadline:
             view.wait_for_timeout(50)
         assert view.evaluate("document.querySelector('details').open")

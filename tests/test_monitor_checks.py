@@ -174,7 +174,7 @@ def test_combined_loads_end_the_record(running) -> None:
     }
     assert running.post("setup", setup=given).status_code == 200
     with running.client.websocket_connect("ws://127.0.0.1:8765/live") as viewer:
-        limit = time.monotonic() + 30
+        limit = time.monotonic() + 120
         found = None
         while found is None and time.monotonic() < limit:
             message = viewer.receive()

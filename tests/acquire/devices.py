@@ -25,7 +25,7 @@ def free_port():
 
 def reachable(port, process):
     """Wait until a server listens."""
-    limit = time.monotonic() + 30
+    limit = time.monotonic() + 120
     while time.monotonic() < limit:
         assert process.poll() is None, process.communicate()
         with socket.socket() as probe:

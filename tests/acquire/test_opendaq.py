@@ -99,7 +99,7 @@ def test_device_that_comes_back_at_another_rate_ends_the_record_and_says_so(tmp_
             follow(recorder, lambda progress: progress.blocks > 3)
             server.kill()
             again.listen()
-            limit = time.monotonic() + 30
+            limit = time.monotonic() + 120
             while not recorder.poll(0.1).over:
                 assert time.monotonic() < limit
     assert "samples at 20000 Hz instead of 25000 Hz" in recorder.progress.reason
@@ -129,7 +129,7 @@ def test_record_across_a_restart_gives_info_and_force(tmp_path) -> None:
             follow(recorder, lambda progress: progress.gaps == 1 and progress.samples > 1250)
             progress = recorder.stop("enough")
         again.process.terminate()
-        out, err = again.process.communicate(timeout=20)
+        out, err = again.process.communicate(timeout=60)
         assert (again.process.returncode, out, err) == (0, "stopped\n", "")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)
