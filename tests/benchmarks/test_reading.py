@@ -36,7 +36,7 @@ def test_csv_beside_a_plain_parser(tmp_path, record) -> None:
     write_recording(path, Recording.from_columns(stamps, {"AF": Channel("AF", values, "N")}))
     np.testing.assert_array_equal(read(path).channel("AF").values, values)
     np.testing.assert_array_equal(with_csv_module(path)[:, 1], values)
-    ratio = median(seconds(lambda: read(path)) / seconds(lambda: with_csv_module(path)) for _ in range(5))
-    print(f"150,000 rows read in {ratio:.2f} of the time of csv and float()")  # noqa: T201
-    record("csv: reading beside csv and float()", ratio, 1.0)
-    assert ratio < 1.0  # all its checks of form, units and time stamps included
+    gain = median(seconds(lambda: with_csv_module(path)) / seconds(lambda: read(path)) for _ in range(5))
+    print(f"{values.size} rows read {gain:.1f} times as fast as by csv and float()")  # noqa: T201
+    record("time of csv and float() over the time of read, 150,000 rows", gain, 1.0)
+    assert gain > 1.0  # all its checks of form, units and time stamps included
