@@ -117,9 +117,9 @@ class Mode:
 class Dynamics:
     """Moving mass, stiffness and damping of one component, and the further modes that it has.
 
-    One mode is the paper's balance, Eq. (8). With more, AF/F is the sum of the modes' responses, each times its share
-    of a steady load; the shares add to 1, so the first mode has what the further ones leave. They belong to the place
-    where the force acts.
+    One mode is the paper's balance, Eq. (8) of [Gorbushin2020]_, whose gauges read the elastic force AF = k x alone,
+    Eq. (3). With more modes, AF/F is the sum of the modes' responses, each times its share of a steady load; the
+    shares add to 1, so the first mode has what the further ones leave. They belong to the place where the force acts.
 
     Attributes
     ----------

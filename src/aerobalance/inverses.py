@@ -81,7 +81,7 @@ def central_differences(job: Job) -> ForceEstimate:
 
 
 def _differences(load: Array, dynamics: Dynamics, *, interval: float) -> Array:
-    """Eq. (17) of [Gorbushin2020]_ on a ground end at rest, with AF'' taken as zero at both ends, shape (n,)."""
+    """Eq. (18) of [Gorbushin2020]_: (17) on a ground end at rest, with AF'' taken as zero at both ends, shape (n,)."""
     load_rate = np.gradient(load, interval)
     load_acceleration = np.concatenate(([0.0], np.diff(load, 2) / interval**2, [0.0]))
     b, M, k = dynamics.damping, dynamics.mass, dynamics.stiffness

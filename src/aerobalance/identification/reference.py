@@ -52,7 +52,7 @@ class ReferenceFit:
 
 
 def reference_fit(dwells: tuple[Dwell, ...], *, mass: float, phase: Phase = "relative") -> ReferenceFit:
-    """Find f0 and b as the paper does.
+    """Find f0 and b as the paper does: the slopes of Eqs. (15) and (16) of [Gorbushin2020]_.
 
     Parameters
     ----------
