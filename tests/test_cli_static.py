@@ -14,7 +14,9 @@ from aerobalance.channel import Array
 from aerobalance.cli import main
 from aerobalance.io.balance_file import read_balance
 from aerobalance.io.schedule import write_balfit_schedule
+from aerobalance.io.weighing_file import read_weighing, write_weighing
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
+from aerobalance.weighing import Attitudes
 
 GRAVITY = 9.80665
 MASS = 60.0
@@ -194,6 +196,33 @@ def test_a_wrong_mass_is_wrong_in_a_zero_read_with_the_model_on(here, capsys, tr
     assert found == pytest.approx(expected, rel=0.01, abs=0.01), alone
     assert alone > 50 * 0.01
     assert not [text for text in account["warnings"] if "mass" in text and "Monte Carlo" in text]
+
+
+def test_weight_in_a_zero_adds_no_doubt_at_its_attitude(here, capsys, truth, seed):
+    generator = np.random.default_rng(seed)
+    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json", "--distances", "12 12 10 10 cm")
+    time = np.arange(400) / 400.0
+    names, angles = [], np.radians([-12.0, -6, 0, 6, 12])
+    for k, angle in enumerate(angles):
+        pitch = np.full(time.size, angle)
+        names.append(f"off{k}.csv")
+        write(names[-1], time, gauges(truth, weight(pitch), generator) | {"pitch [deg]": np.degrees(pitch)})
+    run(capsys, "weigh", *names, "--balance", "balance.json", "-o", "mass.json")
+    weighed = read_weighing(Path("mass.json"))
+    weighing = replace(weighed, covariance=1e4 * weighed.covariance)  # as if weighed badly
+    write_weighing(Path("mass.json"), weighing, inputs=[], settings={}, warnings=[])
+    files = ["--balance", "balance.json", "--mass", "mass.json", "--zero", "off3.csv", "-o", "loads.csv"]
+    column = weighing.components.index("AF")
+    for name, angle in zip(names, angles, strict=True):
+        u = run(capsys, "loads", name, *files)["components"]["AF"]["u_calibration_rms"]
+        since = [Attitudes(np.radians(6.0), 0.0)]
+        by_weight = weighing.uncertainty(pitch=angle, offsets=False, since=since)[0, column]
+        alone = weighing.uncertainty(pitch=angle, offsets=False)[0, column]
+        of_matrix = run(capsys, "loads", name, "--balance", "balance.json", "-o", "raw.csv")
+        rest = of_matrix["components"]["AF"]["u_calibration_rms"]
+        # the matrix counts at the weight, and a little for the noise of the zero
+        assert by_weight <= u < np.hypot(by_weight, 2 * rest), (name, alone)
+        assert rest < 0.1 * alone or angle == 0
 
 
 @pytest.mark.parametrize("zero", ["natural", "with the model on, nose up"])

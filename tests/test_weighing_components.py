@@ -12,6 +12,7 @@ from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.weighing import (
     DIRECTIONS,
+    Attitudes,
     LoadPoints,
     Weighing,
     WeightModel,
@@ -413,6 +414,38 @@ def test_taking_off_the_weight_leaves_the_noise():
         atol=1e-12,
     )
     assert found.loads(pitch=0.1).shape == (1, 6)
+
+
+def test_weight_that_was_in_the_zero_counts_by_the_difference_of_attitudes():
+    entropy = np.random.SeedSequence().entropy
+    rng = np.random.default_rng(entropy)
+    pitch, roll = grid()
+    clean = read(pitch, roll, angles=ANGLES)
+    run = Attitudes(np.radians([2.0, 12.0, 30.0]), np.radians([0.0, 5.0, 160.0]))
+    zeros = [Attitudes(np.radians([2.0, 2.5, np.nan]), np.zeros(3)), Attitudes(np.radians(-1.0), np.radians(3.0))]
+    nan_free = Attitudes(np.radians([2.0, 2.5]), np.zeros(2))
+
+    def counted(loads):
+        before = [loads(*zero).mean(axis=0) for zero in (nan_free, zeros[1])]
+        return loads(*run) - np.mean(before, axis=0)
+
+    expected = counted(lambda pitch, roll: read(np.atleast_1d(pitch), np.atleast_1d(roll), angles=ANGLES))
+    draws, scores = 100, []
+    for _ in range(draws):
+        found = weigh_quietly(points(pitch, roll, noisy(rng, clean)))
+        u = found.uncertainty(pitch=run.pitch, roll=run.roll, since=zeros)
+        off = counted(lambda pitch, roll, found=found: found.loads(pitch=pitch, roll=roll)) - expected
+        scores.append((off / u).ravel())
+        alone = found.uncertainty(pitch=run.pitch, roll=run.roll, offsets=False)
+        assert (u[0] < 0.5 * alone[0]).all(), (
+            entropy
+        )  # 0.2 deg and 1.5 deg from the zeros, where alone it counts whole
+    square = np.mean(np.square(scores), axis=0)
+    # as in the Monte Carlo above, for 18 scores
+    assert (square > stats.chi2.ppf(1e-7, draws) / draws).all(), (square, entropy)
+    assert (square < stats.chi2.isf(1e-7, draws) / draws * 57 / 55).all(), (square, entropy)
+    same = found.uncertainty(pitch=0.1, roll=0.2, since=[Attitudes(0.1, 0.2)])
+    assert same == pytest.approx(np.zeros((1, 6)), abs=1e-9)
 
 
 def test_loads_of_a_long_run_are_those_of_its_parts():

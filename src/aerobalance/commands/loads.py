@@ -25,7 +25,7 @@ from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_l
 from aerobalance.motion import gravity_share
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
-from aerobalance.weighing import LoadPoints, points_from_recordings
+from aerobalance.weighing import Attitudes, LoadPoints, points_from_recordings
 from aerobalance.zeros import GaugeZero, gauge_zero
 
 
@@ -111,7 +111,8 @@ def reduced(
             DoubtWarning,
             stacklevel=2,
         )
-    zero = _zero(files, matrix, channel_map, on_zero=on_zero)
+    before = _zeros(files, channel_map)
+    zero = _zero(files, before, matrix, channel_map, on_zero=on_zero)
     if form not in (None, "direct") and (files.tare or files.mass is not None):
         raise ValueError(f"--form {form} cannot go with --tare or --mass, which are in direct-read form")
     tare = None
@@ -120,7 +121,7 @@ def reduced(
         zero = _stand_in(zero, wind_off, matrix)
         tare = wind_off_loads(recording, wind_off, matrix, zero=zero)
     elif files.mass is not None:
-        tare = _weight(recording, files.mass, matrix)
+        tare = _weight(recording, files.mass, matrix, since=before)
     return loads_felt(recording, matrix, zero=zero, tare=tare, form=form), matrix
 
 
@@ -277,8 +278,14 @@ def _stand_in(zero: GaugeZero | None, recordings: Sequence[Recording], matrix: B
     return gauge_zero(recordings, matrix)
 
 
+def _zeros(files: BalanceFiles, channel_map: Path | None) -> list[Recording]:
+    """Recordings of the balance before the run."""
+    return [] if files.as_they_are else [recording_of(path, channel_map) for path in files.zero]
+
+
 def _zero(
     files: BalanceFiles,
+    before: Sequence[Recording],
     matrix: BalanceMatrix,
     channel_map: Path | None,
     *,
@@ -287,11 +294,11 @@ def _zero(
     if files.as_they_are:
         nothing = np.zeros(len(matrix.components))
         return GaugeZero(nothing, nothing, "none: outputs as they are", nothing)
-    if not files.zero:
+    if not before:
         if files.zero_after:
             raise ValueError("--zero-after needs --zero: the drift is what changes between the two")
         return None
-    before, after = ([recording_of(path, channel_map) for path in paths] for paths in (files.zero, files.zero_after))
+    after = [recording_of(path, channel_map) for path in files.zero_after]
     zero = gauge_zero(before, matrix, after=after)
     if files.mass is not None:
         return _without_weight(zero, _weighed(before, files.mass, matrix), matrix)
@@ -305,7 +312,7 @@ def _zero(
     return _without_weight(zero, np.array(own), matrix)
 
 
-def _weighed(recordings: list[Recording], mass: Path, matrix: BalanceMatrix) -> Array:
+def _weighed(recordings: Sequence[Recording], mass: Path, matrix: BalanceMatrix) -> Array:
     """Weight of a weighing at the attitudes of recordings, their mean, in the order of direct-read loads."""
     lacking = [recording.name for recording in recordings if "pitch" not in recording]
     if lacking:
@@ -326,14 +333,18 @@ def _without_weight(zero: GaugeZero, weight: Array, matrix: BalanceMatrix) -> Ga
     return replace(zero, values=zero.values - outputs, source=f"{zero.source}, less the weight")
 
 
-def _weight(recording: Recording, path: Path, matrix: BalanceMatrix) -> tuple[Array, Array]:
-    """Weight as the balance feels it at the attitude of a recording, and its standard uncertainty."""
+def _weight(
+    recording: Recording, path: Path, matrix: BalanceMatrix, *, since: Sequence[Recording] = ()
+) -> tuple[Array, Array]:
+    """Weight as the balance feels it at the attitude of a recording, and its standard uncertainty.
+
+    `since` are the zeros of the run, read with the weight on: it counts from there.
+    """
     weighing = read_weighing(path)
     names = matrix.components if matrix.direct is None else COMPONENTS
-    pitch = recording.channel("pitch").values
-    roll = recording.channel("roll").values if "roll" in recording else np.zeros_like(pitch)
+    pitch, roll = _attitudes(recording)
     loads = weighing.loads(pitch=pitch, roll=roll, offsets=False)
-    u = weighing.uncertainty(pitch=pitch, roll=roll, offsets=False)
+    u = weighing.uncertainty(pitch=pitch, roll=roll, offsets=False, since=[_attitudes(zero) for zero in since])
     columns = [weighing.components.index(name) if name in weighing.components else None for name in names]
     if all(column is None for column in columns):
         raise FitError(f"{path} weighs {', '.join(weighing.components)}, none of which are in {', '.join(names)}")
@@ -342,6 +353,11 @@ def _weight(recording: Recording, path: Path, matrix: BalanceMatrix) -> tuple[Ar
         np.column_stack([nothing if k is None else loads[:, k] for k in columns]),
         np.column_stack([nothing if k is None else u[:, k] for k in columns]),
     )
+
+
+def _attitudes(recording: Recording) -> Attitudes:
+    pitch = recording.channel("pitch").values
+    return Attitudes(pitch, recording.channel("roll").values if "roll" in recording else np.zeros_like(pitch))
 
 
 def weighed_loads(
@@ -362,7 +378,7 @@ def weighed_loads(
         raise ValueError("weighing takes --zero alone: tares and closing zeros would take off what is weighed")
     recordings = [recording_of(path, channel_map) for path in paths]
     matrix = read_matrix(files.balance)
-    zero = _zero(files, matrix, channel_map)
+    zero = _zero(files, _zeros(files, channel_map), matrix, channel_map)
     zero = _stand_in(zero, recordings, matrix)
     felt = [loads_felt(recording, matrix, zero=zero) for recording in recordings]
     components = tuple(name for name in felt[0].components if name in COMPONENTS and (names is None or name in names))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,18 @@ LEAST_PROBABILITY: Final = 0.001
 
 BLOCK: Final = 10_000
 """Attitudes for which uncertainties are worked out at once, so that recordings of any length fit in memory."""
+
+
+class Attitudes(NamedTuple):
+    """Pitch and roll of a recording, shape (n,) or single [rad]; NaN where one is missing."""
+
+    pitch: ArrayLike
+    roll: ArrayLike
+
+
+def _mean_direction(attitudes: Attitudes) -> Array:
+    """Mean direction of the weight over attitudes, shape (1, 3): loads are linear in it."""
+    return np.asarray(np.nanmean(np.atleast_2d(weight_direction(*attitudes)), axis=0, keepdims=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +173,9 @@ class Weighing:
             values[self._offsets()] = 0.0
         return self.model.loads(np.atleast_2d(weight_direction(pitch, roll)), values)
 
-    def uncertainty(self, *, pitch: ArrayLike, roll: ArrayLike = 0.0, offsets: bool = True) -> Array:
+    def uncertainty(
+        self, *, pitch: ArrayLike, roll: ArrayLike = 0.0, offsets: bool = True, since: Sequence[Attitudes] = ()
+    ) -> Array:
         """Standard uncertainty of `loads`, from the covariance and from what was left out.
 
         A parameter that was left out counts as assumed give or take its natural scale, less what the others took over
@@ -172,6 +186,9 @@ class Weighing:
         ----------
         pitch, roll, offsets
             As in `loads`.
+        since
+            Attitudes in the zeros of the later run, where those were read with the weight on: the run's loads count
+            from the mean of them, and what is wrong with the weight cancels as far as the attitudes are alike.
 
         Returns
         -------
@@ -180,10 +197,12 @@ class Weighing:
         """
         values = self._all_values()
         directions = np.atleast_2d(weight_direction(pitch, roll))
+        before = [self.model.jacobian(_mean_direction(attitudes), values) for attitudes in since]
+        on_zero = np.mean(before, axis=0) if before else 0.0
         result = np.empty((directions.shape[0], len(self.components)))
         for first in range(0, directions.shape[0], BLOCK):
             block = slice(first, first + BLOCK)
-            jacobian = self.model.jacobian(directions[block], values)
+            jacobian = self.model.jacobian(directions[block], values) - on_zero
             if not offsets:
                 jacobian[:, :, self._offsets()] = 0.0
             result[block] = np.sqrt(self._variance(jacobian))
