@@ -215,7 +215,7 @@ def test_weight_in_a_zero_adds_no_doubt_at_its_attitude(here, capsys, truth, see
     column = weighing.components.index("AF")
     for name, angle in zip(names, angles, strict=True):
         u = run(capsys, "loads", name, *files)["components"]["AF"]["u_calibration_rms"]
-        since = [Attitudes(np.radians(6.0), 0.0)]
+        since = [Attitudes(np.radians([6.0]), np.zeros(1))]
         by_weight = weighing.uncertainty(pitch=angle, offsets=False, since=since)[0, column]
         alone = weighing.uncertainty(pitch=angle, offsets=False)[0, column]
         of_matrix = run(capsys, "loads", name, "--balance", "balance.json", "-o", "raw.csv")

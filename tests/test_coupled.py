@@ -10,8 +10,9 @@ from scipy.signal import lsim
 from aerobalance.components import COMPONENTS, MOMENTS
 from aerobalance.coupled import CoupledDynamics, RigidMass
 from aerobalance.dynamics import Dynamics
+from aerobalance.gravity import weight_direction
 from aerobalance.rigs import random_balance
-from aerobalance.weighing.model import WeightModel, weight_direction
+from aerobalance.weighing.model import WeightModel
 from seeds import fresh
 
 AFT, RIGHT, UP = np.eye(3)

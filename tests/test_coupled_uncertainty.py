@@ -13,9 +13,11 @@ from aerobalance.coupled import CoupledDynamics, RigidMass
 from aerobalance.coupled_force import noise_of_coupled, reconstruct_coupled
 from aerobalance.coupled_record import CoupledRecord
 from aerobalance.draws import drawn_coupled
+from aerobalance.gravity import PullOnZero
 from aerobalance.monte_carlo import monte_carlo_of_coupled
 from aerobalance.problems import FitError
 from aerobalance.recording import Recording
+from seeds import fresh
 
 RATE, COUNT = 4000.0, 2000
 SIZE = np.array([1000.0, 50.0])
@@ -39,11 +41,6 @@ def pair() -> CoupledDynamics:
         np.diag((deviation * units) ** 2),
         replace(mass, covariance=known),
     )
-
-
-def fresh() -> tuple[np.random.Generator, int]:
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
-    return np.random.default_rng(seed), seed
 
 
 def band(generator: np.random.Generator, edge: float, *, count: int, rate: float, columns: int) -> Array:
@@ -106,8 +103,8 @@ def test_a_wrong_mass_is_wrong_in_the_zero_of_the_loads_too(at_zero: float) -> N
     force = 0.03 * SIZE * band(generator, 250, count=COUNT, rate=RATE, columns=2)
     felt = dynamics.load_felt(force, interval=1 / RATE) + mass.weight(np.array([pitch]))[:, own]
     recording = recording_of(felt + NOISE * generator.normal(size=felt.shape), pitch=np.full(COUNT, pitch))
-    up, aft = -STANDARD_GRAVITY * np.cos(at_zero), STANDARD_GRAVITY * np.sin(at_zero)
-    recording = replace(recording, pull_on_zero=(up, 0.0, 0.0, 0.0, 0.0, aft))
+    zero = [(np.array([at_zero]), np.zeros(1))]
+    recording = replace(recording, pull_on_zero=PullOnZero.of(zero, gravity=STANDARD_GRAVITY))
     found = reconstruct_coupled(recording, dynamics)
     checked = monte_carlo_of_coupled(recording, dynamics, found, draws=25, seed=seed)
 

@@ -8,6 +8,7 @@ from scipy import stats
 
 from aerobalance.channel import Channel
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.gravity import weight_direction
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.weighing import (
@@ -19,7 +20,6 @@ from aerobalance.weighing import (
     points_from_recordings,
     weigh,
     weigh_components,
-    weight_direction,
 )
 from aerobalance.weighing.advice import PROPOSALS
 from aerobalance.weighing.model import misalignment_matrix
@@ -422,14 +422,14 @@ def test_weight_that_was_in_the_zero_counts_by_the_difference_of_attitudes():
     pitch, roll = grid()
     clean = read(pitch, roll, angles=ANGLES)
     run = Attitudes(np.radians([2.0, 12.0, 30.0]), np.radians([0.0, 5.0, 160.0]))
-    zeros = [Attitudes(np.radians([2.0, 2.5, np.nan]), np.zeros(3)), Attitudes(np.radians(-1.0), np.radians(3.0))]
+    zeros = [Attitudes(np.radians([2.0, 2.5, np.nan]), np.zeros(3)), Attitudes(np.radians([-1.0]), np.radians([3.0]))]
     nan_free = Attitudes(np.radians([2.0, 2.5]), np.zeros(2))
 
     def counted(loads):
         before = [loads(*zero).mean(axis=0) for zero in (nan_free, zeros[1])]
         return loads(*run) - np.mean(before, axis=0)
 
-    expected = counted(lambda pitch, roll: read(np.atleast_1d(pitch), np.atleast_1d(roll), angles=ANGLES))
+    expected = counted(lambda pitch, roll: read(pitch, roll, angles=ANGLES))
     draws, scores = 100, []
     for _ in range(draws):
         found = weigh_quietly(points(pitch, roll, noisy(rng, clean)))
@@ -444,7 +444,7 @@ def test_weight_that_was_in_the_zero_counts_by_the_difference_of_attitudes():
     # as in the Monte Carlo above, for 18 scores
     assert (square > stats.chi2.ppf(1e-7, draws) / draws).all(), (square, entropy)
     assert (square < stats.chi2.isf(1e-7, draws) / draws * 57 / 55).all(), (square, entropy)
-    same = found.uncertainty(pitch=0.1, roll=0.2, since=[Attitudes(0.1, 0.2)])
+    same = found.uncertainty(pitch=0.1, roll=0.2, since=[Attitudes(np.array([0.1]), np.array([0.2]))])
     assert same == pytest.approx(np.zeros((1, 6)), abs=1e-9)
 
 

@@ -22,6 +22,7 @@ from scipy.signal import lfilter
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics, Mode
+from aerobalance.gravity import pull_of_gravity
 
 VECTORS: Final = {
     "NF": (0, 0, 1),
@@ -109,9 +110,7 @@ class RigidMass:
         gravity
             Acceleration of gravity [m/s^2].
         """
-        theta, phi = np.broadcast_arrays(np.atleast_1d(pitch), np.atleast_1d(roll))
-        pull = [np.sin(theta), np.cos(theta) * np.sin(phi), -np.cos(theta) * np.cos(phi)]
-        return np.asarray(gravity * np.stack(pull, axis=-1) @ (self.matrix @ _directions())[:, :3].T)
+        return np.asarray(pull_of_gravity(pitch, roll, gravity=gravity) @ self.matrix.T)
 
     def turning_load(self, rate: Array) -> Array:
         """Loads that keep the mass turning at a steady rate: m w x (w x r) and its moment, with w x I w.

@@ -18,11 +18,10 @@ from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.coupled_record import mass_slopes, noise_covariance
 from aerobalance.decoupling import LoneComponent
-from aerobalance.ground_sensors import STRAIGHT
+from aerobalance.gravity import pull_of_gravity
 from aerobalance.live_decoupling import LiveApart
 from aerobalance.live_ground import Passed, held
 from aerobalance.live_state import SHORTEST, Health, Learning, LiveEstimate, Snapshot
-from aerobalance.motion import gravity_share
 from aerobalance.prior import Learned
 from aerobalance.steps import Step
 from aerobalance.stream import LAG_PERIODS, LiveForce
@@ -288,9 +287,8 @@ class LiveCoupledForce:
         known = held(np.column_stack([table, *angles]), self._last)
         self._last = known[-1] if count else self._last
         pulled = known[:, :6].copy()
-        for index in np.flatnonzero(STRAIGHT) if pitch is not None else ():
-            share = gravity_share(COMPONENTS[index], pitch=known[:, 6], roll=known[:, 7])
-            pulled[:, index] -= self._gravity * share
+        if pitch is not None:
+            pulled -= pull_of_gravity(known[:, 6], known[:, 7], gravity=self._gravity)
         return pulled
 
     def _net(self, force: Array | None, turn_rate: Array | None) -> Array | None:

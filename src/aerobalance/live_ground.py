@@ -11,8 +11,8 @@ import numpy as np
 from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
+from aerobalance.gravity import gravity_share
 from aerobalance.live_modes import LiveModes
-from aerobalance.motion import gravity_share
 
 
 class LiveGround:

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.channel import AXES_BY_NAME, Array
-from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
+from aerobalance.components import MOMENTS, STANDARD_GRAVITY
+from aerobalance.gravity import pull_of_gravity
 from aerobalance.ground_sensors import STRAIGHT, least_squares, row_of, sensor_kind, told_apart
-from aerobalance.motion import gravity_share
 
 UNIT_LEVER: Final = 0.1
 """Length by which a turn is compared with an acceleration [m]."""
@@ -83,10 +83,7 @@ class LivePlatform:
         Without a pitch, what sensors of specific force read of gravity stays in it: then none must be taken off again.
         """
         if pitch is not None and self.gravity.any():
-            angles = {"pitch": pitch, "roll": np.zeros(pitch.shape) if roll is None else roll}
-            pull = np.zeros((readings.shape[0], 6))
-            for index in np.flatnonzero(STRAIGHT):
-                pull[:, index] = STANDARD_GRAVITY * gravity_share(COMPONENTS[index], **angles)
+            pull = pull_of_gravity(pitch, 0.0 if roll is None else roll, gravity=STANDARD_GRAVITY)
             readings = readings + pull @ self.gravity.T
         return np.asarray(readings @ self.gains.T)
 

@@ -335,4 +335,4 @@ def with_loads(recording: Recording, felt: LoadsFelt) -> Recording:
         channels[name] = Channel(
             name, felt.values[:, index], unit, noise=noise or None, delay=float(np.mean(delays)), file_unit=unit
         )
-    return replace(recording, channels=channels, pull_on_zero=tuple(felt.zero.pull.tolist()))
+    return replace(recording, channels=channels, pull_on_zero=felt.zero.pull)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -14,6 +15,7 @@ from aerobalance.channel import Array, Channel
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.decoupling import SHARPNESS
 from aerobalance.dynamics import Dynamics
+from aerobalance.gravity import Pull
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Recording
@@ -74,9 +76,9 @@ class GroundMotion:
         What had to be taken as zero because the recording does not have it.
     unknowns
         What holds along the record and is not known exactly: gain and zero of the accelerometer and of the angles,
-        and gravity.
+        and gravity; the last two less what they do in the zero of the loads.
     pull_on_zero
-        That of the recording, along the component [m/s^2].
+        Pull on the zero of the recording's loads, along the component [m/s^2].
     """
 
     specific_force: Array
@@ -145,20 +147,19 @@ class GroundMotion:
                 )
         else:
             assumptions.append(f"{name} is not recorded and taken as zero")
-        weight, weight_noise = np.zeros(recording.samples), 0.0
+        pulled = _Pulled(np.zeros(recording.samples), 0.0, {})
         if coupling != "dc":
-            weight, weight_noise = _gravity(recording, component, gravity, assumptions)
-            unknowns += _angles(recording, component, gravity)
-            unknowns.append(Unknown("gravity", "gravity", -weight / gravity, gravity_uncertainty))
+            pulled = _gravity(recording, component, gravity, assumptions)
+        unknowns += _of_gravity(recording, component, pulled, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
         return cls(
-            specific_force=acceleration - weight,
-            noise=float(np.hypot(noise, weight_noise)),
+            specific_force=acceleration - pulled.acceleration,
+            noise=float(np.hypot(noise, pulled.noise)),
             acceleration=acceleration,
             relative_uncertainty=relative,
             delay=delay,
             assumptions=tuple(assumptions),
             unknowns=tuple(item for item in unknowns if item.uncertainty > 0 and item.slope.any()),
-            pull_on_zero=recording.pull_on_zero[COMPONENTS.index(component if component in AXES else "AF")],
+            pull_on_zero=float(recording.pull_on_zero.acceleration[_column(component)]),
         )
 
     def moved(self, changes: Array) -> GroundMotion:
@@ -190,54 +191,51 @@ def tones(acceleration: Array) -> tuple[Array, float]:
     return np.fft.irfft(np.where(kept, spectrum, 0), acceleration.size), float(np.sqrt(np.mean(kept)))
 
 
-def _gravity(recording: Recording, component: str, gravity: float, assumptions: list[str]) -> tuple[Array, float]:
-    """Pull of gravity along a component, per mass, and its white noise [m/s^2]."""
+class _Pulled(NamedTuple):
+    """Pull along a component, shape (n,), its white noise, and its change with zero and gain of the angles."""
+
+    acceleration: Array
+    noise: float
+    changes: dict[str, Array]
+
+
+def _gravity(recording: Recording, component: str, gravity: float, assumptions: list[str]) -> _Pulled:
+    nothing = np.zeros(recording.samples)
     if "pitch" not in recording:
         assumptions.append("pitch is not recorded and taken as zero")
-        return np.zeros(recording.samples), 0.0
-    channel = recording.channel("pitch")
-    pitch = bridged(recording, channel)
-    noise = gravity * channel_noise(channel)
-    roll = bridged(recording, recording.channel("roll")) if "roll" in recording else np.zeros(recording.samples)
-    pull = gravity * gravity_share(component, pitch=pitch, roll=roll)
-    if component not in AXES:
-        return pull, noise * float(np.mean(np.abs(np.cos(pitch))))
-    return pull, noise if component == "SF" else noise * float(np.mean(np.abs(np.sin(pitch))))
+        return _Pulled(nothing, 0.0, {})
+    channels = {name: recording.channel(name) for name in ("pitch", "roll") if name in recording}
+    angles = {name: bridged(recording, channel) for name, channel in channels.items()}
+    pitch, roll = angles["pitch"], angles.get("roll", nothing)
+    noise = gravity * channel_noise(channels["pitch"])
+    if component != "SF":
+        noise *= float(np.mean(np.abs(np.sin(pitch) if component == "NF" else np.cos(pitch))))
+    pull, column = Pull.of(pitch, roll, gravity=gravity), _column(component)
+    changes = {f"{name} zero": pull.slopes[name][:, column] for name in channels}
+    changes |= {f"{name} gain": pull.slopes[name][:, column] * angles[name] for name in channels}
+    return _Pulled(pull.acceleration[:, column], noise, changes)
 
 
-def _angles(recording: Recording, component: str, gravity: float) -> list[Unknown]:
-    """Zero and gain of pitch and roll, with what they do to the pull of gravity; slopes by differences."""
-    if "pitch" not in recording:
-        return []
-    values = {name: np.zeros(recording.samples) for name in ("pitch", "roll")}
-    for name in values:
-        if name in recording:
-            channel = recording.channel(name)
-            index, known = np.arange(recording.samples), ~channel.missing
-            values[name] = np.interp(index, index[known], channel.values[known])
-    found = []
-    small = 1e-5
-    for name, angle in values.items():
+def _of_gravity(
+    recording: Recording, component: str, pulled: _Pulled, *, gravity: float, gravity_uncertainty: float
+) -> Iterator[Unknown]:
+    """What is not known of the angles and of gravity: what it does in the run, less that in the zero of the loads."""
+    nothing, zero, column = np.zeros(recording.samples), recording.pull_on_zero, _column(component)
+    for name in ("pitch", "roll"):
         if name not in recording:
             continue
         channel = recording.channel(name)
-        more, less = (gravity_share(component, **{**values, name: angle + change}) for change in (small, -small))
-        slope = -gravity * (more - less) / (2 * small)
-        found.append(Unknown(f"{name} zero", name, slope, channel.zero_uncertainty))
-        found.append(Unknown(f"{name} gain", name, slope * angle, channel.relative_uncertainty))
-    return found
+        for word, uncertainty in (("zero", channel.zero_uncertainty), ("gain", channel.relative_uncertainty)):
+            what = f"{name} {word}"
+            slope = zero.slope(what)[column] - pulled.changes.get(what, nothing)
+            yield Unknown(what, name, slope, uncertainty)
+    slope = (zero.acceleration[column] - pulled.acceleration) / gravity
+    yield Unknown("gravity", "gravity", slope, gravity_uncertainty)
 
 
-def gravity_share(component: str, *, pitch: Array, roll: Array) -> Array:
-    """Share of gravity along a component, of the shape of the angles [1]; angles in rad.
-
-    Along the balance it is sin(pitch), to the right cos(pitch) sin(roll), up -cos(pitch) cos(roll).
-    """
-    if component not in AXES:
-        return np.sin(pitch)
-    if component == "SF":
-        return np.asarray(np.cos(pitch) * np.sin(roll))
-    return np.asarray(-np.cos(pitch) * np.cos(roll))
+def _column(component: str) -> int:
+    """Column of the pull that drives a component."""
+    return COMPONENTS.index(component if component in AXES else "AF")
 
 
 def _across(recording: Recording, channel: Channel) -> list[Unknown]:

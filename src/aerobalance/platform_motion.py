@@ -11,11 +11,12 @@ import numpy as np
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.coupled import RigidMass
+from aerobalance.gravity import Pull
 from aerobalance.ground_check import Effect, check_agreement
 from aerobalance.ground_fit import GroundFit
 from aerobalance.ground_sensors import DIRECTIONS, STRAIGHT, ground_sensors, motion_name, unseen
 from aerobalance.ground_turning import TURNS, Turning
-from aerobalance.motion import AT_REST, Unknown, bridged, gravity_share, tones
+from aerobalance.motion import AT_REST, Unknown, bridged, tones
 from aerobalance.noise import channel_noise
 from aerobalance.recording import Recording
 from aerobalance.sensing import corrected
@@ -54,9 +55,9 @@ class PlatformMotion:
         What had to be taken as zero because no sensor sees it, and the like.
     unknowns
         What holds along the record and is not known exactly: gain, zero and place of the sensors, zero and gain of
-        the angles, and gravity; slopes have shape (n, 6).
+        the angles, and gravity, these less what they do in the zero of the loads; slopes have shape (n, 6).
     pull_on_zero
-        That of the recording, shape (6,) [m/s^2].
+        Pull on the zero of the recording's loads, shape (6,) [m/s^2].
     """
 
     acceleration: Array
@@ -96,7 +97,7 @@ class PlatformMotion:
         """
         recording = corrected(recording)
         sensors = ground_sensors(recording)
-        pull = _Pull.of(recording, gravity)
+        pull = _Gravity.of(recording, gravity)
         fit = GroundFit.of(sensors, rate=recording.rate)
         job = _Job(recording, fit, pull, _kinematic(fit, pull, recording.samples))
         return job.solved(gravity_uncertainty)
@@ -123,8 +124,8 @@ class PlatformMotion:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pull:
-    """Pull of gravity, per mass, in the order of the components, with its slopes by pitch and roll, shapes (n, 6)."""
+class _Gravity:
+    """Pull of gravity at the angles that were recorded, and their noise."""
 
     acceleration: Array
     gravity: float
@@ -134,29 +135,19 @@ class _Pull:
     assumptions: tuple[str, ...]
 
     @classmethod
-    def of(cls, recording: Recording, gravity: float) -> _Pull:
-        nothing = np.zeros((recording.samples, 6))
+    def of(cls, recording: Recording, gravity: float) -> _Gravity:
+        nothing = np.zeros(recording.samples)
         if "pitch" not in recording:
             said = "pitch is not recorded and taken as constant; a constant weight is left out"
-            return cls(nothing, gravity, {}, {}, {}, (said,))
+            return cls(np.zeros((recording.samples, 6)), gravity, {}, {}, {}, (said,))
         names = [name for name in ("pitch", "roll") if name in recording]
         angles = {name: bridged(recording, recording.channel(name)) for name in names}
-        pitch, roll = angles["pitch"], angles.get("roll", np.zeros(recording.samples))
-        pull, by_pitch, by_roll = nothing.copy(), nothing.copy(), nothing.copy()
-        for index in np.flatnonzero(STRAIGHT):
-            pull[:, index] = gravity * gravity_share(COMPONENTS[index], pitch=pitch, roll=roll)
-        up, right, aft = (COMPONENTS.index(name) for name in ("NF", "SF", "AF"))
-        by_pitch[:, aft] = gravity * np.cos(pitch)
-        by_pitch[:, right] = -gravity * np.sin(pitch) * np.sin(roll)
-        by_pitch[:, up] = gravity * np.sin(pitch) * np.cos(roll)
-        by_roll[:, right] = gravity * np.cos(pitch) * np.cos(roll)
-        by_roll[:, up] = gravity * np.cos(pitch) * np.sin(roll)
-        slopes = {"pitch": by_pitch, "roll": by_roll}
+        pull = Pull.of(angles["pitch"], angles.get("roll", nothing), gravity=gravity)
         noise = {name: channel_noise(recording.channel(name)) for name in names}
-        return cls(pull, gravity, angles, {name: slopes[name] for name in names}, noise, ())
+        return cls(pull.acceleration, gravity, angles, {name: pull.slopes[name] for name in names}, noise, ())
 
 
-def _kinematic(fit: GroundFit, pull: _Pull, samples: int) -> Array:
+def _kinematic(fit: GroundFit, pull: _Gravity, samples: int) -> Array:
     """Readings with gravity put back where the sensor reads specific force, shape (n, m)."""
     return fit.readings(samples) + _felt(fit, pull.acceleration)
 
@@ -171,7 +162,7 @@ def _felt(fit: GroundFit, pull: Array) -> Array:
 class _Job:
     recording: Recording
     first: GroundFit
-    pull: _Pull
+    pull: _Gravity
     readings: Array
 
     def solved(self, gravity_uncertainty: float) -> PlatformMotion:
@@ -188,7 +179,7 @@ class _Job:
             delay=fit.sensors[0].channel.delay if fit.sensors else 0.0,
             assumptions=(*said, *_told(self.first, found), *self.pull.assumptions),
             unknowns=tuple(self._unknowns(fit, effects, known)),
-            pull_on_zero=np.array(self.recording.pull_on_zero),
+            pull_on_zero=self.recording.pull_on_zero.acceleration,
         )
 
     def _at_rest(self) -> tuple[GroundFit, Array, Array, list[str]]:
@@ -256,16 +247,19 @@ class _Job:
                 across = -np.nan_to_num(self.recording.channel(part.channel).values)
                 name = f"cross-axis sensitivity to {part.channel}"
                 yield Effect(name, channel.name, part.uncertainty, {index: across})
+        on_zero = self.recording.pull_on_zero
         for name, slope in self.pull.slopes.items():
             channel = self.recording.channel(name)
             for word, by, u in (
                 ("zero", slope, channel.zero_uncertainty),
                 ("gain", slope * self.pull.angles[name][:, None], channel.relative_uncertainty),
             ):
-                yield Effect(f"{name} {word}", name, u, self._felt_by(by), -by)
+                what = f"{name} {word}"
+                yield Effect(what, name, u, self._felt_by(by), on_zero.slope(what) - by)
         yield Effect(TURNING, "rate of turn", found.uncertainty, dict(enumerate(found.felt.T)))
         by = self.pull.acceleration / self.pull.gravity
-        yield Effect("gravity", "gravity", gravity_uncertainty, self._felt_by(by), -by)
+        on_zero_by = on_zero.acceleration / self.pull.gravity
+        yield Effect("gravity", "gravity", gravity_uncertainty, self._felt_by(by), on_zero_by - by)
 
     def _felt_by(self, pull: Array) -> dict[int, Array]:
         felt = _felt(self.first, pull)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.channel import Array, Channel
+from aerobalance.gravity import PullOnZero
 from aerobalance.problems import DoubtWarning, FitError
 
 
@@ -36,8 +37,7 @@ class Recording:
     time_unit
         Unit that the time column had in its file, in which it is written again.
     pull_on_zero
-        Pull of gravity, along NF PM SF YM RM AF, on the mass whose weight was added to loads that count from a zero
-        read under it [m/s^2]: what is wrong with that mass is wrong in these loads. Zero for loads as they are felt.
+        Pull of gravity on the mass whose weight was added to loads that count from a zero read under it.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Recording:
     rate: float
     channels: Mapping[str, Channel]
     time_unit: str = "s"
-    pull_on_zero: tuple[float, ...] = (0.0,) * 6
+    pull_on_zero: PullOnZero = field(default_factory=PullOnZero)
 
     @classmethod
     def from_columns(

@@ -21,7 +21,8 @@ from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
 from aerobalance.fir_inverse import ORDER, MeasuredResponse, fir_inverse, fit_frequencies, undo
 from aerobalance.force import reconstruct
-from aerobalance.motion import AXES, GroundMotion, gravity_share
+from aerobalance.gravity import gravity_share
+from aerobalance.motion import AXES, GroundMotion
 from aerobalance.problems import FitError
 from aerobalance.recording import Recording
 from aerobalance.scores import Truth

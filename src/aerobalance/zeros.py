@@ -12,6 +12,7 @@ from aerobalance.channel import Array, Channel
 from aerobalance.components import COMPONENTS, is_gauge
 from aerobalance.forms import role_of
 from aerobalance.gauges import gauge_outputs
+from aerobalance.gravity import PullOnZero
 from aerobalance.problems import FitError
 from aerobalance.recording import Recording
 
@@ -29,8 +30,8 @@ class GaugeZero:
     drift
         Change from the beginning to the end of the run, shape (c,) [mV/V]; zero where no closing zero was read.
     weight, pull
-        Weight that was taken out, shape (6,) along NF PM SF YM RM AF [N, N*m], and the pull of gravity that made it,
-        0 for moments [m/s^2]; zero where none was.
+        Weight that was taken out, shape (6,) along NF PM SF YM RM AF [N, N*m], and the pull of gravity that made it;
+        zero where none was.
     """
 
     values: Array
@@ -38,7 +39,7 @@ class GaugeZero:
     source: str
     drift: Array
     weight: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
-    pull: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
+    pull: PullOnZero = field(default_factory=PullOnZero)
 
 
 def gauge_table(recording: Recording, balance: BalanceMatrix) -> tuple[Array, tuple[Channel, ...]]:

@@ -7,10 +7,11 @@ import pytest
 
 from aerobalance.commands.weighing import weigh as weigh_files
 from aerobalance.components import COMPONENTS
+from aerobalance.gravity import weight_direction
 from aerobalance.io.mass_file import read_mass, write_mass
 from aerobalance.io.weighing_file import read_weighing, write_weighing
 from aerobalance.problems import DoubtWarning, FitError, ReadError
-from aerobalance.weighing import LoadPoints, Weighing, WeightModel, weigh, weigh_components, weight_direction
+from aerobalance.weighing import LoadPoints, Weighing, WeightModel, weigh, weigh_components
 
 LATER = {"pitch": np.radians([-20.0, 0, 30]), "roll": np.radians([0.0, 90, 200])}
 

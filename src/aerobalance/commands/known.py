@@ -18,11 +18,12 @@ from aerobalance.coupled_misfit import misfits_of_coupled
 from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import ForceEstimate
 from aerobalance.force import Method, noise_of, reconstruct, without_hum
+from aerobalance.gravity import gravity_share
 from aerobalance.hum import Hum
 from aerobalance.io.coupled_file import read_any_dynamics
 from aerobalance.misfit import misfit_of
 from aerobalance.monte_carlo import MonteCarlo, monte_carlo, monte_carlo_of_coupled
-from aerobalance.motion import GroundMotion, gravity_share
+from aerobalance.motion import GroundMotion
 from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.recording import Recording
 

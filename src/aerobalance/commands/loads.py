@@ -14,15 +14,15 @@ from aerobalance.balance import TOLERANCE, BalanceMatrix
 from aerobalance.channel import Array
 from aerobalance.commands.known import Known
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of
-from aerobalance.components import COMPONENTS, MOMENTS
+from aerobalance.components import COMPONENTS
 from aerobalance.forms import Form
+from aerobalance.gravity import PullOnZero
 from aerobalance.io import check_output, write_loads
 from aerobalance.io.balance_file import write_balance
 from aerobalance.io.balfit_matrix import write_balfit_matrix
 from aerobalance.io.matrix_file import read_matrix
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_loads, with_loads
-from aerobalance.motion import gravity_share
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.weighing import Attitudes, LoadPoints, points_from_recordings
@@ -133,11 +133,11 @@ class Carried(NamedTuple):
     weight
         Shape (6,) [N, N*m].
     pull
-        Pull of gravity on it, shape (6,) [m/s^2]; zero for moments.
+        Pull of gravity on it.
     """
 
     weight: Array
-    pull: Array
+    pull: PullOnZero
 
 
 class Reduction(NamedTuple):
@@ -194,7 +194,7 @@ def _from_its_zero(felt: LoadsFelt) -> LoadsFelt:
     """Loads less the weight in their zero, for a run of no known attitude: it is taken for that of the zero."""
     zero = felt.zero
     own = [zero.weight[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in felt.components]
-    counted = replace(zero, pull=np.zeros_like(zero.pull))
+    counted = replace(zero, pull=PullOnZero())
     return replace(felt, values=felt.values - np.array(own), zero=counted)
 
 
@@ -253,16 +253,12 @@ def _carried_on_zero(zeros: Sequence[Recording], known: Known, *, gravity: float
             DoubtWarning,
             stacklevel=3,
         )
-    weights, pulls = np.zeros((2, len(zeros), len(COMPONENTS)))
-    for row, pull, zero in zip(weights, pulls, zeros, strict=True):
-        pitch, roll = (
-            zero.channel(angle).values if angle in zero else np.zeros(zero.samples) for angle in ("pitch", "roll")
-        )
+    attitudes = [_attitudes(zero) for zero in zeros]
+    weights = np.zeros((len(zeros), len(COMPONENTS)))
+    for row, (pitch, roll) in zip(weights, attitudes, strict=True):
         for name in known.components:
             row[COMPONENTS.index(name)] = np.nanmean(known.weight(name, pitch=pitch, roll=roll, gravity=gravity))
-        for name in set(COMPONENTS) - set(MOMENTS):
-            pull[COMPONENTS.index(name)] = gravity * np.nanmean(gravity_share(name, pitch=pitch, roll=roll))
-    return Carried(weights.mean(axis=0), pulls.mean(axis=0))
+    return Carried(weights.mean(axis=0), PullOnZero.of(attitudes, gravity=gravity))
 
 
 def _stand_in(zero: GaugeZero | None, recordings: Sequence[Recording], matrix: BalanceMatrix) -> GaugeZero | None:
@@ -342,6 +338,7 @@ def _weight(
     """
     weighing = read_weighing(path)
     names = matrix.components if matrix.direct is None else COMPONENTS
+    recording.channel("pitch")  # without which the weight is not known
     pitch, roll = _attitudes(recording)
     loads = weighing.loads(pitch=pitch, roll=roll, offsets=False)
     u = weighing.uncertainty(pitch=pitch, roll=roll, offsets=False, since=[_attitudes(zero) for zero in since])
@@ -356,8 +353,10 @@ def _weight(
 
 
 def _attitudes(recording: Recording) -> Attitudes:
-    pitch = recording.channel("pitch").values
-    return Attitudes(pitch, recording.channel("roll").values if "roll" in recording else np.zeros_like(pitch))
+    """Pitch and roll of a recording, zero where it has none, shape (n,) each."""
+    nothing = np.zeros(recording.samples)
+    pitch, roll = (recording.channel(name).values if name in recording else nothing for name in ("pitch", "roll"))
+    return Attitudes(pitch, roll)
 
 
 def weighed_loads(

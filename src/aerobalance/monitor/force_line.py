@@ -12,9 +12,10 @@ import numpy as np
 from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
+from aerobalance.gravity import gravity_share
 from aerobalance.live_alignment import Aligner
 from aerobalance.live_state import Health, Learning, LiveEstimate, Snapshot
-from aerobalance.motion import AT_REST, gravity_share
+from aerobalance.motion import AT_REST
 from aerobalance.noise import white_noise
 from aerobalance.problems import FitError
 from aerobalance.stream import LiveForce

@@ -1,6 +1,6 @@
 """Weighing: mass, centre of gravity and offsets from static readings over pitch and roll, Eq. (1)."""
 
-from aerobalance.weighing.model import ANGLES, AXES, DIRECTIONS, WeightModel, weight_direction
+from aerobalance.weighing.model import ANGLES, AXES, DIRECTIONS, WeightModel
 from aerobalance.weighing.points import LoadPoints, StaticPoints, points_from_recordings
 from aerobalance.weighing.result import Agreement, Attitudes, Weighing
 from aerobalance.weighing.single import MovingMass, weigh
@@ -20,5 +20,4 @@ __all__ = [
     "points_from_recordings",
     "weigh",
     "weigh_components",
-    "weight_direction",
 ]

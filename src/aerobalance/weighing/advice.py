@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.channel import Array
+from aerobalance.gravity import weight_direction
 from aerobalance.weighing.adjustment import (
     Adjustment,
     Readings,
@@ -15,7 +16,7 @@ from aerobalance.weighing.adjustment import (
     planning_jacobian,
     planning_noise,
 )
-from aerobalance.weighing.model import WeightModel, weight_direction
+from aerobalance.weighing.model import WeightModel
 
 PROPOSALS: Final = (
     ("roll 90 deg", (0.0,), (90.0,)),

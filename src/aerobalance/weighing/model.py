@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
@@ -36,12 +35,6 @@ LEVERS: Final[Mapping[str, Mapping[str, tuple[float, str]]]] = {
     "RM": {"up": (1.0, "right"), "right": (-1.0, "up")},
 }
 """Moment by coordinate of the centre of gravity: sign, and the share of the weight that pulls on this lever."""
-
-
-def weight_direction(pitch: ArrayLike, roll: ArrayLike) -> Array:
-    """Share of gravity along aft, right and up, shape (n, 3) [g], for angles of shape (n,) [rad]."""
-    theta, phi = np.broadcast_arrays(np.asarray(pitch, dtype=np.float64), np.asarray(roll, dtype=np.float64))
-    return np.stack([np.sin(theta), np.cos(theta) * np.sin(phi), -np.cos(theta) * np.cos(phi)], axis=-1)
 
 
 _PLANES: Final = {"pitch": (0, 2), "roll": (1, 2), "yaw": (0, 1)}

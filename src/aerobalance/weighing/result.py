@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aerobalance.channel import Array
-from aerobalance.weighing.model import DIRECTIONS, WeightModel, weight_direction
+from aerobalance.gravity import weight_direction
+from aerobalance.weighing.model import DIRECTIONS, WeightModel
 from aerobalance.weighing.single import MovingMass
 
 LEAST_PROBABILITY: Final = 0.001
@@ -21,15 +22,15 @@ BLOCK: Final = 10_000
 
 
 class Attitudes(NamedTuple):
-    """Pitch and roll of a recording, shape (n,) or single [rad]; NaN where one is missing."""
+    """Pitch and roll of a recording, shape (n,) each [rad]; NaN where one is missing."""
 
-    pitch: ArrayLike
-    roll: ArrayLike
+    pitch: Array
+    roll: Array
 
 
 def _mean_direction(attitudes: Attitudes) -> Array:
     """Mean direction of the weight over attitudes, shape (1, 3): loads are linear in it."""
-    return np.asarray(np.nanmean(np.atleast_2d(weight_direction(*attitudes)), axis=0, keepdims=True))
+    return np.asarray(np.nanmean(weight_direction(*attitudes), axis=0, keepdims=True))
 
 
 @dataclass(frozen=True, slots=True)

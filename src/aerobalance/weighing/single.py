@@ -25,8 +25,9 @@ from numpy.typing import ArrayLike
 
 from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
+from aerobalance.gravity import weight_direction
 from aerobalance.problems import FitError
-from aerobalance.weighing.model import AXES
+from aerobalance.weighing.model import AXES, DIRECTIONS
 
 ROLL_NEEDED: Final = np.radians(1.0)
 """Spread of roll from which misalignment is fitted [rad]."""
@@ -174,11 +175,7 @@ def _arguments(
 
 def _design(pitch: Array, roll: Array, axis: str, gravity: float) -> tuple[tuple[str, ...], Array]:
     """Names of the parameters, and the design matrix: M, offset, and M times the misalignments that can show."""
-    weight = {
-        "aft": gravity * np.sin(pitch),
-        "right": gravity * np.cos(pitch) * np.sin(roll),
-        "up": -gravity * np.cos(pitch) * np.cos(roll),
-    }
+    weight = dict(zip(DIRECTIONS, gravity * weight_direction(pitch, roll).T, strict=True))
     names, columns = ["mass", "offset"], [weight[axis], np.ones_like(pitch)]
     if np.ptp(roll) < ROLL_NEEDED if roll.size else True:
         return tuple(names), np.column_stack(columns)

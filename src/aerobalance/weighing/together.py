@@ -22,10 +22,11 @@ from scipy import stats
 
 from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
+from aerobalance.gravity import weight_direction
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.weighing.adjustment import Adjustment, Readings, adjust
 from aerobalance.weighing.advice import unidentified, what_would_help
-from aerobalance.weighing.model import AXES, DIRECTIONS, LEVERS, WeightModel, weight_direction
+from aerobalance.weighing.model import AXES, DIRECTIONS, LEVERS, WeightModel
 from aerobalance.weighing.points import LoadPoints
 from aerobalance.weighing.result import Agreement, Weighing, centre_of
 from aerobalance.weighing.single import MovingMass
