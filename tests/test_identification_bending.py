@@ -14,6 +14,7 @@ from aerobalance.channel import Array, Channel
 from aerobalance.commands.identify_coupled import identify_decays
 from aerobalance.components import si_unit
 from aerobalance.coupled import CoupledDynamics
+from aerobalance.identification import further_coupled
 from aerobalance.identification.coupled_modes import ModeTable
 from aerobalance.identification.force_error import force_weights, true_force_error
 from aerobalance.identification.free_motion import FreeMotion, generator_of
@@ -234,6 +235,27 @@ def test_a_bending_mode_is_found():
     lacking = [float(match[1]) for match in named if match]
     # the two that ring most are found; four digits are printed of a first guess without noise to speak of
     assert lacking == [pytest.approx(true.modes[place].natural_frequency, rel=1e-3)], (forced.notes, seed)
+
+
+def test_a_first_guess_that_leads_nowhere_is_replaced(monkeypatch):
+    rng, seed = fresh()
+    made = recordings(truth(), rng)
+    expected = quietly(made, modes=3)
+    guess_of, asked = further_coupled.guess_of, []
+
+    def with_more(records, *, hidden=0, **settings):
+        asked.append(hidden)
+        if hidden == 1:
+            raise FitError("no 3 modes explain the decays")
+        return guess_of(records, hidden=hidden, **settings)
+
+    monkeypatch.setattr(further_coupled, "guess_of", with_more)
+    fit = quietly(made, modes=3)
+    assert asked == [1, 2]
+    # both have come to the same best fit, to the accuracy at which a fit is settled
+    for mode, other, u in zip(fit.modes, expected.modes, expected.u_natural_frequency, strict=True):
+        assert mode.natural_frequency == pytest.approx(other.natural_frequency, abs=0.05 * u), seed
+    assert fit.dynamics.hidden == 1
 
 
 def test_two_modes_of_the_balance_may_be_alike():

@@ -102,8 +102,7 @@ def fit_modes(records: Sequence[ReleaseRecord], *, sizes: Array, modes: int | Li
         No first guess explains the decays, or the fit does not settle.
     """
     if modes != "auto":
-        start = guess_of(records, hidden=modes - sizes.size)
-        free, units = fit_decays(records, sizes=sizes, start=start)
+        free, units = _decays_with(modes - sizes.size, records, sizes=sizes)
         fit = with_edges(free, records, units)
         return ChosenFit(fit, units, _missed(fit, units, records))
     free, units, gain = _free_decays(records, sizes=sizes)
@@ -136,14 +135,33 @@ def _free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Rel
     while hidden < MOST and peak_of(free, units, records) is not None:
         hidden += 1
         try:
-            larger, others = fit_decays(records, sizes=sizes, start=guess_of(records, hidden=hidden))
+            larger, others = _decays_with(hidden, records, sizes=sizes)
+            gained = gain_over(larger, free)
+            clear = gained > _by_chance(larger, hidden, hidden - free.hidden) + EVIDENCE
+            if clear and hidden - free.hidden > 1:  # each for itself, not all together
+                gained = gain_over(larger, _with_one_less(larger, others, records, sizes)[0])
+                clear = gained > _by_chance(larger, hidden, 1) + EVIDENCE
         except (FitError, np.linalg.LinAlgError):  # modes that are not found are none
             continue
-        gained = gain_over(larger, free)
-        clear = gained > _by_chance(larger, larger.hidden, hidden - free.hidden) + EVIDENCE
         if clear and _physical(larger, others, records[0].rate) and len(_twins(larger)) <= len(_twins(free)):
             free, units, gain = larger, others, gained
     return free, units, gain
+
+
+def _decays_with(hidden: int, records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units]:
+    """Free decays with so many modes beside one for each component.
+
+    A first guess may miss a mode that a guess with one more has, beside another that is none. Where it leads nowhere,
+    the fit begins with that of one more, less the mode that rings least.
+    """
+    try:
+        return fit_decays(records, sizes=sizes, start=guess_of(records, hidden=hidden))
+    except (FitError, np.linalg.LinAlgError) as problem:
+        try:
+            larger, units = fit_decays(records, sizes=sizes, start=guess_of(records, hidden=hidden + 1))
+            return _with_one_less(larger, units, records, sizes)
+        except (FitError, np.linalg.LinAlgError):
+            raise problem from None
 
 
 def _beginning(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units, float]:
@@ -163,7 +181,7 @@ def _beginning(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Relea
         except (FitError, np.linalg.LinAlgError):
             continue
         try:
-            gain = gain_over(free, _with_one_less(free, units, records, sizes))
+            gain = gain_over(free, _with_one_less(free, units, records, sizes)[0])
         except (FitError, np.linalg.LinAlgError):  # with less there is no fit, but a guess
             gain = count / 2 * float(np.log(before / quick.squares)) if np.isfinite(before) else 0.0
         if gain > _by_chance(free, free.hidden, 1) + EVIDENCE and _physical(free, units, rate):
@@ -172,7 +190,9 @@ def _beginning(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Relea
     return free, units, 0.0
 
 
-def _with_one_less(free: ReleaseFit, units: Units, records: Sequence[ReleaseRecord], sizes: Array) -> ReleaseFit:
+def _with_one_less(
+    free: ReleaseFit, units: Units, records: Sequence[ReleaseRecord], sizes: Array
+) -> tuple[ReleaseFit, Units]:
     """Free decays without the mode that rings least."""
     motion = free.motion
     up, _ = pairs(motion)
@@ -182,7 +202,7 @@ def _with_one_less(free: ReleaseFit, units: Units, records: Sequence[ReleaseReco
     matrices = from_modes(motion.poles[left], motion.felt[:, left])
     if matrices is None:
         raise FitError("the other modes are not independent of each other")
-    return fit_decays(records, sizes=sizes, start=Start(Guess(*units.bare(*matrices), squares=0.0), 0.0))[0]
+    return fit_decays(records, sizes=sizes, start=Start(Guess(*units.bare(*matrices), squares=0.0), 0.0))
 
 
 def _by_chance(fit: ReleaseFit, hidden: int, more: int) -> float:

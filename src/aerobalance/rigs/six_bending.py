@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import null_space
+from scipy.linalg import block_diag, null_space
 
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS
@@ -68,6 +68,16 @@ class Bending:
         ratio, rate = float(np.exp(generator.uniform(np.log(0.004), np.log(0.03)))), 2 * np.pi * frequency
         unit = np.eye(1)
         return cls(lower @ direction, driven, unit, 2 * ratio * rate * unit, rate**2 * unit)
+
+    def beside(self, other: Bending) -> Bending:
+        """Both, of parts that do not touch."""
+        return Bending(
+            np.hstack([self.coupling, other.coupling]),
+            np.hstack([self.driven, other.driven]),
+            block_diag(self.mass, other.mass),
+            block_diag(self.damping, other.damping),
+            block_diag(self.stiffness, other.stiffness),
+        )
 
 
 def bending_dynamics(balance: CoupledBalance, bending: Bending) -> CoupledDynamics:
