@@ -248,7 +248,7 @@ def _likelier(reading: Reading, priors: tuple[Learned, ...], *readings: list[Ste
 def _settle(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list[Step], Learned]:
     """Place a new step with the prior at hand, learn the prior again without it, and so on until neither moves."""
     for turn in range(5):
-        last = steps[-1]
+        last, placed = steps[-1], [step.instant for step in steps]
         others = columns_of(steps[:-1], reading)
         near, _ = _scan(reading, learned, others)
         if abs(near.instant - last.instant) < 2 * reading.interval:
@@ -262,7 +262,8 @@ def _settle(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list
         # the first prior holds the step's own trace, and would leave some of it in the second
         before = learned if turn > 0 else None
         learned = learn(reading, columns=columns_of(steps, reading), before=before)
-        if turn > 0 and abs(steps[-1].instant - last.instant) < 0.01 * reading.interval:
+        moved = max(abs(step.instant - instant) for step, instant in zip(steps, placed, strict=True))
+        if turn > 0 and moved < 0.01 * reading.interval:  # an earlier one may still be where this one had bent it to
             break
     return (steps, learned) if steps[-1].duration > 0 else _as_ramp(reading, learned, steps)
 
