@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.signal import welch
 
 from aerobalance.channel import Array
@@ -30,6 +31,12 @@ STANDS_OUT: Final = 4.0
 
 WHOLE: Final = 0.8
 """Share of half the sampling rate from which a band is taken to reach to its end."""
+
+QUARTER: Final = 4.0
+"""Part of a period of the lowest edge, one over this, whose readings give the level at an end."""
+
+SLOPE: Final = 6.0
+"""Slope of a rate of turn over its standard uncertainty from which it is a turn that speeds up: chance once in 1e9."""
 
 DENSE: Final = 4097
 """Frequencies over which the noise of a band is summed."""
@@ -64,6 +71,10 @@ class Band:
     def transfer(self, frequency: Array) -> NDArray[np.complex128]:
         """The same as a transfer function without phase."""
         return self.share(frequency).astype(np.complex128)
+
+    def slope(self, frequency: Array) -> NDArray[np.complex128]:
+        """Transfer function to the derivative of that."""
+        return np.asarray(self.share(frequency) * _derivative(frequency))
 
 
 def _derivative(frequency: Array) -> NDArray[np.complex128]:
@@ -187,11 +198,18 @@ class GroundFit:
         if len(self.bands) == 1 and np.isinf(self.bands[0].high):
             return [(self.bands[0], readings)]
         moving = np.flatnonzero(readings.any(axis=0))
+        lowest = min(band.high for band in self.bands)
+        level_over = min(round(self.rate / (QUARTER * lowest)), readings.shape[0] // 2) if lowest > 0 else 1
+        # what has been differentiated is so noisy that it has no level at an end; its integral has
+        turns = self._turns & np.isfinite(self.reach)
+        series = readings.copy()
+        series[:, turns] = cumulative_trapezoid(readings[:, turns], axis=0, initial=0) / self.rate
         parts = []
         for band in self.bands:
             part = np.zeros_like(readings)
             for column in moving:
-                part[:, column] = filtered(readings[:, column], band.transfer, rate=self.rate)
+                gain = band.slope if turns[column] else band.transfer
+                part[:, column] = filtered(series[:, column], gain, rate=self.rate, level_over=level_over)
             parts.append((band, part))
         return parts
 
@@ -241,4 +259,9 @@ def _highest(sensor: GroundSensor, rate: float) -> float:
     length = int(min(values.size, max(64, values.size // 8)))
     frequency, density = welch(values, rate, nperseg=length, detrend="linear")  # type: ignore[call-overload]
     out = np.flatnonzero(density[1:] > STANDS_OUT * sensor.noise**2 / (rate / 2))
-    return float(frequency[1:][out[-1]] * 1.2) if out.size else 0.0
+    if out.size:
+        return float(frequency[1:][out[-1]] * 1.2)
+    # a rate that rises steadily has no line in a spectrum that is freed of slopes
+    place = np.linspace(-1, 1, values.size)
+    rise = abs(float(place @ values)) / float(np.sqrt(place @ place))
+    return float(frequency[1]) if rise > SLOPE * sensor.noise > 0 else 0.0

@@ -125,7 +125,7 @@ def divided(values: Array, transfer: Transfer, *, rate: float, least: float = LE
     return _changed(values, undone, rate)
 
 
-def filtered(values: Array, gain: Transfer, *, rate: float) -> Array:
+def filtered(values: Array, gain: Transfer, *, rate: float, level_over: int = 1) -> Array:
     """Multiply the spectrum of a record by a gain, the record continued at its ends as in `divided`.
 
     Parameters
@@ -136,16 +136,25 @@ def filtered(values: Array, gain: Transfer, *, rate: float) -> Array:
         Factor at frequencies [Hz], real at zero.
     rate
         Sampling rate [Hz].
+    level_over
+        Samples at either end through which a straight line gives the level that the record is reflected at. For a low
+        pass of noisy readings: the noise of one sample would else be a step of twice its size at the end.
     """
-    return _changed(values, lambda spectrum, frequency: np.asarray(spectrum * gain(frequency)), rate)
+    return _changed(values, lambda spectrum, frequency: np.asarray(spectrum * gain(frequency)), rate, level_over)
 
 
 def _changed(
-    values: Array, change: Callable[[NDArray[np.complex128], Array], NDArray[np.complex128]], rate: float
+    values: Array,
+    change: Callable[[NDArray[np.complex128], Array], NDArray[np.complex128]],
+    rate: float,
+    level_over: int = 1,
 ) -> Array:
     """Change the spectrum of a record that is continued at its ends."""
     reach = min(values.size - 1, max(256, values.size // 4))
     padded = np.pad(values, reach, mode="reflect", reflect_type="odd")
+    if level_over > 2:
+        padded[:reach] += 2 * (_level(values[:level_over]) - values[0])
+        padded[-reach:] += 2 * (_level(values[: -level_over - 1 : -1]) - values[-1])
     # a jump from the end round to the start would ring along the whole record, as the phase is cut at half the rate
     fade = np.ones(padded.size)
     outer = max(reach // 2, 1)
@@ -156,6 +165,12 @@ def _changed(
     frequency = np.asarray(np.fft.rfftfreq(padded.size, 1 / rate), dtype=np.float64)
     spectrum = change(np.fft.rfft(padded), frequency)
     return np.asarray(np.fft.irfft(spectrum, padded.size)[reach : reach + values.size])
+
+
+def _level(values: Array) -> float:
+    """Level at the first of some samples, by a straight line through all."""
+    place = np.arange(values.size)
+    return float(np.polynomial.polynomial.polyfit(place, values, 1)[0])
 
 
 def high_pass(corner: float) -> Transfer:
