@@ -225,7 +225,7 @@ def test_weight_in_a_zero_adds_no_doubt_at_its_attitude(here, capsys, truth, see
         assert rest < 0.1 * alone or angle == 0
 
 
-@pytest.mark.parametrize("zero", ["natural", "with the model on, nose up"])
+@pytest.mark.parametrize("zero", ["natural", "with the model on, nose up", "with the model off", "off, as said"])
 def test_force_counts_gravity_once(here, capsys, truth, seed, zero):
     generator = np.random.default_rng(seed)
     run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
@@ -241,11 +241,13 @@ def test_force_counts_gravity_once(here, capsys, truth, seed, zero):
     options = []
     if zero != "natural":
         up = np.full(count, np.radians(9.0))
-        write("zero.csv", time, gauges(truth, weight(up), generator) | {"pitch [deg]": np.degrees(up)})
-        options = ["--zero", "zero.csv"]
+        hung = weight(up) if "model on" in zero else np.zeros((count, 6))
+        write("zero.csv", time, gauges(truth, hung, generator) | {"pitch [deg]": np.degrees(up)})
+        options = ["--zero", "zero.csv", *(["--model-on-zero", "off"] if "said" in zero else [])]
     files = ["--dynamics", "dynamics.json", "--balance", "balance.json", "-o", "force.csv"]
     account = run(capsys, "force", "run.csv", *files, *options)
     assert "balance matrix, zeros and tares" in account["components"]["AF"]["uncertainty_budget_rms"]
+    assert any("taken as read with the model off" in text for text in account["warnings"]) == ("model off" in zero)
     table = np.genfromtxt("force.csv", delimiter=",", names=True)
     error, u = table["AF_N"] - applied, table["u_AF_N"]
     assert np.mean(np.abs(error) < 3 * u) > 0.9, zero

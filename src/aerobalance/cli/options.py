@@ -34,7 +34,21 @@ MaybeBalance = Annotated[
 ]
 Zero = Annotated[
     list[Path] | None,
-    typer.Option("--zero", help="Recording of the unloaded balance before the run (may be given again), or 'none'."),
+    typer.Option("--zero", help="Recording with no wind before the run (may be given again), or 'none'."),
+]
+
+
+class ModelOnZero(StrEnum):
+    """Whether the model hung on the balance while its zero was read."""
+
+    AUTO = "auto"
+    ON = "on"
+    OFF = "off"
+
+
+OnZero = Annotated[
+    ModelOnZero,
+    typer.Option("--model-on-zero", help="Whether --zero was read with the model on; auto asks the natural zeros."),
 ]
 ZeroAfter = Annotated[
     list[Path] | None, typer.Option("--zero-after", help="The same after the run: the drift is taken off.")

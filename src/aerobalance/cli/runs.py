@@ -16,7 +16,9 @@ from aerobalance.cli.options import (
     Map,
     MaybeBalance,
     Method,
+    ModelOnZero,
     NeededOut,
+    OnZero,
     Out,
     Rec,
     Tare,
@@ -35,6 +37,7 @@ def loads(
     balance: Balance,
     out: NeededOut,
     zero: Zero = None,
+    model_on_zero: OnZero = ModelOnZero.AUTO,
     zero_after: ZeroAfter = None,
     tare: Tare = None,
     mass: Annotated[
@@ -50,7 +53,9 @@ def loads(
     """Turn gauge outputs into the loads that the balance feels, with their uncertainty."""
     from aerobalance.commands import loads as command
 
-    files = command.BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare, mass=mass)
+    files = command.BalanceFiles.of(
+        balance, zero=zero, model_on_zero=model_on_zero.value, zero_after=zero_after, tare=tare, mass=mass
+    )
     show(
         lambda: command.loads(
             rec, out, files=files, form=None if form is None else form.value, channel_map=channel_map
@@ -85,6 +90,7 @@ def force(
     ] = None,
     balance: MaybeBalance = None,
     zero: Zero = None,
+    model_on_zero: OnZero = ModelOnZero.AUTO,
     zero_after: ZeroAfter = None,
     tare: Tare = None,
     channel_map: Map = None,
@@ -104,6 +110,11 @@ def force(
 
     if balance is None and (zero or zero_after or tare):
         raise ValueError("--zero, --zero-after and --tare go with --balance: they are of gauge outputs")
+    files = None
+    if balance is not None:
+        files = BalanceFiles.of(
+            balance, zero=zero, model_on_zero=model_on_zero.value, zero_after=zero_after, tare=tare
+        )
 
     show(
         lambda: command.force(
@@ -116,7 +127,7 @@ def force(
             gravity_uncertainty=u_gravity,
             hum=command.hum_of(hum),
             noise_record=noise_record,
-            files=None if balance is None else BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare),
+            files=files,
             channel_map=channel_map,
             check=None if monte_carlo is None else Check(monte_carlo, seed),
             report=report,
@@ -202,6 +213,7 @@ def compare(
     gravity: Gravity = STANDARD_GRAVITY,
     balance: MaybeBalance = None,
     zero: Zero = None,
+    model_on_zero: OnZero = ModelOnZero.AUTO,
     zero_after: ZeroAfter = None,
     tare: Tare = None,
     channel_map: Map = None,
@@ -214,6 +226,11 @@ def compare(
 
     if balance is None and (zero or zero_after or tare):
         raise ValueError("--zero, --zero-after and --tare go with --balance: they are of gauge outputs")
+    files = None
+    if balance is not None:
+        files = BalanceFiles.of(
+            balance, zero=zero, model_on_zero=model_on_zero.value, zero_after=zero_after, tare=tare
+        )
 
     ranges = amounts(half_range or (), "--half-range")
     show(
@@ -225,7 +242,7 @@ def compare(
             step=step,
             half_range=ranges,
             gravity=gravity,
-            files=None if balance is None else BalanceFiles.of(balance, zero=zero, zero_after=zero_after, tare=tare),
+            files=files,
             channel_map=channel_map,
             out=out,
         ),

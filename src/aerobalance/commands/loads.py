@@ -5,8 +5,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -41,6 +42,12 @@ def convert_matrix(path: Path, out: Path) -> Account:
     return {"file": path.name, "written": out.name, "components": list(matrix.components), "warnings": collected}
 
 
+ModelOnZero = Literal["auto", "on", "off"]
+
+CLEARLY: Final = 0.5
+"""Distance of a zero from the natural zeros, over that from them under the weight, below which it was read without."""
+
+
 @dataclass(frozen=True, slots=True)
 class BalanceFiles:
     """Files that gauge outputs are reduced with.
@@ -50,11 +57,14 @@ class BalanceFiles:
     balance
         balance.json, or a matrix in BALFIT's text layout.
     zero, zero_after
-        Recordings of the unloaded balance before and after the run; the word ``none`` takes outputs as they are.
+        Recordings with no wind before and after the run; the word ``none`` takes outputs as they are.
     tare
         Wind-off recordings, whose loads are taken off at the same attitude.
     mass
         mass.json of a weighing, whose weight is taken off instead.
+    model_on_zero
+        Whether the model hung on the balance while the zero was read; ``auto`` takes it so unless the natural zeros of
+        the calibration speak against it.
     """
 
     balance: Path
@@ -62,6 +72,7 @@ class BalanceFiles:
     zero_after: tuple[Path, ...] = ()
     tare: tuple[Path, ...] = ()
     mass: Path | None = None
+    model_on_zero: ModelOnZero = "auto"
 
     @classmethod
     def of(
@@ -69,12 +80,13 @@ class BalanceFiles:
         balance: Path,
         *,
         zero: list[Path] | None = None,
+        model_on_zero: ModelOnZero = "auto",
         zero_after: list[Path] | None = None,
         tare: list[Path] | None = None,
         mass: Path | None = None,
     ) -> BalanceFiles:
         """Take the files as the command line gives them."""
-        return cls(balance, tuple(zero or ()), tuple(zero_after or ()), tuple(tare or ()), mass)
+        return cls(balance, tuple(zero or ()), tuple(zero_after or ()), tuple(tare or ()), mass, model_on_zero)
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -121,7 +133,7 @@ def reduced(
         zero = _stand_in(zero, wind_off, matrix)
         tare = wind_off_loads(recording, wind_off, matrix, zero=zero)
     elif files.mass is not None:
-        tare = _weight(recording, files.mass, matrix, since=before)
+        tare = _weight(recording, files.mass, matrix, since=before if zero is not None and zero.weight.any() else ())
     return loads_felt(recording, matrix, zero=zero, tare=tare, form=form), matrix
 
 
@@ -134,10 +146,13 @@ class Carried(NamedTuple):
         Shape (6,) [N, N*m].
     pull
         Pull of gravity on it.
+    doubt
+        What is doubtful about it, or nothing.
     """
 
     weight: Array
     pull: PullOnZero
+    doubt: str = ""
 
 
 class Reduction(NamedTuple):
@@ -246,19 +261,14 @@ def _without_gravity(recording: Recording) -> Recording:
 
 def _carried_on_zero(zeros: Sequence[Recording], known: Known, *, gravity: float, pitched: bool) -> Carried:
     """Weight of the moving mass on the balance while its zero was read."""
-    lacking = [zero.name for zero in zeros if "pitch" not in zero]
-    if lacking and pitched:
-        warnings.warn(
-            f"{lacking[0]} has no channel pitch; the zero is taken as read level, with the model on",
-            DoubtWarning,
-            stacklevel=3,
-        )
+    lacking = [zero.name for zero in zeros if "pitch" not in zero] if pitched else []
+    doubt = f"{lacking[0]} has no channel pitch; the zero is taken as read level, with the model on" if lacking else ""
     attitudes = [_attitudes(zero) for zero in zeros]
     weights = np.zeros((len(zeros), len(COMPONENTS)))
     for row, (pitch, roll) in zip(weights, attitudes, strict=True):
         for name in known.components:
             row[COMPONENTS.index(name)] = np.nanmean(known.weight(name, pitch=pitch, roll=roll, gravity=gravity))
-    return Carried(weights.mean(axis=0), PullOnZero.of(attitudes, gravity=gravity))
+    return Carried(weights.mean(axis=0), PullOnZero.of(attitudes, gravity=gravity), doubt)
 
 
 def _stand_in(zero: GaugeZero | None, recordings: Sequence[Recording], matrix: BalanceMatrix) -> GaugeZero | None:
@@ -297,35 +307,66 @@ def _zero(
     after = [recording_of(path, channel_map) for path in files.zero_after]
     zero = gauge_zero(before, matrix, after=after)
     if files.mass is not None:
-        return _without_weight(zero, _weighed(before, files.mass, matrix), matrix)
-    if on_zero is None:
+        on_zero = partial(_weighed, mass=files.mass)
+    if files.model_on_zero == "off" or on_zero is None:
         return zero
     carried = on_zero(before)
-    zero = replace(zero, weight=carried.weight, pull=carried.pull)
-    if matrix.direct is not None:
-        return _without_weight(zero, carried.weight, matrix)
-    own = [carried.weight[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in matrix.components]
-    return _without_weight(zero, np.array(own), matrix)
+    own = carried.weight
+    if matrix.direct is None:
+        own = np.array([own[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in matrix.components])
+    if files.model_on_zero == "auto" and _reads_no_weight(zero, own, matrix):
+        warnings.warn(
+            f"{zero.source} reads as the natural zeros of the calibration do, without the weight: it is taken as read "
+            "with the model off; --model-on-zero on or off says which",
+            DoubtWarning,
+            stacklevel=4,
+        )
+        return zero
+    if carried.doubt:
+        warnings.warn(carried.doubt, DoubtWarning, stacklevel=4)
+    return _without_weight(replace(zero, weight=carried.weight, pull=carried.pull), own, matrix)
 
 
-def _weighed(recordings: Sequence[Recording], mass: Path, matrix: BalanceMatrix) -> Array:
-    """Weight of a weighing at the attitudes of recordings, their mean, in the order of direct-read loads."""
+def _native(weight: Array, matrix: BalanceMatrix) -> Array:
+    """Weight in the balance's own components."""
+    return weight if matrix.direct is None else np.linalg.solve(matrix.direct, weight).astype(np.float64)
+
+
+def _reads_no_weight(zero: GaugeZero, weight: Array, matrix: BalanceMatrix) -> bool:
+    """Whether a zero is clearly nearer to the natural zeros than to them under the weight, over the load range."""
+    if matrix.natural_zero is None or not weight.any():
+        return False
+    size = np.ptp(np.array(matrix.calibrated), axis=0)
+    seen = matrix.loads((zero.values - matrix.natural_zero)[None, :]).loads[0]
+    without, under = (
+        float(np.linalg.norm((seen - hung) / size)) for hung in (np.zeros_like(seen), _native(weight, matrix))
+    )
+    return without < CLEARLY * under
+
+
+def _weighed(recordings: Sequence[Recording], *, mass: Path) -> Carried:
+    """Weight of a weighing at the attitudes of recordings, their mean."""
     lacking = [recording.name for recording in recordings if "pitch" not in recording]
     if lacking:
         raise FitError(
             f"{lacking[0]} has no channel pitch, so the weight in its zero is not known; record pitch with the zero, "
-            "or take wind-off recordings as --tare instead of --mass"
+            "say --model-on-zero off if it was read without the model, or take wind-off recordings as --tare"
         )
-    weights = [_weight(recording, mass, matrix)[0] for recording in recordings]
-    return np.asarray(np.mean([np.nanmean(table, axis=0) for table in weights], axis=0))
+    weighing = read_weighing(mass)
+    attitudes = [_attitudes(recording) for recording in recordings]
+    loads = [weighing.loads(pitch=pitch, roll=roll, offsets=False) for pitch, roll in attitudes]
+    weight = np.zeros(len(COMPONENTS))
+    weight[[COMPONENTS.index(name) for name in weighing.components]] = np.mean(
+        [np.nanmean(table, axis=0) for table in loads], axis=0
+    )
+    return Carried(weight, PullOnZero.of(attitudes, gravity=weighing.gravity))
 
 
 def _without_weight(zero: GaugeZero, weight: Array, matrix: BalanceMatrix) -> GaugeZero:
     """Take the model's weight out of a zero that was read with the model on the balance."""
     if not weight.any():
         return zero
-    native: Array = weight if matrix.direct is None else np.linalg.solve(matrix.direct, weight).astype(np.float64)
-    outputs = matrix.outputs(native[None, :])[0]
+    outputs = matrix.outputs(_native(weight, matrix)[None, :])[0]
     return replace(zero, values=zero.values - outputs, source=f"{zero.source}, less the weight")
 
 
