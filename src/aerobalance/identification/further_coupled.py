@@ -63,6 +63,9 @@ BEFORE: Final = 0.5
 WIDTHS: Final = (1, 3, 9, 27, 81)
 """Widths of the peaks looked for in the residuals, in frequencies."""
 
+INDEPENDENT: Final = 1e-6
+"""Size of a combination of products of modes, over the largest, below which it is rounding."""
+
 FAINT: Final = 0.1
 """Power over that of white noise of the size of the residuals, below which it is rounding."""
 
@@ -134,6 +137,8 @@ def _free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Rel
     hidden = free.hidden
     while hidden < MOST and peak_of(free, units, records) is not None:
         hidden += 1
+        if _hopeless(hidden, free, records):
+            continue
         try:
             larger, others = _decays_with(hidden, records, sizes=sizes)
             gained = gain_over(larger, free)
@@ -146,6 +151,31 @@ def _free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Rel
         if clear and _physical(larger, others, records[0].rate) and len(_twins(larger)) <= len(_twins(free)):
             free, units, gain = larger, others, gained
     return free, units, gain
+
+
+def _hopeless(hidden: int, free: ReleaseFit, records: Sequence[ReleaseRecord]) -> bool:
+    """Whether a quick look that explains the decays says that so many modes are no better than fewer, or are no modes.
+
+    The fit itself takes a hundred times as long, and what a calibration has left of terms that are not linear keeps
+    calling for modes that it will not find.
+    """
+    decays, rate = decays_of(records, 0.0), records[0].rate
+    fewer, quick = (
+        quick_guess(decays, rate=rate, hidden=count) if decays else None for count in (free.hidden, hidden)
+    )
+    if fewer is None or quick is None or quick.squares > POOR * sum(decay.size for decay in decays):
+        return False
+    return quick.squares >= fewer.squares or not _lightly_damped(_motion_of(quick, free.size), free.size + hidden)
+
+
+def _motion_of(guess: Guess, components: int) -> FreeMotion:
+    return FreeMotion.of(guess.spring, guess.brake, components=components)
+
+
+def _lightly_damped(motion: FreeMotion, count: int) -> bool:
+    """Whether all of so many modes oscillate, damped as those of a structure are."""
+    poles = motion.poles
+    return pairs(motion)[1].size == count and bool((-poles.real < HEAVIEST * np.abs(poles)).all())
 
 
 def _decays_with(hidden: int, records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units]:
@@ -232,9 +262,8 @@ def _physical(fit: ReleaseFit, units: Units, rate: float) -> bool:
     poles, sizes = fit.motion.poles, pairs(fit.motion)[1]
     longest = max(float(piece.time[-1] - piece.edge[1]) for piece in fit.pieces)
     return bool(
-        sizes.size == fit.size + fit.hidden
+        _lightly_damped(fit.motion, fit.size + fit.hidden)
         and (-poles.real * longest > DECAYS).all()
-        and (-poles.real < HEAVIEST * np.abs(poles)).all()
         and sizes.max() * units.rate / (2 * np.pi) < TOP * rate / 2
     )
 
@@ -282,9 +311,11 @@ def _missed(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
     if quick is None:
         return peak
     gain = count / 2 * float(np.log(np.mean(left**2) * count / quick.squares))
-    if gain < _by_chance(fit, fit.hidden + 1, 1) + EVIDENCE:
+    motion = _motion_of(quick, fit.size)
+    none = not _lightly_damped(motion, fit.size + fit.hidden + 1)
+    if none or gain < _by_chance(fit, fit.hidden + 1, 1) + EVIDENCE:
         return peak
-    theirs = np.log(pairs(FreeMotion.of(quick.spring, quick.brake, components=fit.size))[1])
+    theirs = np.log(pairs(motion)[1])
     ours = np.log(pairs(fit.motion)[1] * units.rate)
     rows, _ = linear_sum_assignment(np.abs(theirs[:, None] - ours))
     others = np.delete(theirs, rows)
@@ -302,10 +333,12 @@ def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
         return None
     whitener = whitener_of(fit.noise + ROUNDING**2 * np.eye(fit.size))
     power = np.zeros(count // 2)
+    interval = float(np.median(np.diff(fit.pieces[0].time)))
+    products = _products(fit, count=count, interval=interval)
     for linear in fit.linears:
-        power += np.sum(
-            np.abs(np.fft.rfft(linear.ringing[:count] @ whitener.T, axis=0)[1 : count // 2 + 1]) ** 2, axis=1
-        )
+        left = linear.ringing[:count] @ whitener.T
+        left = left - products @ (products.T @ left)
+        power += np.sum(np.abs(np.fft.rfft(left, axis=0)[1 : count // 2 + 1]) ** 2, axis=1)
     level = median_filter(power / count, size=max(count // 32, 2 * max(WIDTHS) + 1), mode="reflect")
     number = 2 * len(fit.linears) * fit.size
     level = np.maximum(level * number / chi2.median(number), FAINT * number / 2)
@@ -318,9 +351,23 @@ def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
             best, place = float(chances[least]), least + width // 2
     if place is None:
         return None
-    interval = float(np.median(np.diff(fit.pieces[0].time)))
     line = 2 * np.pi * (place + 1) / (count * interval)
     return None if _rings_before(fit, line, units, records) else line * units.rate / (2 * np.pi)
+
+
+def _products(fit: ReleaseFit, *, count: int, interval: float) -> Array:
+    """What products of two modes and sizes of one can look like: an orthonormal basis, shape (count, k).
+
+    What a calibration has left of terms such as X^2 and |X| rings at sums and differences of the modes, zero among
+    them, and dies away with both, or with one. It is no further mode.
+    """
+    poles = fit.motion.poles[fit.motion.poles.imag > 0]
+    pairs_of = [(one, other) for place, one in enumerate(poles) for other in poles[place:]]
+    rates = [one + part for one, other in pairs_of for part in (other, other.conj())]
+    rates += [part for one in poles for part in (one.real + 0j, 2j * one.imag + one.real)]
+    waves = np.exp(np.outer(interval * np.arange(count), rates))
+    basis, sizes, _ = np.linalg.svd(np.column_stack([np.ones(count), waves.real, waves.imag]), full_matrices=False)
+    return np.asarray(basis[:, sizes > INDEPENDENT * sizes[0]])
 
 
 def _rings_before(fit: ReleaseFit, line: float, units: Units, records: Sequence[ReleaseRecord]) -> bool:

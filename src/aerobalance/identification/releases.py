@@ -262,7 +262,7 @@ def _notes_on_modes(found: CoupledIdentification, chosen: ChosenFit) -> list[str
     if chosen.peak is not None:
         where = f" near {chosen.peak:.4g} Hz"
         near = min(abs(chosen.peak / mode.natural_frequency - 1) for mode in found.modes)
-        other = " or damping is not linear" if near < 1 / 8 else ""
+        other = " or damping is not linear, or the balance matrix" if near < 1 / 8 else ""
     reason = "" if chosen.why is None else f" ({chosen.why})"
     text = (
         f"the decays ring{where} as the {len(found.modes)} modes found do not, as where the model or the sting bends"
