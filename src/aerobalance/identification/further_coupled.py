@@ -326,23 +326,24 @@ def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
     """Frequency of the clearest narrow peak in the residuals after the edges [Hz]; None where they are as noise.
 
     The power of white noise, summed over r records, n components and w frequencies, is half a chi2 of 2 r n w degrees
-    of freedom; its level is the median around, so that noise that is coloured smoothly makes no peak.
+    of freedom; its level is the median around, so that noise that is coloured smoothly makes no peak. What may be
+    products of modes is in the level, but not in the peaks.
     """
     count = min(len(linear.ringing) for linear in fit.linears)
     if count < 8 * max(WIDTHS):
         return None
     whitener = whitener_of(fit.noise + ROUNDING**2 * np.eye(fit.size))
-    power = np.zeros(count // 2)
+    power, beyond = np.zeros((2, count // 2))
     interval = float(np.median(np.diff(fit.pieces[0].time)))
     products = _products(fit, count=count, interval=interval)
     for linear in fit.linears:
         left = linear.ringing[:count] @ whitener.T
-        left = left - products @ (products.T @ left)
-        power += np.sum(np.abs(np.fft.rfft(left, axis=0)[1 : count // 2 + 1]) ** 2, axis=1)
+        power += _power(left)
+        beyond += _power(left - products @ (products.T @ left))
     level = median_filter(power / count, size=max(count // 32, 2 * max(WIDTHS) + 1), mode="reflect")
     number = 2 * len(fit.linears) * fit.size
     level = np.maximum(level * number / chi2.median(number), FAINT * number / 2)
-    sums = np.concatenate([[0.0], np.cumsum((power / count / level)[: int(TOP * power.size)])])
+    sums = np.concatenate([[0.0], np.cumsum((beyond / count / level)[: int(TOP * power.size)])])
     best, place = float(np.log(CHANCE)), None
     for width in WIDTHS:
         chances = chi2.logsf(number * (sums[width:] - sums[:-width]), number * width)
@@ -353,6 +354,11 @@ def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
         return None
     line = 2 * np.pi * (place + 1) / (count * interval)
     return None if _rings_before(fit, line, units, records) else line * units.rate / (2 * np.pi)
+
+
+def _power(values: Array) -> Array:
+    """Power of all columns together at all frequencies but zero, for n of them shape (n // 2,)."""
+    return np.asarray(np.sum(np.abs(np.fft.rfft(values, axis=0)[1 : len(values) // 2 + 1]) ** 2, axis=1))
 
 
 def _products(fit: ReleaseFit, *, count: int, interval: float) -> Array:
