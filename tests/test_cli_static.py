@@ -12,11 +12,11 @@ import pytest
 from aerobalance.balance import BalanceMatrix
 from aerobalance.channel import Array
 from aerobalance.cli import main
+from aerobalance.gravity import Attitudes
 from aerobalance.io.balance_file import read_balance
 from aerobalance.io.schedule import write_balfit_schedule
 from aerobalance.io.weighing_file import read_weighing, write_weighing
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from aerobalance.weighing import Attitudes
 
 GRAVITY = 9.80665
 MASS = 60.0

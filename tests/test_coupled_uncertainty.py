@@ -13,7 +13,7 @@ from aerobalance.coupled import CoupledDynamics, RigidMass
 from aerobalance.coupled_force import noise_of_coupled, reconstruct_coupled
 from aerobalance.coupled_record import CoupledRecord
 from aerobalance.draws import drawn_coupled
-from aerobalance.gravity import PullOnZero
+from aerobalance.gravity import Attitudes, PullOnZero
 from aerobalance.monte_carlo import monte_carlo_of_coupled
 from aerobalance.problems import FitError
 from aerobalance.recording import Recording
@@ -103,7 +103,7 @@ def test_a_wrong_mass_is_wrong_in_the_zero_of_the_loads_too(at_zero: float) -> N
     force = 0.03 * SIZE * band(generator, 250, count=COUNT, rate=RATE, columns=2)
     felt = dynamics.load_felt(force, interval=1 / RATE) + mass.weight(np.array([pitch]))[:, own]
     recording = recording_of(felt + NOISE * generator.normal(size=felt.shape), pitch=np.full(COUNT, pitch))
-    zero = [(np.array([at_zero]), np.zeros(1))]
+    zero = [Attitudes(np.array([at_zero]), np.zeros(1))]
     recording = replace(recording, pull_on_zero=PullOnZero.of(zero, gravity=STANDARD_GRAVITY))
     found = reconstruct_coupled(recording, dynamics)
     checked = monte_carlo_of_coupled(recording, dynamics, found, draws=25, seed=seed)

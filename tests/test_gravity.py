@@ -7,7 +7,7 @@ import pytest
 
 from aerobalance.channel import Channel
 from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
-from aerobalance.gravity import Pull, PullOnZero, gravity_share, pull_of_gravity, weight_direction
+from aerobalance.gravity import Attitudes, Pull, PullOnZero, gravity_share, pull_of_gravity, weight_direction
 from aerobalance.motion import GroundMotion
 from aerobalance.platform_motion import PlatformMotion
 from aerobalance.recording import Recording
@@ -45,7 +45,8 @@ def test_signs_of_the_pull():
 
 
 def test_zeros_count_alike_however_long_they_are():
-    one, other = (np.array([0.1, np.nan, 0.1]), np.zeros(3)), (np.full(1000, 0.3), np.full(1000, 0.2))
+    one = Attitudes(np.array([0.1, np.nan, 0.1]), np.zeros(3))
+    other = Attitudes(np.full(1000, 0.3), np.full(1000, 0.2))
     found = PullOnZero.of([one, other], gravity=9.8)
     assert found.acceleration[AFT] == pytest.approx(9.8 * (np.sin(0.1) + np.sin(0.3)) / 2)
     assert found.slope("pitch gain")[AFT] == pytest.approx(9.8 * (0.1 * np.cos(0.1) + 0.3 * np.cos(0.3)) / 2)

@@ -8,12 +8,11 @@ from scipy import stats
 
 from aerobalance.channel import Channel
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.gravity import weight_direction
+from aerobalance.gravity import Attitudes, weight_direction
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.weighing import (
     DIRECTIONS,
-    Attitudes,
     LoadPoints,
     Weighing,
     WeightModel,

@@ -15,6 +15,13 @@ from aerobalance.components import COMPONENTS
 _AFT_RIGHT_UP = [COMPONENTS.index(name) for name in ("AF", "SF", "NF")]
 
 
+class Attitudes(NamedTuple):
+    """Pitch and roll of a recording, shape (n,) each [rad]; NaN where one is missing."""
+
+    pitch: Array
+    roll: Array
+
+
 def weight_direction(pitch: ArrayLike, roll: ArrayLike) -> Array:
     """Share of gravity along aft, right and up, shape (n, 3) [1], for angles of shape (n,) [rad].
 
@@ -86,8 +93,8 @@ class PullOnZero:
     slopes: Mapping[str, Array] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, attitudes: Sequence[tuple[Array, Array]], *, gravity: float) -> PullOnZero:
-        """Take the mean over recordings of pitch and roll, shape (n,) each [rad]; NaN where one is missing."""
+    def of(cls, attitudes: Sequence[Attitudes], *, gravity: float) -> PullOnZero:
+        """Take the mean over recordings."""
         accelerations, slopes = [], []
         for pitch, roll in attitudes:
             pull = Pull.of(pitch, roll, gravity=gravity)

@@ -199,7 +199,7 @@ class GroundFit:
             return [(self.bands[0], readings)]
         moving = np.flatnonzero(readings.any(axis=0))
         lowest = min(band.high for band in self.bands)
-        level_over = min(round(self.rate / (QUARTER * lowest)), readings.shape[0] // 2) if lowest > 0 else 1
+        level_over = min(round(self.rate / (QUARTER * lowest)), readings.shape[0] // 2)
         # what has been differentiated is so noisy that it has no level at an end; its integral has
         turns = self._turns & np.isfinite(self.reach)
         series = readings.copy()

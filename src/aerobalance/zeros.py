@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from aerobalance.gauges import gauge_outputs
 from aerobalance.gravity import PullOnZero
 from aerobalance.problems import FitError
 from aerobalance.recording import Recording
+
+CLEARLY: Final = 0.5
+"""Distance of a zero from the natural zeros, over that from them under the weight, below which it was read without."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,6 +93,33 @@ def gauge_zero(
         last, u_last = _mean_outputs(after, balance)
         drift, u = last - first, np.hypot(u, u_last)
     return GaugeZero(first, u, ", ".join(recording.name for recording in recordings), drift)
+
+
+def without_weight(zero: GaugeZero, balance: BalanceMatrix) -> GaugeZero:
+    """Take the model's weight, that of the zero, out of the outputs that were read under it."""
+    if not zero.weight.any():
+        return zero
+    outputs = balance.outputs(_native(zero.weight, balance)[None, :])[0]
+    return replace(zero, values=zero.values - outputs, source=f"{zero.source}, less the weight")
+
+
+def reads_no_weight(zero: GaugeZero, weight: Array, balance: BalanceMatrix) -> bool:
+    """Whether a zero is clearly nearer to the calibration's natural zeros than to them under a weight, shape (6,).
+
+    Distances are over the calibrated range; without natural zeros, or without a weight, nothing is clear.
+    """
+    if balance.natural_zero is None or not weight.any():
+        return False
+    size = np.ptp(np.array(balance.calibrated), axis=0)
+    seen = balance.loads((zero.values - balance.natural_zero)[None, :]).loads[0]
+    return bool(np.linalg.norm(seen / size) < CLEARLY * np.linalg.norm((seen - _native(weight, balance)) / size))
+
+
+def _native(weight: Array, balance: BalanceMatrix) -> Array:
+    """Weight along NF PM SF YM RM AF in the balance's own components, shape (c,)."""
+    if balance.direct is not None:
+        return np.linalg.solve(balance.direct, weight).astype(np.float64)
+    return np.array([weight[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in balance.components])
 
 
 def _mean_outputs(recordings: Sequence[Recording], balance: BalanceMatrix) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from aerobalance.commands.known import Known
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of
 from aerobalance.components import COMPONENTS
 from aerobalance.forms import Form
-from aerobalance.gravity import PullOnZero
+from aerobalance.gravity import Attitudes, PullOnZero
 from aerobalance.io import check_output, write_loads
 from aerobalance.io.balance_file import write_balance
 from aerobalance.io.balfit_matrix import write_balfit_matrix
@@ -26,8 +26,8 @@ from aerobalance.io.weighing_file import read_weighing
 from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_loads, with_loads
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
-from aerobalance.weighing import Attitudes, LoadPoints, points_from_recordings
-from aerobalance.zeros import GaugeZero, gauge_zero
+from aerobalance.weighing import LoadPoints, points_from_recordings
+from aerobalance.zeros import GaugeZero, gauge_zero, reads_no_weight, without_weight
 
 
 def convert_matrix(path: Path, out: Path) -> Account:
@@ -43,9 +43,6 @@ def convert_matrix(path: Path, out: Path) -> Account:
 
 
 ModelOnZero = Literal["auto", "on", "off"]
-
-CLEARLY: Final = 0.5
-"""Distance of a zero from the natural zeros, over that from them under the weight, below which it was read without."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +83,8 @@ class BalanceFiles:
         mass: Path | None = None,
     ) -> BalanceFiles:
         """Take the files as the command line gives them."""
+        if model_on_zero != "auto" and not zero:
+            raise ValueError(f"--model-on-zero {model_on_zero} is said of a zero; give its recordings with --zero")
         return cls(balance, tuple(zero or ()), tuple(zero_after or ()), tuple(tare or ()), mass, model_on_zero)
 
     @property
@@ -311,10 +310,7 @@ def _zero(
     if files.model_on_zero == "off" or on_zero is None:
         return zero
     carried = on_zero(before)
-    own = carried.weight
-    if matrix.direct is None:
-        own = np.array([own[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in matrix.components])
-    if files.model_on_zero == "auto" and _reads_no_weight(zero, own, matrix):
+    if files.model_on_zero == "auto" and reads_no_weight(zero, carried.weight, matrix):
         warnings.warn(
             f"{zero.source} reads as the natural zeros of the calibration do, without the weight: it is taken as read "
             "with the model off; --model-on-zero on or off says which",
@@ -324,24 +320,7 @@ def _zero(
         return zero
     if carried.doubt:
         warnings.warn(carried.doubt, DoubtWarning, stacklevel=4)
-    return _without_weight(replace(zero, weight=carried.weight, pull=carried.pull), own, matrix)
-
-
-def _native(weight: Array, matrix: BalanceMatrix) -> Array:
-    """Weight in the balance's own components."""
-    return weight if matrix.direct is None else np.linalg.solve(matrix.direct, weight).astype(np.float64)
-
-
-def _reads_no_weight(zero: GaugeZero, weight: Array, matrix: BalanceMatrix) -> bool:
-    """Whether a zero is clearly nearer to the natural zeros than to them under the weight, over the load range."""
-    if matrix.natural_zero is None or not weight.any():
-        return False
-    size = np.ptp(np.array(matrix.calibrated), axis=0)
-    seen = matrix.loads((zero.values - matrix.natural_zero)[None, :]).loads[0]
-    without, under = (
-        float(np.linalg.norm((seen - hung) / size)) for hung in (np.zeros_like(seen), _native(weight, matrix))
-    )
-    return without < CLEARLY * under
+    return without_weight(replace(zero, weight=carried.weight, pull=carried.pull), matrix)
 
 
 def _weighed(recordings: Sequence[Recording], *, mass: Path) -> Carried:
@@ -360,14 +339,6 @@ def _weighed(recordings: Sequence[Recording], *, mass: Path) -> Carried:
         [np.nanmean(table, axis=0) for table in loads], axis=0
     )
     return Carried(weight, PullOnZero.of(attitudes, gravity=weighing.gravity))
-
-
-def _without_weight(zero: GaugeZero, weight: Array, matrix: BalanceMatrix) -> GaugeZero:
-    """Take the model's weight out of a zero that was read with the model on the balance."""
-    if not weight.any():
-        return zero
-    outputs = matrix.outputs(_native(weight, matrix)[None, :])[0]
-    return replace(zero, values=zero.values - outputs, source=f"{zero.source}, less the weight")
 
 
 def _weight(

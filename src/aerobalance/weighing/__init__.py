@@ -2,7 +2,7 @@
 
 from aerobalance.weighing.model import ANGLES, AXES, DIRECTIONS, WeightModel
 from aerobalance.weighing.points import LoadPoints, StaticPoints, points_from_recordings
-from aerobalance.weighing.result import Agreement, Attitudes, Weighing
+from aerobalance.weighing.result import Agreement, Weighing
 from aerobalance.weighing.single import MovingMass, weigh
 from aerobalance.weighing.together import weigh_components
 
@@ -11,7 +11,6 @@ __all__ = [
     "AXES",
     "DIRECTIONS",
     "Agreement",
-    "Attitudes",
     "LoadPoints",
     "MovingMass",
     "StaticPoints",

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from aerobalance.channel import Array
-from aerobalance.gravity import weight_direction
+from aerobalance.gravity import Attitudes, weight_direction
 from aerobalance.weighing.model import DIRECTIONS, WeightModel
 from aerobalance.weighing.single import MovingMass
 
@@ -19,13 +19,6 @@ LEAST_PROBABILITY: Final = 0.001
 
 BLOCK: Final = 10_000
 """Attitudes for which uncertainties are worked out at once, so that recordings of any length fit in memory."""
-
-
-class Attitudes(NamedTuple):
-    """Pitch and roll of a recording, shape (n,) each [rad]; NaN where one is missing."""
-
-    pitch: Array
-    roll: Array
 
 
 def _mean_direction(attitudes: Attitudes) -> Array:
