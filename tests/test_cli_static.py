@@ -198,6 +198,14 @@ def test_a_wrong_mass_is_wrong_in_a_zero_read_with_the_model_on(here, capsys, tr
     assert not [text for text in account["warnings"] if "mass" in text and "Monte Carlo" in text]
 
 
+def test_what_is_said_of_a_zero_needs_one(here, capsys):
+    for line in ("force run.csv --dynamics d.json --balance b.json", "loads run.csv --balance b.json"):
+        assert main([*line.split(), "--model-on-zero", "off", "-o", "out.csv"]) == 2
+        assert "give its recordings with --zero" in capsys.readouterr().err
+    assert main(["force", "run.csv", "--dynamics", "d.json", "--model-on-zero", "on", "-o", "out.csv"]) == 2
+    assert "go with --balance" in capsys.readouterr().err
+
+
 def test_weight_in_a_zero_adds_no_doubt_at_its_attitude(here, capsys, truth, seed):
     generator = np.random.default_rng(seed)
     run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json", "--distances", "12 12 10 10 cm")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,6 +27,9 @@ from aerobalance.cli.options import (
     example,
 )
 from aerobalance.components import STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from aerobalance.commands.loads import BalanceFiles
 
 app = typer.Typer()
 
@@ -63,6 +66,25 @@ def loads(
         as_json,
         doing="solving for the loads",
     )
+
+
+def _gauge_files(
+    balance: Path | None,
+    zero: list[Path] | None,
+    model_on_zero: ModelOnZero,
+    zero_after: list[Path] | None,
+    tare: list[Path] | None,
+) -> BalanceFiles | None:
+    """Files that gauge outputs are reduced with; None for a recording of loads, to which none of them apply."""
+    from aerobalance.commands.loads import BalanceFiles
+
+    if balance is not None:
+        return BalanceFiles.of(balance, zero=zero, model_on_zero=model_on_zero.value, zero_after=zero_after, tare=tare)
+    if zero or zero_after or tare or model_on_zero != ModelOnZero.AUTO:
+        raise ValueError(
+            "--zero, --zero-after, --tare and --model-on-zero go with --balance: they are of gauge outputs"
+        )
+    return None
 
 
 @app.command(epilog=example("force run.csv --dynamics dynamics.json -o force.csv"))
@@ -106,15 +128,8 @@ def force(
     """Work out the force that was applied, with the standard uncertainty of every sample, its budget and a check."""
     from aerobalance.commands import force as command
     from aerobalance.commands.known import Check
-    from aerobalance.commands.loads import BalanceFiles
 
-    if balance is None and (zero or zero_after or tare):
-        raise ValueError("--zero, --zero-after and --tare go with --balance: they are of gauge outputs")
-    files = None
-    if balance is not None:
-        files = BalanceFiles.of(
-            balance, zero=zero, model_on_zero=model_on_zero.value, zero_after=zero_after, tare=tare
-        )
+    files = _gauge_files(balance, zero, model_on_zero, zero_after, tare)
 
     show(
         lambda: command.force(
@@ -221,16 +236,9 @@ def compare(
 ) -> None:
     """Show this estimator and its rivals side by side on one record, with their errors where the truth is given."""
     from aerobalance.commands import compare as command
-    from aerobalance.commands.loads import BalanceFiles
     from aerobalance.commands.shared import amounts
 
-    if balance is None and (zero or zero_after or tare):
-        raise ValueError("--zero, --zero-after and --tare go with --balance: they are of gauge outputs")
-    files = None
-    if balance is not None:
-        files = BalanceFiles.of(
-            balance, zero=zero, model_on_zero=model_on_zero.value, zero_after=zero_after, tare=tare
-        )
+    files = _gauge_files(balance, zero, model_on_zero, zero_after, tare)
 
     ranges = amounts(half_range or (), "--half-range")
     show(
