@@ -5,11 +5,11 @@ import pytest
 
 from aerobalance.components import COMPONENTS
 from aerobalance.coupled import CoupledDynamics, RigidMass
-from aerobalance.coupled_record import load_felt
 from aerobalance.decoupling import LoneComponent
 from aerobalance.live_coupled import JUDGED, LiveCoupledForce
 from aerobalance.live_decoupling import MARGIN, LiveApart
 from aerobalance.live_platform import LivePlatform, Mounted
+from aerobalance.lone_job import load_felt
 from aerobalance.prior import Learned, Reading, generalised_least_squares
 from aerobalance.rigs.six_balance import CoupledBalance, random_balance
 from aerobalance.rigs.six_components import GROUND_CHANNELS, SixComponentRig

@@ -6,8 +6,9 @@ others (`aerobalance.decoupling`) and then worked out as one component is: same 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,14 @@ from numpy.typing import NDArray
 from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_record import CoupledRecord, bridged, load_felt
+from aerobalance.coupled_record import CoupledRecord, at_instants, bridged
 from aerobalance.estimate import ForceEstimate
-from aerobalance.force import Method, estimated, noise_of_job
+from aerobalance.force import Fitted, Method, by_smoother, estimated, noise_of_job
 from aerobalance.hum import Hum
+from aerobalance.lone_job import LoneJob, load_felt, mass_rows
 from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.recording import Recording
+from aerobalance.shared_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
 
 PASSES: Final = 2
 """Most times that gaps are filled anew by what the forces found make the balance read."""
@@ -62,21 +65,90 @@ def reconstruct_coupled(
         A component that the others ring with is not in the recording, or the recording is too short.
     """
     record = CoupledRecord.of(recording, dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
+    if not by_smoother(method=method, bandwidth=bandwidth):
+        inverse = partial(estimated, method=method, bandwidth=bandwidth, hum=hum)
+        return _with_gaps_filled(record, inverse, lambda one: (one.values, one.noise), noises=noise)[0]
+    fitted = partial(Fitted.of, hum=hum)
+    fits, filled = _with_gaps_filled(
+        record, fitted, lambda fit: (fit.smoothed.force, fit.apart.learned.noise), noises=noise
+    )
+    for name, shared in noise_shared(fits, record, filled=filled).items():
+        job = record.job(name, filled, shared=shared)
+        if as_expected(job.reading(), fits[name].apart.learned):
+            fits[name] = fitted(job)
+    return {name: fit.estimate() for name, fit in fits.items()}
+
+
+Answer = TypeVar("Answer")
+
+
+def _with_gaps_filled(
+    record: CoupledRecord,
+    work: Callable[[LoneJob], Answer],
+    known: Callable[[Answer], tuple[Array, float]],
+    *,
+    noises: Mapping[str, NoiseSpectrum] | None,
+) -> tuple[dict[str, Answer], Array]:
+    """Answers by component, and the readings with what the forces found put into their gaps.
+
+    Parameters
+    ----------
+    record
+        The record.
+    work
+        Makes an answer of a component taken apart.
+    known
+        Force and noise of a reading, of an answer.
+    noises
+        Spectra of the noise of the components taken apart, where they are known.
+    """
     filled = bridged(record.loads)
-
-    def worked_out(filled: Array) -> dict[str, ForceEstimate]:
-        jobs = record.jobs(filled, noises=noise)
-        return {name: estimated(job, method=method, bandwidth=bandwidth, hum=hum) for name, job in jobs.items()}
-
-    found = worked_out(filled)
-    for _ in range(PASSES if record.rings_together and not np.isfinite(record.loads).all() else 0):
-        better = filled_by(found, record, filled=filled)
-        noises = np.array([estimate.noise for estimate in found.values()])
-        if (np.abs(better - filled) < SETTLED * noises).all():
+    found = {name: work(job) for name, job in record.jobs(filled, noises=noises).items()}
+    for _ in range(PASSES if record.has_gaps else 0):
+        facts = {name: known(one) for name, one in found.items()}
+        better = filled_by({name: force for name, (force, _) in facts.items()}, record, filled=filled)
+        if (np.abs(better - filled) < SETTLED * np.array([noise for _, noise in facts.values()])).all():
             break
         filled = better
-        found = worked_out(filled)
-    return found
+        found = {name: work(job) for name, job in record.jobs(filled, noises=noises).items()}
+    return found, filled
+
+
+def noise_shared(fits: Mapping[str, Fitted], record: CoupledRecord, *, filled: Array) -> dict[str, SharedNoise]:
+    """Noise of components that others show, by component; only of those whose force is the better for it.
+
+    Parameters
+    ----------
+    fits
+        What each component's reading gives by itself.
+    record, filled
+        As in `filled_by`.
+    """
+    learned = [fit.apart.learned for fit in fits.values()]
+    if not record.rings_together or any(one.color is not None for one in learned):
+        return {}
+    mass = mass_rows(record.dynamics)
+    spectra = NoiseMatrix.of(
+        record.lones,
+        learned,
+        interval=record.interval,
+        noise=record.noise,
+        ground=mass @ record.platform.covariance @ mass.T,
+    )
+    residuals = np.column_stack([fit.smoothed.residuals for fit in fits.values()])
+    present = np.column_stack([np.isfinite(record.loads[:, lone.partners]).all(axis=1) for lone in record.lones])
+    shared = {}
+    for place, channel in enumerate(record.channels):
+        one = shared_noise(
+            spectra,
+            place,
+            residuals=at_instants(residuals, record.channels, to=channel, interval=record.interval),
+            present=present,
+            readings=partial(record.reading, on_clock_of=place, filled=filled),
+        )
+        if one is not None:
+            shared[channel.name] = one
+    return shared
 
 
 def noise_of_coupled(
@@ -115,20 +187,20 @@ def noise_of_coupled(
     return {name: noise_of_job(job) for name, job in record.jobs(bridged(record.loads)).items()}
 
 
-def filled_by(found: Mapping[str, ForceEstimate], record: CoupledRecord, *, filled: Array) -> Array:
+def filled_by(forces: Mapping[str, Array], record: CoupledRecord, *, filled: Array) -> Array:
     """Readings with their gaps filled by what forces make the balance read, shape (samples, n).
 
     Parameters
     ----------
-    found
-        The forces of all components.
+    forces
+        The forces of all components, shape (samples,) each.
     record
         The record.
     filled
         The readings with what the gaps were filled with before, shape (samples, n).
     """
     present = np.isfinite(record.loads)
-    force = np.column_stack([found[name].values for name in record.dynamics.components])
+    force = np.column_stack([forces[name] for name in record.dynamics.components])
     felt = load_felt(record.dynamics, force, interval=record.interval) + record.from_ground
     left = _free_motion(record.dynamics, filled - felt, present, interval=record.interval)
     return np.where(present, record.loads, felt + left)

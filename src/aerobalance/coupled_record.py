@@ -7,124 +7,35 @@ the others (`aerobalance.decoupling`).
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.signal import resample_poly
 
 from aerobalance.channel import Array, Channel
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.contributions import Contribution, Systematic
-from aerobalance.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
-from aerobalance.decoupling import FINE, SHARPNESS, LoneComponent, finer
-from aerobalance.estimate import FEWEST_SAMPLES, Job, Through
-from aerobalance.motion import GroundMotion, Unknown
+from aerobalance.coupled import CoupledDynamics
+from aerobalance.decoupling import FINE, LoneComponent, interpolated
+from aerobalance.dynamics import Dynamics
+from aerobalance.estimate import FEWEST_SAMPLES
+from aerobalance.lone_job import LoneJob, load_felt, mass_rows
+from aerobalance.motion import GroundMotion
 from aerobalance.noise import white_noise
 from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.platform_motion import PlatformMotion
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.sensing import corrected
+from aerobalance.shared_noise import SharedNoise
 
 AROUND: Final = 200
 """Samples either side of a gap from which it is filled at first."""
 
 EXACT: Final = 1e-9
 """Share of a channel's variance that its samples are taken to be exact to when a gap is filled."""
-
-SMALL: Final = 1e-6
-"""Relative change of the mass's parameters over which its slopes are taken; the matrix is a polynomial in them."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LoneJob(Job):
-    """One of several components that ring together, taken apart from the others.
-
-    `recording` holds what a balance of this component alone would read under its force, and no motion of the ground.
-
-    Attributes
-    ----------
-    coupled
-        The coupled components.
-    lone
-        The component's balance.
-    loads
-        Readings of all components without gaps, shape (samples, n).
-    channels
-        The channels that they come from.
-    platform
-        What the ground end does.
-    """
-
-    coupled: CoupledDynamics
-    lone: LoneComponent
-    loads: Array
-    channels: tuple[Channel, ...]
-    platform: PlatformMotion
-
-    @property
-    def motion_source(self) -> str:
-        """Channels that the noise of the ground's motion comes from."""
-        return "ground motion"
-
-    def parameter_errors(self, values: Array, again: Callable[[Job], Array], through: Through) -> Systematic:
-        """What a wrong element of inertia, damping or mass does to the force."""
-        rows = self.lone.rows(self.coupled)
-        name, mass = "inertia, damping and mass", self.coupled.mass
-        if not self.coupled.covariance.any() and (mass is None or not mass.covariance.any()):
-            return Systematic(name, "dynamics", (), np.zeros((values.size, 0)), np.zeros((0, 0)))
-        slopes = through(self.lone.parameter_slopes(self.loads, interval=self.interval))
-        covariance = self.coupled.covariance[np.ix_(rows, rows)]
-        names = [self.coupled.parameters[number] for number in rows]
-        if mass is not None and mass.covariance.any() and self.platform.specific_force.any():
-            own = [COMPONENTS.index(component) for component in self.coupled.components]
-            # the loads count from a zero that was read under the weight: the mass is wrong there too
-            acting = self.platform.specific_force + self.platform.pull_on_zero
-            felt = [self._read(-acting @ part[own].T) for part in mass_slopes(mass)]
-            slopes = np.column_stack([slopes, -through(np.column_stack(felt))])
-            zero = np.zeros((rows.size, len(felt)))
-            covariance = np.block([[covariance, zero], [zero.T, mass.covariance]])
-            names += list(MASS_PARAMETERS)
-        return Systematic(name, "dynamics", tuple(names), slopes, covariance)
-
-    def _read(self, net: Array) -> Array:
-        """What the lone balance reads when loads act on the moving mass of the coupled one, both (samples, ...)."""
-        felt = load_felt(self.coupled, net, interval=self.interval)
-        return self.lone.reading(felt, interval=self.interval)
-
-    def felt_under(self, item: Unknown) -> Array:
-        """Load felt under a unit of an unknown of the ground's motion, shape (samples,)."""
-        return self._read(-item.slope @ _mass_matrix(self.coupled).T)
-
-    def as_force(self, item: Unknown) -> Array:
-        """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, (samples,)."""
-        return np.asarray((item.slope @ _mass_matrix(self.coupled).T)[:, self.lone.place])
-
-    @property
-    def unknowns(self) -> tuple[Unknown, ...]:
-        """What holds along the ground's motion and is not known exactly."""
-        return self.platform.unknowns
-
-    def reading_errors(self, values: Array, through: Through) -> list[Contribution]:
-        """Gain of every channel that has a part in the component, and the zero of its own."""
-        parts: list[Contribution] = []
-        for place, channel in enumerate(self.channels):
-            if channel.relative_uncertainty > 0:
-                alone = np.zeros_like(self.loads)
-                alone[:, place] = self.loads[:, place]
-                slope = through(self.lone.reading(alone, interval=self.interval)[:, None])
-                name, variance = f"gain of {channel.name}", channel.relative_uncertainty**2
-                parts.append(Systematic(name, channel.name, (name,), slope, np.array([[variance]])))
-        own = self.channels[self.lone.place]
-        if own.zero_uncertainty > 0:
-            name, variance = f"zero of {own.name}", own.zero_uncertainty**2
-            one = np.ones((values.size, 1))
-            parts.append(Systematic(name, own.name, (name,), one, np.array([[variance]])))
-        return parts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,6 +123,11 @@ class CoupledRecord:
         """True where a component's force needs the readings of another."""
         return not all(lone.alone for lone in self.lones)
 
+    @property
+    def has_gaps(self) -> bool:
+        """True where readings are missing that the force of another component needs."""
+        return self.rings_together and not np.isfinite(self.loads).all()
+
     def jobs(self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None) -> dict[str, LoneJob]:
         """The components taken apart, by name.
 
@@ -226,14 +142,27 @@ class CoupledRecord:
         spectra = {} if noises is None else noises
         return {name: self.job(name, filled, noise=spectra.get(name)) for name in self.dynamics.components}
 
-    def job(self, component: str, filled: Array, *, noise: NoiseSpectrum | None = None) -> LoneJob:
-        """One component taken apart; the arguments are those of `jobs`."""
+    def job(
+        self,
+        component: str,
+        filled: Array,
+        *,
+        noise: NoiseSpectrum | None = None,
+        shared: SharedNoise | None = None,
+    ) -> LoneJob:
+        """One component taken apart; the arguments are those of `jobs`, and the noise that is to be taken off."""
         lone = self.lones[self.dynamics.components.index(component)]
         channel = self.channels[lone.place]
-        own = _aligned(filled, self.channels, to=channel, interval=self.interval)
-        ground = later(self.from_ground, -channel.delay, interval=self.interval)
-        reading = lone.reading(own - ground, interval=self.interval)
+        own = at_instants(filled, self.channels, to=channel, interval=self.interval)
+        reading = self.reading(lone.place, on_clock_of=lone.place, filled=filled)
+        others = () if shared is None else shared.others
         gap = ~np.isfinite(self.loads[:, lone.partners]).all(axis=1)
+        if shared is not None:
+            theirs = [
+                self.reading(other, on_clock_of=lone.place, filled=filled, balance=balance)
+                for other, balance in zip(others, shared.balances, strict=True)
+            ]
+            reading = reading - shared.of(np.column_stack(theirs))
         values = np.where(gap, np.nan, reading)
         apart = Channel(name=channel.name, values=values, unit=channel.unit, noise=channel.noise)
         return LoneJob(
@@ -246,14 +175,27 @@ class CoupledRecord:
             channels=self.channels,
             platform=self.platform,
             noise=noise,
+            shared=shared,
+            others=tuple(self.lones[place] for place in others),
         )
 
+    def reading(self, place: int, *, on_clock_of: int, filled: Array, balance: Dynamics | None = None) -> Array:
+        """What a component's own balance reads at the instants of a component's channel, shape (samples,).
 
-def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Array:
-    """Loads felt under loads on the moving mass that are band-limited, both (samples, n)."""
-    if not net.any():
-        return np.zeros_like(net)
-    return dynamics.load_felt(finer(net), interval=interval / FINE)[::FINE]
+        Parameters
+        ----------
+        place, on_clock_of
+            Rows of the two.
+        filled
+            The readings without gaps, as in `jobs`; what the ground's motion has put on them is taken off.
+        balance
+            Another balance in the place of the component's own.
+        """
+        channel = self.channels[on_clock_of]
+        own = at_instants(filled, self.channels, to=channel, interval=self.interval)
+        ground = later(self.from_ground, -channel.delay, interval=self.interval)
+        lone = self.lones[place] if balance is None else replace(self.lones[place], dynamics=balance)
+        return lone.reading(own - ground, interval=self.interval)
 
 
 def net_load(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
@@ -287,26 +229,6 @@ def _weight_on_zero(platform: PlatformMotion, dynamics: CoupledDynamics) -> Arra
         return np.zeros(len(dynamics.components))
     own = [COMPONENTS.index(name) for name in dynamics.components]
     return np.asarray((platform.pull_on_zero @ dynamics.mass.matrix.T)[own])
-
-
-def mass_slopes(mass: RigidMass) -> list[Array]:
-    """Derivatives of the mass matrix by mass, centre of gravity and the six elements of the inertia, (6, 6) each."""
-    values = mass.values
-    slopes = []
-    for place in range(values.size):
-        small = SMALL * max(abs(values[place]), 1e-3)
-        more, less = values.copy(), values.copy()
-        more[place] += small
-        less[place] -= small
-        slopes.append((RigidMass.of_values(more).matrix - RigidMass.of_values(less).matrix) / (2 * small))
-    return slopes
-
-
-def _mass_matrix(dynamics: CoupledDynamics) -> Array:
-    """Rows of the mass matrix that belong to the components, shape (n, 6); nothing without a mass."""
-    if dynamics.mass is None:
-        return np.zeros((len(dynamics.components), len(COMPONENTS)))
-    return dynamics.mass.matrix[[COMPONENTS.index(name) for name in dynamics.components]]
 
 
 def _channels(recording: Recording, dynamics: CoupledDynamics) -> tuple[Channel, ...]:
@@ -381,7 +303,7 @@ def _runs(gap: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 
 
-def _aligned(loads: Array, channels: Sequence[Channel], *, to: Channel, interval: float) -> Array:
+def at_instants(loads: Array, channels: Sequence[Channel], *, to: Channel, interval: float) -> Array:
     """Loads at the instants at which one channel was sampled, shape (samples, n)."""
     late = [channel.delay - to.delay for channel in channels]
     if not any(late):
@@ -390,17 +312,21 @@ def _aligned(loads: Array, channels: Sequence[Channel], *, to: Channel, interval
 
 
 def later(series: Array, by: float, *, interval: float) -> Array:
-    """A band-limited series, shape (samples, ...), at instants that are later by so much [s]."""
+    """A band-limited series, shape (samples, ...), at instants that are later by so much [s].
+
+    Less than a sample beyond its ends it goes on as it goes there; farther out it is held.
+    """
     if not by or not series.any():
         return series
-    fine = resample_poly(series, FINE, 1, axis=0, window=("kaiser", SHARPNESS), padtype="line")
-    clock = np.arange(fine.shape[0]) * interval / FINE
-    return np.asarray(CubicSpline(clock, fine)(np.clip(clock[::FINE] + by, clock[0], clock[-1])))
+    count = series.shape[0]
+    fine = interpolated(series)[: FINE * (count - 1) + 1]
+    place = np.clip(np.arange(count) + by / interval, -1.0, float(count))
+    return np.asarray(CubicSpline(np.arange(fine.shape[0]) / FINE, fine)(place))
 
 
 def _at_rest(platform: PlatformMotion, dynamics: CoupledDynamics, lone: LoneComponent) -> GroundMotion:
     """No motion, but the noise that the motion taken off has brought into the component's force."""
-    rows = _mass_matrix(dynamics)[lone.place]
+    rows = mass_rows(dynamics)[lone.place]
     force_noise = float(np.sqrt(max(rows @ platform.covariance @ rows, 0.0)))
     still = np.zeros(platform.specific_force.shape[0])
     return GroundMotion(

@@ -227,7 +227,7 @@ def estimates_of_coupled(
     own = reconstruct_coupled(recording, exact, gravity=gravity)
     filled = bridged(record.loads)
     if not np.isfinite(record.loads).all():
-        filled = filled_by(own, record, filled=filled)
+        filled = filled_by({name: one.values for name, one in own.items()}, record, filled=filled)
     found = {}
     for name in components:
         part = _Component(record, filled, own, exact.components.index(name))

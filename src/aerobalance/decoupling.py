@@ -177,6 +177,15 @@ class LoneComponent:
         """How its reading comes from the loads felt."""
         return Fractions.of(self.row, self.dynamics.modes)
 
+    def noise_response(self, frequency: Array) -> NDArray[np.complex128]:
+        """What its reading is of sines in the readings of every channel, at frequencies (m,) [Hz]; shape (m, n)."""
+        s = 2j * np.pi * np.asarray(frequency, dtype=np.float64)
+        whole = np.stack([polynomial.polyval(s, powers) for powers in self.row], axis=-1)
+        for mode in self.dynamics.modes:
+            w = mode.angular_frequency
+            whole = whole / (1 + 2 * mode.damping_ratio * s / w + (s / w) ** 2)[:, None]
+        return np.asarray(whole)
+
     def rows(self, dynamics: CoupledDynamics) -> NDArray[np.intp]:
         """Which of the parameters of the coupled dynamics have a part in the reading: the columns of the slopes."""
         size = len(dynamics.inertia)
@@ -186,13 +195,22 @@ class LoneComponent:
 
     def parameter_slopes(self, loads: Array, *, interval: float) -> Array:
         """Change of `reading` with each element of `rows`: of A, equation by equation, then of D; (samples, k)."""
-        coordinates = [*loads.T, *(self._inside(loads, place, interval=interval) for place in range(len(self.still)))]
+        hidden = [self._inside(loads, place, interval=interval) for place in range(len(self.still))]
+        coordinates = np.column_stack([loads, *hidden])
+        fine, step = finer(coordinates), interval / FINE
+        behind = []
+        for mode in self.dynamics.modes:
+            motion = [mode.driven(series, interval=step) for series in fine.T]
+            behind.append([np.column_stack([part[show][::FINE] for part in motion]) for show in (0, 1)])
         columns: list[Array] = []
         for power in (2, 1):
             for error in self.carried:
                 numerator = np.concatenate([np.zeros(power), error, np.zeros(2 - power)])
-                fractions = Fractions.of(numerator[None, : self.row.shape[1]], self.dynamics.modes)
-                columns += [fractions.through(series[:, None], interval=interval) for series in coordinates]
+                parts = Fractions.of(numerator[None, : self.row.shape[1]], self.dynamics.modes)
+                slopes = coordinates * parts.direct
+                for (value, rate), of_value, of_rate in zip(behind, parts.by_value, parts.by_rate, strict=True):
+                    slopes = slopes + of_value * value + of_rate * rate
+                columns.append(slopes)
         return np.column_stack(columns)
 
     def _inside(self, loads: Array, place: int, *, interval: float) -> Array:
@@ -224,12 +242,8 @@ def _balance(component: str, modes: Sequence[Mode], common: Array) -> Dynamics:
     return single.with_modes(*further)
 
 
-def finer(series: Array) -> Array:
-    """Series (samples, c) on a clock `FINE` times as fast, band-limited, such that straight lines do it no harm.
-
-    Straight lines between samples lose (w h)^2 / 12 of a sine of angular frequency w; a twelfth of the second
-    difference, taken off beforehand, gives it back, and what is lost is (w h)^4 / 240.
-    """
+def interpolated(series: Array) -> Array:
+    """Series (samples, c) on a clock `FINE` times as fast, band-limited; shape (FINE samples, c)."""
     first = series[:1]
     fine = np.asarray(
         first + resample_poly(series - first, FINE, 1, axis=0, window=("kaiser", SHARPNESS), padtype="line")
@@ -241,6 +255,17 @@ def finer(series: Array) -> Array:
     fine[: FINE * near] = CubicSpline(clock, series[:part])(np.arange(FINE * near) / FINE)
     late = np.arange(FINE * (count - near), FINE * count) / FINE - (count - part)
     fine[FINE * (count - near) :] = CubicSpline(clock, series[count - part :])(np.minimum(late, part - 1))
+    return fine
+
+
+def finer(series: Array) -> Array:
+    """The same, such that straight lines between its points do it no harm.
+
+    Straight lines between samples lose (w h)^2 / 12 of a sine of angular frequency w; a twelfth of the second
+    difference, taken off beforehand, gives it back, and what is lost is (w h)^4 / 240.
+    """
+    count = series.shape[0]
+    fine = interpolated(series)
     bend = np.diff(fine[: FINE * (count - 1) + 1], 2, axis=0) / 12
     fine[: FINE * (count - 1) + 1] -= np.concatenate([bend[:1], bend, bend[-1:]])
     return fine

@@ -17,6 +17,7 @@ from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.prior import Learned, Reading
 from aerobalance.recording import Recording
 from aerobalance.sensing import corrected
+from aerobalance.shared_noise import SharedNoise
 from aerobalance.steps import Step
 
 FEWEST_SAMPLES: Final = 32
@@ -61,6 +62,8 @@ class ForceEstimate:
         The contributions themselves.
     learned
         Prior of the force and noise that the smoother took; None for the other methods.
+    shared
+        Noise that other components show and that was taken off the readings; None where none was.
     """
 
     component: str
@@ -76,6 +79,7 @@ class ForceEstimate:
     budget: dict[str, float] = field(default_factory=dict)
     contributions: tuple[Contribution, ...] = ()
     learned: Learned | None = None
+    shared: SharedNoise | None = None
 
 
 def with_balance(
@@ -137,12 +141,23 @@ Through = Callable[[Array], Array]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Job:
-    """One component of a recording with the balance and the ground's motion that go with it."""
+    """One component of a recording with the balance and the ground's motion that go with it.
+
+    Attributes
+    ----------
+    recording, dynamics, motion
+        The recording, the balance and the ground's motion.
+    noise
+        Spectrum of the noise of the readings, where it is known.
+    shared
+        Noise that other components show and that has been taken off the readings; None where none was.
+    """
 
     recording: Recording
     dynamics: Dynamics
     motion: GroundMotion
     noise: NoiseSpectrum | None = field(default=None, kw_only=True)
+    shared: SharedNoise | None = field(default=None, kw_only=True)
 
     @classmethod
     def of(
@@ -180,15 +195,20 @@ class Job:
         """
         channel, d = self.recording.channel(self.dynamics.component), self.dynamics
         from_ground = load_from_ground(self.motion, d, rate=self.recording.rate, load_delay=channel.delay)
-        return Reading(
+        reading = Reading(
             values=np.where(channel.at_limit, np.nan, channel.values - from_ground),
             interval=self.interval,
             dynamics=d,
             input_density=self.input_noise**2 * self.interval,
-            noise=channel.noise if self.noise is None else self.noise.deviation,
+            noise=channel.noise,
             hum=hum,
-            color=None if self.noise is None else self.noise.states(channel.values.size * self.interval),
         )
+        if self.noise is not None:
+            color = self.noise.states(channel.values.size * self.interval)
+            return replace(reading, noise=self.noise.deviation, color=color)
+        if self.shared is not None:
+            return replace(reading, noise=self.shared.white, color=self.shared.color)
+        return reading
 
     def with_dynamics(self, other: Dynamics) -> Job:
         """The same record with other dynamics, whose mass has another weight in the zero that the load counts from."""

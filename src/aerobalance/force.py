@@ -7,8 +7,8 @@ a band. Each gives every sample a standard uncertainty.
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
-from typing import Final, Literal
+from dataclasses import dataclass, replace
+from typing import Final, Literal, get_args
 
 import numpy as np
 
@@ -21,11 +21,11 @@ from aerobalance.inverses import band_limited, central_differences
 from aerobalance.motion import GroundMotion, Unknown
 from aerobalance.noise_floor import departure_of
 from aerobalance.noise_record import noise_spectrum_of
-from aerobalance.noise_spectrum import NoiseSpectrum
+from aerobalance.noise_spectrum import ColoredNoise, NoiseSpectrum
 from aerobalance.prior import Learned, Reading
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
-from aerobalance.smoothing import Estimator, Smoothed, taken_apart
+from aerobalance.smoothing import Apart, Estimator, Smoothed, taken_apart
 
 Method = Literal["smoother", "paper"]
 
@@ -150,78 +150,131 @@ def with_motion(
 
 def estimated(job: Job, *, method: Method, bandwidth: float | None, hum: Hum) -> ForceEstimate:
     """Work out the force of one component that has been made ready."""
+    if by_smoother(method=method, bandwidth=bandwidth):
+        return Fitted.of(job, hum=hum).estimate()
+    if job.noise is not None or hum not in ("mains", "keep"):
+        what = "lines for hum" if job.noise is None else "a spectrum of noise"
+        raise ValueError(f"only the smoother without a bandwidth can take {what}")
+    _check(job)
+    return central_differences(job) if bandwidth is None else band_limited(job, bandwidth)
+
+
+def by_smoother(*, method: Method, bandwidth: float | None) -> bool:
+    """Whether these settings ask for the optimal estimator.
+
+    Raises
+    ------
+    ValueError
+        There is no such method.
+    """
+    if method not in get_args(Method):
+        raise ValueError(f"method must be smoother or paper, not {method!r}")
+    return method == "smoother" and bandwidth is None
+
+
+def _check(job: Job) -> None:
     if not np.isfinite(job.dynamics.natural_frequency):
         raise FitError(
             f"mass and stiffness of {job.dynamics.component} leave the range that can be calculated with; check the "
             "units"
         )
-    if not isinstance(hum, str) and (bandwidth is not None or method != "smoother"):
-        raise ValueError("only the smoother without a bandwidth can take lines for hum")
-    if job.noise is not None:
-        if bandwidth is not None or method != "smoother":
-            raise ValueError("only the smoother without a bandwidth can take a spectrum of noise")
-        if abs(job.noise.interval / job.interval - 1) > SAME_RATE:
-            raise FitError(
-                f"{job.recording.name} has {1 / job.interval:g} samples a second and the record of noise "
-                f"{1 / job.noise.interval:g}: record the noise with the rate, gains and filters of the run"
-            )
-    if bandwidth is not None:
-        return band_limited(job, bandwidth)
-    if method == "paper":
-        return central_differences(job)
-    if method == "smoother":
-        return _optimal(job, hum)
-    raise ValueError(f"method must be smoother or paper, not {method!r}")
+    if job.noise is not None and abs(job.noise.interval / job.interval - 1) > SAME_RATE:
+        raise FitError(
+            f"{job.recording.name} has {1 / job.interval:g} samples a second and the record of noise "
+            f"{1 / job.noise.interval:g}: record the noise with the rate, gains and filters of the run"
+        )
 
 
-def _optimal(job: Job, hum: Hum) -> ForceEstimate:
-    """The smoother of `aerobalance.smoother` with its prior learned and its steps found."""
-    apart = taken_apart(_with_noise(job), hum=hum)
-    reading, steps, learned = apart.reading, apart.steps, apart.learned
-    if apart.floor is not None:
-        _doubt(job, apart.floor.sentence(job.dynamics.component, unit=si_unit(job.dynamics.component)))
-    elif job.noise is None:
-        _tell_of_faint(job, learned)
-    fit = Smoothed.of(reading, learned=learned, steps=steps)
-    level = _unexplained(job, fit.innovations)
-    lines = fit.sized(apart.hum)
-    if hum == "mains":
-        _tell_of_hum(job, lines, large=apart.large)
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """One component by the smoother of `aerobalance.smoother`, its prior learned and its steps found.
 
-    def through(series: Array) -> Array:
-        return fit.estimator.run(np.where(reading.present[:, None], series, 0.0))
+    Attributes
+    ----------
+    job
+        The component made ready.
+    hum
+        What was to be taken for hum.
+    apart
+        What the record is made of.
+    smoothed
+        The force.
+    """
 
-    def again(other: Job) -> Array:
-        changed = other.reading(hum=reading.hum)
-        return Estimator.of(changed, learned=learned, steps=steps).run(changed.filled[:, None])[:, 0]
+    job: Job
+    hum: Hum
+    apart: Apart
+    smoothed: Smoothed
 
-    def moved(item: Unknown) -> Array:
-        return -through(job.felt_under(item)[:, None])[:, 0]
+    @classmethod
+    def of(cls, job: Job, *, hum: Hum) -> Fitted:
+        """Work out the force of a component that has been made ready.
 
-    return job.finish(
-        fit.force,
-        [
-            *fit.noise_errors(level, sources=(job.dynamics.component, job.motion_source)),
-            *fit.step_errors(),
-            job.parameter_errors(through(reading.filled[:, None])[:, 0], again, through),
-            *job.motion_errors(moved),
-            *job.reading_errors(fit.force, through),
-        ],
-        method=f"smoother: {learned.spectrum}, by Whittle's likelihood{_words_on_noise(job, learned)}",
-        noise=learned.noise,
-        bandwidth=_resolved_bandwidth(reading, learned),
-        noise_gain=float(np.sqrt(np.mean(fit.variance))) / learned.noise,
-        steps=tuple(steps),
-        hum=lines,
-        learned=learned,
-    )
+        Raises
+        ------
+        FitError
+            The balance is not in the range that can be calculated with, or the noise has another sampling rate.
+        """
+        _check(job)
+        apart = taken_apart(_with_noise(job), hum=hum)
+        return cls(job, hum, apart, Smoothed.of(apart.reading, learned=apart.learned, steps=apart.steps))
+
+    def estimate(self) -> ForceEstimate:
+        """The force with its uncertainty; says what is doubtful about it."""
+        job, apart, fit = self.job, self.apart, self.smoothed
+        reading, steps, learned = apart.reading, apart.steps, apart.learned
+        if apart.floor is not None:
+            _doubt(job, apart.floor.sentence(job.dynamics.component, unit=si_unit(job.dynamics.component)))
+        elif job.noise is None and job.shared is None:
+            _tell_of_faint(job, learned)
+        white = fit.innovations
+        if job.shared is None:
+            level = _unexplained(job, white)
+        else:  # what is noisier by what is not known there is no fault of the model
+            level = np.maximum(job.shared.level, _unexplained(job, np.where(job.shared.level > 1, 0.0, white)))
+        lines = fit.sized(apart.hum)
+        if self.hum == "mains":
+            _tell_of_hum(job, lines, large=apart.large)
+        estimator = fit.estimator
+
+        def through(series: Array) -> Array:
+            return estimator.run(np.where(reading.present[:, None], series, 0.0))
+
+        def again(other: Job) -> Array:
+            changed = other.reading(hum=reading.hum)
+            return Estimator.of(changed, learned=learned, steps=steps).run(changed.filled[:, None])[:, 0]
+
+        def moved(item: Unknown) -> Array:
+            return -through(job.felt_under(item)[:, None])[:, 0]
+
+        noise = learned.noise if job.shared is None else job.shared.before
+        return job.finish(
+            fit.force,
+            [
+                *fit.noise_errors(level, sources=(job.dynamics.component, job.motion_source)),
+                *fit.step_errors(),
+                job.parameter_errors(through(reading.filled[:, None])[:, 0], again, through),
+                *job.motion_errors(moved),
+                *job.reading_errors(fit.force, through),
+            ],
+            method=f"smoother: {learned.spectrum}, by Whittle's likelihood{_words_on_noise(job, learned)}",
+            noise=noise,
+            bandwidth=_resolved_bandwidth(reading, learned),
+            noise_gain=float(np.sqrt(np.mean(fit.variance))) / noise,
+            steps=tuple(steps),
+            hum=lines,
+            learned=learned,
+            shared=job.shared,
+        )
 
 
 def _words_on_noise(job: Job, learned: Learned) -> str:
     """What the noise of the readings is taken for, where that is said or seen."""
     if job.noise is not None:
         return f"; noise of the record of noise: {job.noise}"
-    if learned.color is not None:
+    if job.shared is not None:
+        return "; noise that other components show is taken off"
+    if isinstance(learned.color, ColoredNoise):
         return f"; noise with {len(learned.color.humps)} hump(s), seen in the run"
     return ""
 

@@ -16,12 +16,13 @@ import numpy as np
 from aerobalance.channel import Array, Channel
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_record import mass_slopes, noise_covariance
+from aerobalance.coupled_record import noise_covariance
 from aerobalance.decoupling import LoneComponent
 from aerobalance.gravity import pull_of_gravity
 from aerobalance.live_decoupling import LiveApart
 from aerobalance.live_ground import Passed, held
 from aerobalance.live_state import SHORTEST, Health, Learning, LiveEstimate, Snapshot
+from aerobalance.lone_job import mass_slopes
 from aerobalance.prior import Learned
 from aerobalance.steps import Step
 from aerobalance.stream import LAG_PERIODS, LiveForce

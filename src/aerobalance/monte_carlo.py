@@ -29,11 +29,12 @@ from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.contributions import Noise, Systematic
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.coupled_force import filled_by
-from aerobalance.coupled_record import CoupledRecord, LoneJob, bridged
+from aerobalance.coupled_record import CoupledRecord, bridged
 from aerobalance.draws import drawn_coupled, drawn_dynamics, drawn_numbers
 from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import ForceEstimate, Job
 from aerobalance.force import Method, estimated
+from aerobalance.lone_job import LoneJob
 from aerobalance.motion import GroundMotion
 from aerobalance.prior import Learned, Reading
 from aerobalance.problems import DoubtWarning
@@ -206,11 +207,11 @@ def monte_carlo_of_coupled(
         warnings.simplefilter("ignore", DoubtWarning)  # said when the force was worked out
         record = CoupledRecord.of(recording, dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
         filled = bridged(record.loads)
-        if record.rings_together and not np.isfinite(record.loads).all():
-            filled = filled_by(estimates, record, filled=filled)
+        if record.has_gaps:
+            filled = filled_by({name: one.values for name, one in estimates.items()}, record, filled=filled)
         found = {}
         for name, estimate in estimates.items():
-            job = record.job(name, filled)
+            job = record.job(name, filled, shared=estimate.shared)
             changed = partial(_changed_record, record, job, filled, draws)
             trial = _Trial(job, estimate, changed, draws, np.random.default_rng(seed))
             found[name] = trial.run(seed, method=method, bandwidth=bandwidth)
@@ -230,8 +231,9 @@ def _changed_record(
     mass = record.dynamics.mass is not None and record.dynamics.mass.covariance.any()
     if not (matrices or (mass and record.platform.specific_force.any())):
         return repeat(job, draws)
-    changed = drawn_coupled(generator, record.dynamics, job.lone.rows(record.dynamics), draws)
-    return (record.taken_with(other).job(job.dynamics.component, filled) for other in changed)
+    changed = drawn_coupled(generator, record.dynamics, job.rows, draws)
+    component, shared = job.dynamics.component, job.shared
+    return (record.taken_with(other).job(component, filled, shared=shared) for other in changed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

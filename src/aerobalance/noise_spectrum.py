@@ -114,6 +114,36 @@ class ColoredNoise:
         return whole
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapedNoise:
+    """What a noise has beyond its white part, as one process of any spectrum.
+
+    Attributes
+    ----------
+    shaping
+        What makes it out of white noise.
+    interval
+        Time between samples [s].
+    """
+
+    shaping: ShapingFilter
+    interval: float
+
+    @property
+    def shapings(self) -> tuple[ShapingFilter, ...]:
+        """What makes each process out of white noise."""
+        return (self.shaping,)
+
+    def density(self, frequency: Array, *, width: float = 0.0) -> Array:
+        """Two-sided density of the samples at frequencies [Hz], the first two foldings included, [N^2/Hz].
+
+        It hardly changes within the width of an ordinate, over which a mean is asked for.
+        """
+        frequency = np.asarray(frequency, dtype=np.float64)
+        shifts = (0.0, -1 / self.interval, 1 / self.interval)
+        return np.asarray(sum(self.shaping.spectrum(frequency + shift) for shift in shifts))
+
+
 def _relaxation(frequency: Array, corner: float, interval: float) -> Array:
     """Density of the samples of a relaxation of variance 1 [1/Hz]."""
     kept = np.exp(-2 * np.pi * corner * interval)

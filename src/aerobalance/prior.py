@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
-from aerobalance.noise_spectrum import ColoredNoise
+from aerobalance.noise_spectrum import ColoredNoise, ShapedNoise
 from aerobalance.problems import FitError
 from aerobalance.shaping import EDGE, ShapingFilter
 from aerobalance.smoother import LOAD, Filter, StateSpace
@@ -54,7 +54,7 @@ class Learned:
     spectrum: Spectrum
     shaping: ShapingFilter
     noise: float
-    color: ColoredNoise | None = None
+    color: ColoredNoise | ShapedNoise | None = None
 
     def noise_density(self, frequency: Array, *, interval: float) -> Array:
         """Two-sided density of the noise of a reading, its mean about evenly spaced frequencies [Hz], [N^2/Hz]."""
@@ -92,7 +92,7 @@ class Reading:
     input_density: float = 0.0
     noise: float | None = None
     hum: tuple[float, ...] = ()
-    color: ColoredNoise | None = None
+    color: ColoredNoise | ShapedNoise | None = None
 
     @property
     def present(self) -> NDArray[np.bool_]:

@@ -152,6 +152,12 @@ class Smoothed:
         """The force, shape (n,) [N]."""
         return np.asarray(self.states[:, FORCE] + self.shapes @ self.sizes)
 
+    @property
+    def residuals(self) -> Array:
+        """What force, hum and steps leave of the readings, 0 where one is missing, shape (n,) [N]."""
+        left = self.reading.filled - self.columns @ self.sizes - self.states[:, LOAD]
+        return np.where(self.reading.present, left, 0.0)
+
     def sized(self, lines: Sequence[Line]) -> tuple[Line, ...]:
         """The lines of hum with the sizes that were found together with everything else."""
         sizes = self.sizes[1 + len(self.steps) :].reshape(-1, 2)

@@ -12,9 +12,9 @@ import pytest
 from test_estimator import RIG, RUNS, SHARP, SOFT, T128, WIDE, drawn, inner, rms_of, smooth_run, wiener_bound
 
 from aerobalance.channel import Array
-from aerobalance.coupled_record import load_felt
 from aerobalance.dynamics import Dynamics
 from aerobalance.live_coupled import LiveCoupledForce
+from aerobalance.lone_job import load_felt
 from aerobalance.prior import Learned, Reading, learn
 from aerobalance.rigs import CableCut, Sensor
 from aerobalance.rigs.six_balance import random_balance
