@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from aerobalance.channel import Array, Channel
+from aerobalance.contributions import Systematic
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.coupled_force import reconstruct_coupled
 from aerobalance.dynamics import Dynamics
@@ -130,8 +131,11 @@ def test_one_component_is_the_axial_way() -> None:
     for part in parts:
         alone = reconstruct(recording, part)
         other = together[part.component]
-        # 1/k and M/k round once more each, 2e-16; the smoother's condition number magnifies that by up to 1e6
-        np.testing.assert_allclose(other.values, alone.values, atol=1e-9 * 900, err_msg=f"seed {entropy}")
+        # 1/k and M/k round once more each, 2e-16; the smoother's condition number magnifies that by up to 1e6; and
+        # what is learned may fall to the other of two answers that are as likely, once in a hundred
+        same = other.learned.noise == pytest.approx(alone.learned.noise, rel=1e-9)  # type: ignore[union-attr]
+        limit = 1e-9 * 900 if same else 0.05 * float(alone.uncertainty.max())
+        np.testing.assert_allclose(other.values, alone.values, atol=limit, err_msg=f"seed {entropy}")
         assert [step.instant for step in other.steps] == pytest.approx([step.instant for step in alone.steps])
 
 
@@ -148,10 +152,12 @@ def test_parameters_are_felt_as_they_are_wrong() -> None:
     moved = reconstruct_coupled(
         simulation.recording, replace(uncertain, inertia=dynamics.inertia + draw.reshape(6, 6)), hum="keep"
     )
-    for place, (name, estimate) in enumerate(found.items()):
+    drawn = dict(zip(dynamics.parameters, [*draw, *np.zeros(36)], strict=True))
+    for name, estimate in found.items():
         part = next(part for part in estimate.contributions if part.source == "dynamics")
         change = moved[name].values - estimate.values
-        predicted = part.slopes[:, :6] @ draw.reshape(6, 6)[place]  # type: ignore[union-attr]
+        assert isinstance(part, Systematic)
+        predicted = part.slopes @ [drawn[parameter] for parameter in part.quantities]
         rest = float(np.sqrt(np.mean((change - predicted) ** 2)))
         # second order in 1e-4 and the noise that other matrices let through
         assert rest < 0.05 * float(np.sqrt(np.mean(predicted**2))) + estimate.noise, f"{name}, seed {entropy}"

@@ -220,7 +220,7 @@ def test_what_is_no_shaking_is_refused():
     with pytest.raises(FitError, match="has no AF; components that ring together"):
         without = {name: channel for name, channel in recording.channels.items() if name != "AF"}
         identified(Recording.from_columns(recording.time, without, name="five"))
-    with pytest.raises(FitError, match="the ground end does not move"):
+    with pytest.raises(FitError, match=r"the ground end does not move|shake harder"):  # noise may stand out by chance
         identified(shaken(generator, along=np.zeros(6)))
     with pytest.raises(ValueError, match="at least one recording"):
         identified()
