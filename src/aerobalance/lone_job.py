@@ -22,6 +22,9 @@ from aerobalance.estimate import Job, Through
 from aerobalance.motion import Unknown
 from aerobalance.platform_motion import PlatformMotion
 
+FAINT: Final = 1e-3
+"""Rms of an error in a reading over its noise that is nothing beside it."""
+
 SMALL: Final = 1e-6
 """Relative change of the mass's parameters over which its slopes are taken; the matrix is a polynomial in them."""
 
@@ -72,16 +75,22 @@ class LoneJob(Job):
         name, mass = "inertia, damping and mass", self.coupled.mass
         if not self.coupled.covariance.any() and (mass is None or not mass.covariance.any()):
             return Systematic(name, "dynamics", (), np.zeros((values.size, 0)), np.zeros((0, 0)))
-        slopes = through(self._parameter_slopes(rows))
+        in_reading = self._parameter_slopes(rows)
         covariance = self.coupled.covariance[np.ix_(rows, rows)]
         names = [self.coupled.parameters[number] for number in rows]
+        if self.shared is not None:
+            # of all rows' parameters few directions show: the rest is neither worked out nor kept sample by sample
+            in_reading = _directions(in_reading, covariance, least=FAINT * self.shared.before)
+            names = [f"direction {number} of inertia and damping" for number in range(1, in_reading.shape[1] + 1)]
+            covariance = np.eye(in_reading.shape[1])
+        slopes = through(in_reading)
         if mass is not None and mass.covariance.any() and self.platform.specific_force.any():
             own = [COMPONENTS.index(component) for component in self.coupled.components]
             # the loads count from a zero that was read under the weight: the mass is wrong there too
             acting = self.platform.specific_force + self.platform.pull_on_zero
             felt = [self._felt(-acting @ part[own].T) for part in mass_slopes(mass)]
             slopes = np.column_stack([slopes, -through(np.column_stack(felt))])
-            zero = np.zeros((rows.size, len(felt)))
+            zero = np.zeros((len(names), len(felt)))
             covariance = np.block([[covariance, zero], [zero.T, mass.covariance]])
             names += list(MASS_PARAMETERS)
         return Systematic(name, "dynamics", tuple(names), slopes, covariance)
@@ -141,6 +150,15 @@ class LoneJob(Job):
             one = np.ones((values.size, 1))
             parts.append(Systematic(name, own.name, (name,), one, np.array([[variance]])))
         return parts
+
+
+def _directions(slopes: Array, covariance: Array, *, least: float) -> Array:
+    """Slopes (n, p) turned to independent quantities of variance 1, the faintest of rms below `least` left out."""
+    unit = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    level, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    root = unit[:, None] * vectors * np.sqrt(np.maximum(level, 0.0))
+    power, turned = np.linalg.eigh(root.T @ (slopes.T @ slopes) @ root / slopes.shape[0])
+    return np.asarray(slopes @ (root @ turned[:, power > least**2]))
 
 
 def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Array:
