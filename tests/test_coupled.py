@@ -1,11 +1,13 @@
 """Coupled dynamics against mechanics of points, equations of motion in displacements, and single components."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy.linalg import eigh
 from scipy.signal import lsim
+from scipy.stats import chi2
 
 from aerobalance.components import COMPONENTS, MOMENTS
 from aerobalance.coupled import CoupledDynamics, RigidMass
@@ -196,6 +198,45 @@ def test_uncertainty_of_single_components_is_carried_over():
     found = CoupledDynamics.of_components([part]).covariance
     # central differences with relative steps of about 1e-5: 1e-10, and rounding 1e-11
     np.testing.assert_allclose(found, slopes @ part.covariance @ slopes.T, rtol=1e-7)
+    coupled = CoupledDynamics.of_components([part])
+    u = [part.uncertainty("natural_frequency"), part.uncertainty("damping_ratio")]
+    # both from the same derivatives in closed form; the poles are from an eigenvalue solver, to some 1e-12
+    np.testing.assert_allclose(np.sqrt(np.diag(coupled.mode_covariance)), u, rtol=1e-9)
+
+
+def numbers_of_modes(dynamics):
+    """Frequencies, then damping ratios."""
+    return np.array(
+        [mode.natural_frequency for mode in dynamics.modes] + [mode.damping_ratio for mode in dynamics.modes]
+    )
+
+
+def test_modes_of_drawn_matrices_have_the_covariance_of_the_modes():
+    rng, seed = fresh()
+    known = random_balance(rng).dynamics
+    # 1e-7 of every element: what is of second order is below 1e-6 of the deviations unless modes are 1e-3 apart
+    values = np.concatenate([known.inertia.ravel(), known.damping.ravel()])
+    factor = 1e-7 * values[:, None] * rng.normal(0, 1, (72, 72))
+    given = replace(known, covariance=factor @ factor.T)
+    draws = 300
+    moved = values + rng.normal(0, 1, (draws, 72)) @ factor.T
+    found = np.array([numbers_of_modes(CoupledDynamics(COMPONENTS, *row.reshape(2, 6, 6))) for row in moved])
+    u = np.sqrt(np.diag(given.mode_covariance))
+    z = (found - numbers_of_modes(known)) / u
+    total = np.sum(z * np.linalg.solve(given.mode_covariance / np.outer(u, u), z.T).T)
+    # chi-squares of the draws: all together, and of each number by itself; 1e-7 beyond on either side
+    for value, degrees in ((total, 12 * draws), *((part, draws) for part in np.sum(z**2, axis=0))):
+        assert chi2.ppf(1e-7, degrees) < value < chi2.isf(1e-7, degrees), (value, degrees, seed)
+
+
+def test_modes_of_matrices_that_are_known_exactly_have_no_uncertainty():
+    twins = CoupledDynamics(("NF", "AF"), 1e-6 * np.eye(2), 1e-5 * np.eye(2))  # two modes of one frequency
+    assert not twins.mode_covariance.any()
+    assert twins.mode_covariance.shape == (4, 4)
+    known = replace(twins, covariance=np.diag([1e-20] + [0.0] * 7))
+    # each mode is of one component: f = 1 / (2 pi sqrt(A)), so that a u(A) of 1e-4 of A makes 0.5e-4 of f
+    u = np.sqrt(np.diag(known.mode_covariance))[:2] / twins.modes[0].natural_frequency
+    np.testing.assert_allclose(np.sort(u), [0.0, 0.5e-4], atol=1e-15)
 
 
 @pytest.mark.parametrize(

@@ -358,6 +358,10 @@ def test_the_command_writes_what_it_found(tmp_path):
     assert between(departure(found, true), 8), seed
     assert account["components"] == ["NF", "AF"]
     assert account["fit"]["degrees_of_freedom"] > 1000
+    for mode, fitted in zip(account["modes"], account["fit"]["modes"], strict=True):
+        for name in ("natural_frequency", "damping_ratio"):
+            assert mode[name] == fitted[name]["value"]
+            assert mode[f"u_{name}"] == pytest.approx(fitted[name]["u"], rel=1e-12)
     text = account["summary"]
     for part in ("Modes", "A (inertia)", "D (damping)", "Releases", "Force error", "NF.csv", "would help most along"):
         assert part in text, (part, text)

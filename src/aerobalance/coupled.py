@@ -280,16 +280,49 @@ class CoupledDynamics:
         return ModalForm(poles.astype(np.complex128), shapes[:n].astype(np.complex128), weights)
 
     @property
+    def _motion(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Poles by size, shape (2 N,), and the loads and rates of each, columns, shape (2 N, 2 N)."""
+        poles, vectors = np.linalg.eig(self._generator)
+        order = np.lexsort((poles.imag, np.round(np.abs(poles), 9)))
+        return poles[order].astype(np.complex128), vectors[:, order].astype(np.complex128)
+
+    @property
     def poles(self) -> NDArray[np.complex128]:
         """Poles of the free motion, shape (2 N,), by size [rad/s]."""
-        poles = np.linalg.eigvals(self._generator).astype(np.complex128)
-        return np.asarray(poles[np.lexsort((poles.imag, np.round(np.abs(poles), 9)))])
+        return self._motion[0]
 
     @property
     def modes(self) -> tuple[Mode, ...]:
         """Frequency and damping ratio of every oscillation, the slowest first; the shares are left at 1."""
         up = [pole for pole in self.poles if pole.imag > 0]
         return tuple(Mode(float(np.abs(pole)) / (2 * np.pi), float(-pole.real / np.abs(pole))) for pole in up)
+
+    @property
+    def mode_slopes(self) -> Array:
+        """Slopes of the frequencies of `modes` [Hz], then of their damping ratios, by `parameters`, (2 modes, 2 N^2).
+
+        A pole s with the shape x, 1 + D s + A s^2 times x being zero, moves by -w (dD s + dA s^2) x with its weight w.
+        """
+        size = len(self.inertia)
+        poles, vectors = self._motion
+        up = np.flatnonzero(poles.imag > 0)
+        drive = np.vstack([np.zeros((size, size)), np.linalg.inv(self.inertia)])
+        weights, s = np.linalg.solve(vectors, drive)[up], poles[up, None]
+        product = -(weights[:, :, None] * vectors[:size, up].T[:, None, :]).reshape(up.size, size**2)
+        slopes = np.hstack([product * s**2, product * s])
+        radius = np.abs(s)
+        by_radius = np.real(s.conj() * slopes) / radius
+        by_ratio = (s.real / radius * by_radius - slopes.real) / radius
+        return np.asarray(np.vstack([by_radius / (2 * np.pi), by_ratio]))
+
+    @property
+    def mode_covariance(self) -> Array:
+        """Covariance of the frequencies of `modes` [Hz], then of their damping ratios, (2 modes, 2 modes).
+
+        To first order in `covariance`: where two modes nearly coincide in frequency and damping they move farther.
+        """
+        slopes = self.mode_slopes
+        return np.asarray(slopes @ self.covariance @ slopes.T)
 
     def equation(self, s: ArrayLike) -> NDArray[np.complex128]:
         """1 + D s + A s^2 of all coordinates, hidden ones too, at s of shape (m,) [rad/s]; shape (m, N, N)."""

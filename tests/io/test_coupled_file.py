@@ -59,6 +59,7 @@ def test_what_is_not_known_stays_so(tmp_path):
     assert found.components == ("NF", "AF")
     assert found.mass is None
     assert not found.covariance.any()
+    assert [mode["u_natural_frequency"] for mode in json.loads(path.read_text())["modes"]] == [0.0, 0.0]
     assert not {"mass", "covariance", "fit"} & set(json.loads(path.read_text()))
 
 
@@ -84,6 +85,8 @@ def test_structure_names_rows_units_and_provenance(tmp_path):
     assert contents["damping"]["units"][1][:2] == ["m*s", "s"]
     assert contents["covariance"]["parameters"] == list(given.parameters)
     assert [mode["natural_frequency"] for mode in contents["modes"]] == [m.natural_frequency for m in given.modes]
+    u = [[mode[f"u_{name}"] for mode in contents["modes"]] for name in ("natural_frequency", "damping_ratio")]
+    np.testing.assert_allclose(np.ravel(u) ** 2, np.diag(given.mode_covariance), rtol=1e-12)
     assert contents["mass"]["mass"]["unit"] == "kg"
     assert contents["mass"]["centre"]["aft"]["value"] == given.mass.centre[0]
     assert contents["mass"]["inertia"]["au"] == {
@@ -176,6 +179,7 @@ def swapped(contents, *keys):
         (("covariance", "parameters", 0), "mass", "covariance.parameters", "must name some of inertia NF/NF"),
         (("covariance", "matrix", 0, 0), -1.0, "covariance.matrix", "negative variance"),
         (("modes", 0, "natural_frequency"), 10.0, "modes[0].natural_frequency", "the matrices give"),
+        (("modes", 0, "u_natural_frequency"), -1.0, "modes.0.u_natural_frequency", "greater than or equal to 0"),
         (("modes", 1, "damping_ratio"), 0.5, "modes[1].damping_ratio", "the matrices give"),
         (("modes",), [{"natural_frequency": 1.0, "damping_ratio": 0.1}], "modes", "are 1, but the matrices have 2"),
         (("mass", "mass", "unit"), "lb", "mass.mass.unit", "allowed: 'kg'"),

@@ -14,6 +14,7 @@ from aerobalance.components import si_unit
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.coupled_rivals import estimates_of_coupled, own_response
 from aerobalance.io import read
+from aerobalance.io.coupled_file import modes_payload
 from aerobalance.problems import FitError
 from aerobalance.rivals import THIS
 from aerobalance.scores import END_SHARE, Truth, truth_on_clock
@@ -48,10 +49,7 @@ def compare_coupled(
         )
     account: Account = {
         "file": path.name,
-        "modes": [
-            {"natural_frequency": mode.natural_frequency, "damping_ratio": mode.damping_ratio}
-            for mode in dynamics.modes
-        ],
+        "modes": modes_payload(dynamics),
         "components": {
             name: {
                 "unit": si_unit(name),

@@ -16,6 +16,7 @@ from aerobalance.coupled_planning import (
     attainable_coupled,
     usual_bandwidths_of_coupled,
 )
+from aerobalance.io.coupled_file import modes_payload
 from aerobalance.problems import FitError
 
 
@@ -55,10 +56,7 @@ def plan_coupled(
             "advice": _advice(faster[1][place], dynamics, force),
         }
     account: Account = {
-        "modes": [
-            {"natural_frequency": mode.natural_frequency, "damping_ratio": mode.damping_ratio}
-            for mode in dynamics.modes
-        ],
+        "modes": modes_payload(dynamics),
         "rate": rate,
         "noise_of_acceleration": sensors.acceleration,
         "noise_of_turning": sensors.turning,

@@ -38,23 +38,11 @@ class ModeTable:
     def of(cls, dynamics: CoupledDynamics, *, sizes: Array) -> ModeTable:
         """Modes of dynamics; `sizes` are the half ranges of the components, shape (n,)."""
         n = len(dynamics.components)
-        up = np.array([pole for pole in dynamics.poles if pole.imag > 0])
-        found, shapes = [], []
-        for pole in up:
-            left, _, right = np.linalg.svd(
-                np.eye(len(dynamics.inertia)) + dynamics.damping * pole + dynamics.inertia * pole**2
-            )
-            shape, weight = right[-1].conj(), left[:, -1].conj()
-            steep = weight @ (dynamics.damping + 2 * pole * dynamics.inertia) @ shape
-            product = -np.outer(weight, shape).ravel() / steep
-            found.append(np.concatenate([product * pole**2, product * pole]))
-            seen = shape[:n] / sizes
+        shapes = []
+        for pole in dynamics.poles[dynamics.poles.imag > 0]:
+            whole = np.eye(len(dynamics.inertia)) + dynamics.damping * pole + dynamics.inertia * pole**2
+            seen = np.linalg.svd(whole)[2][-1].conj()[:n] / sizes
             shapes.append(seen / seen[np.argmax(np.abs(seen))])
-        slopes = np.array(found)
-        size = np.abs(up)
-        by_rate = np.real(np.conj(up)[:, None] * slopes) / size[:, None]
-        by_ratio = (-slopes.real + (up.real / size)[:, None] * by_rate) / size[:, None]
-        both = np.vstack([by_rate / (2 * np.pi), by_ratio])
-        covariance = both @ dynamics.covariance @ both.T
+        covariance = dynamics.mode_covariance
         u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        return cls(dynamics.modes, u[: up.size], u[up.size :], np.array(shapes), covariance)
+        return cls(dynamics.modes, u[: len(shapes)], u[len(shapes) :], np.array(shapes), covariance)

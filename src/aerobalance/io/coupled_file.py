@@ -114,19 +114,30 @@ def coupled_payload(dynamics: CoupledDynamics) -> dict[str, object]:
             "matrix": getattr(dynamics, kind),
             "u": deviation,
         }
-    payload["modes"] = [
-        {
-            "natural_frequency": mode.natural_frequency,
-            "damping_ratio": mode.damping_ratio,
-            "units": {"natural_frequency": "Hz", "damping_ratio": "1"},
-        }
-        for mode in dynamics.modes
-    ]
+    payload["modes"] = modes_payload(dynamics)
     if dynamics.mass is not None:
         payload["mass"] = _mass_payload(dynamics.mass)
     if dynamics.covariance.any():
         payload["covariance"] = {"parameters": list(dynamics.parameters), "matrix": dynamics.covariance}
     return payload
+
+
+def modes_payload(dynamics: CoupledDynamics) -> list[dict[str, object]]:
+    """Modes of coupled dynamics as plain data, each number with its standard uncertainty by the matrices' covariance.
+
+    The keys are those of a mode of one component.
+    """
+    u = np.sqrt(np.maximum(np.diag(dynamics.mode_covariance), 0.0)).reshape(2, -1).T
+    return [
+        {
+            "natural_frequency": mode.natural_frequency,
+            "u_natural_frequency": u_frequency,
+            "damping_ratio": mode.damping_ratio,
+            "u_damping_ratio": u_ratio,
+            "units": {"natural_frequency": "Hz", "damping_ratio": "1"},
+        }
+        for mode, (u_frequency, u_ratio) in zip(dynamics.modes, u.tolist(), strict=True)
+    ]
 
 
 def _mass_payload(mass: RigidMass) -> dict[str, object]:

@@ -39,13 +39,13 @@ class ListedMode(Loose):
     """What every dynamics.json says of a mode."""
 
     natural_frequency: Positive
+    u_natural_frequency: NotNegative = 0.0
     damping_ratio: Finite
+    u_damping_ratio: NotNegative = 0.0
 
 
 class _Mode(ListedMode):
-    u_natural_frequency: NotNegative = 0.0
     damping_ratio: NotNegative
-    u_damping_ratio: NotNegative = 0.0
     share: Finite
     u_share: NotNegative = 0.0
 
