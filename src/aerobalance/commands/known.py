@@ -10,6 +10,7 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.angle_turning import turning_by_angles
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.coupled import CoupledDynamics
@@ -243,8 +244,11 @@ class Coupled:
         )
 
     def doubts(self, recording: Recording, estimates: Mapping[str, ForceEstimate]) -> list[str]:
-        """Modes of the record that the dynamics do not have, or have elsewhere."""
-        return misfits_of_coupled(recording, self.dynamics, estimates)
+        """Modes of the record that the dynamics do not have, or have elsewhere, and turning that only angles show."""
+        return [
+            *misfits_of_coupled(recording, self.dynamics, estimates),
+            *turning_by_angles(recording, self.dynamics, estimates),
+        ]
 
 
 def read_known(path: Path) -> Separate | Coupled:
