@@ -289,12 +289,50 @@ def test_readings_quieter_than_the_noise_given_are_doubted() -> None:
         CalibrationStand(random_balance(seed_from(rng), model="linear"), noise=noise).run(seed_from(rng)).schedule
     )
     fit = calibrate(schedule, model="linear", reading_noise=3 * noise)
-    with pytest.warns(DoubtWarning, match="scatter less about the matrix than the noise of 0.0006 mV/V"):
+    with pytest.warns(DoubtWarning, match=r"scatter less about the matrix than .* the 0\.0006 mV/V"):
         doubt_quality(fit, assess(fit))
     fit = calibrate(schedule, model="linear", reading_noise=noise)
     doubt_quality(fit, assess(fit))
     with pytest.raises(ValueError, match="reading_noise must be zero or positive"):
         calibrate(schedule, model="linear", reading_noise=-noise)
+
+
+@pytest.mark.parametrize("way", ["iterative", "non-iterative"])
+def test_bridges_have_each_its_own_noise(way: str) -> None:
+    rng = generator()
+    noise = 1e-4 * np.array([1.0, 2.0, 0.5, 1.5, 1.0, 3.0])  # so small that no reading is an outlier
+    balance = random_balance(seed_from(rng), model="linear")
+    schedule = CalibrationStand(balance, noise=0.0).run(seed_from(rng)).schedule
+    schedule = replace(schedule, outputs=schedule.outputs + rng.normal(0, noise, schedule.outputs.shape))
+    by_bridge = dict(zip((f"r{name}" for name in schedule.gauges), noise.tolist(), strict=True))
+    fit = calibrate(schedule, model="linear", way=way, reading_noise=by_bridge)
+    np.testing.assert_array_equal(fit.matrix.reading_noise, noise)
+    doubt_quality(fit, assess(fit))
+    # chi-squares over their degrees of freedom
+    found, freedom = fit.matrix.residual_deviation, fit.matrix.degrees_of_freedom
+    ratio = (found / fit.matrix.noise_of_readings) ** 2 - 1
+    assert np.all(np.abs(ratio) < scipy.stats.norm.isf(FALSE_ALARM / 2) * np.sqrt(2 / freedom) + 20 / freedom), ratio
+    # a bridge that is not named keeps its scatter; r may be left out
+    some = calibrate(schedule, model="linear", way=way, reading_noise={schedule.gauges[1]: 2e-4}).matrix
+    np.testing.assert_array_equal(some.reading_noise, [0, 2e-4, 0, 0, 0, 0])
+    with pytest.raises(ValueError, match="given for rXX, which is no bridge of the schedule; it has r"):
+        calibrate(schedule, model="linear", way=way, reading_noise={"rXX": 1e-4})
+
+
+def test_one_noise_for_bridges_that_differ_is_doubted_for_the_quiet_ones() -> None:
+    rng = generator()
+    noise = 1e-4 * np.array([1.0, 0.25, 1.0, 1.0, 1.0, 1.0])
+    balance = random_balance(seed_from(rng), model="linear")
+    schedule = CalibrationStand(balance, noise=0.0).run(seed_from(rng)).schedule
+    schedule = replace(schedule, outputs=schedule.outputs + rng.normal(0, noise, schedule.outputs.shape))
+    fit = calibrate(schedule, model="linear", reading_noise=1e-4)
+    with pytest.warns(DoubtWarning) as caught:
+        doubt_quality(fit, assess(fit))
+    (text,) = (str(item.message) for item in caught)
+    quiet = f"r{schedule.gauges[1]}"
+    assert [f"r{name}" for name in schedule.gauges if f"r{name} 0." in text or f"r{name} 1" in text] == [quiet], text
+    assert f"{quiet} 0.2" in text, text
+    assert text.endswith("give each its own: --reading-noise rNAME=VALUE")
 
 
 def covers(truth: str, model: str, rng: np.random.Generator, *, count: int) -> list[float]:

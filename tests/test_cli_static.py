@@ -14,8 +14,9 @@ from aerobalance.channel import Array
 from aerobalance.cli import main
 from aerobalance.gravity import Attitudes
 from aerobalance.io.balance_file import read_balance
-from aerobalance.io.schedule import write_balfit_schedule
+from aerobalance.io.schedule import read_schedule, write_balfit_schedule
 from aerobalance.io.weighing_file import read_weighing, write_weighing
+from aerobalance.problems import ReadError
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 
 GRAVITY = 9.80665
@@ -111,6 +112,48 @@ def test_noise_of_the_readings_is_kept(here, capsys):
     assert read_balance(Path("balance.json")).reading_noise == 2e-4
     assert main(["calibrate", "schedule.csv", "--model", "27", "--reading-noise", "-1", "-o", "no.json"]) == 2
     assert "reading_noise must be zero or positive" in capsys.readouterr().err
+    assert not Path("no.json").exists()
+
+
+def test_noise_of_the_readings_may_be_given_by_bridge(here, capsys):
+    first, second = read_schedule(Path("schedule.csv")).gauges[:2]
+    noises = ["--reading-noise", f"r{first}=2e-4", "--reading-noise", f"r{second}=0.1 uV/V"]
+    run(capsys, "calibrate", "schedule.csv", "--model", "27", *noises, "-o", "balance.json")
+    matrix = read_balance(Path("balance.json"))
+    np.testing.assert_allclose(matrix.reading_noise, [2e-4, 1e-4, 0, 0, 0, 0], rtol=1e-12)
+    assert len(matrix.noise_of_readings) == 6
+    contents = json.loads(Path("balance.json").read_text())
+    for wrong, said in (
+        ([1e-4], "shape"),
+        ([-1e-4] * 6, "reading_noise must be zero or positive"),
+        ("much", "reading_noise"),
+    ):
+        contents["matrix"]["reading_noise"] = wrong
+        Path("wrong.json").write_text(json.dumps(contents))
+        with pytest.raises(ReadError, match=said):
+            read_balance(Path("wrong.json"))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["rXX=1e-4"], "reading_noise is given for rXX, which is no bridge of the schedule; it has r"),
+        (["1e-4", "rNF=1e-4"], "not both"),
+        (["rNF=1e-4", "rNF=2e-4"], "twice for rNF"),
+        (["1e-4", "2e-4"], "given twice"),
+        (["rNF="], "must be one number in mV/V, or by bridge such as"),
+        (["rNF=much"], "must be one number in mV/V, or by bridge such as"),
+        (["rNF=1e-4 N"], "must be one number in mV/V, or by bridge such as"),
+        (["rNF=-1"], "must be zero or positive"),
+        (["rNF=inf"], "must be zero or positive"),
+        ([""], "must be one number in mV/V, or by bridge such as"),
+    ],
+)
+def test_wrong_noises_of_the_readings_are_refused(here, capsys, given, said):
+    options = [word for text in given for word in ("--reading-noise", text)]
+    assert main(["calibrate", "schedule.csv", "--model", "27", *options, "-o", "no.json"]) == 2
+    message = capsys.readouterr().err
+    assert said in " ".join(message.split())
     assert not Path("no.json").exists()
 
 

@@ -109,8 +109,8 @@ class BalanceMatrix:
     temperature
         Temperature effects by component, where known.
     reading_noise
-        Standard deviation of one reading of the calibration [mV/V], where known: the residuals hold it, but no load of
-        a recording, which has noise of its own.
+        Standard deviation of one reading of the calibration [mV/V], where known, one for all bridges or of shape (c,):
+        the residuals hold it, but no load of a recording, which has noise of its own.
     """
 
     components: tuple[str, ...]
@@ -130,7 +130,7 @@ class BalanceMatrix:
     balance_type: BalanceType = "unknown"
     geometry: Geometry | None = None
     temperature: Mapping[str, TemperatureEffect] = field(default_factory=dict)
-    reading_noise: float = 0.0
+    reading_noise: float | Array = 0.0
 
     def __post_init__(self) -> None:
         c, t = len(self.components), len(self.terms)
@@ -153,7 +153,10 @@ class BalanceMatrix:
         for name in ("load_scale", "output_scale"):
             if not ((getattr(self, name) > 0) & np.isfinite(getattr(self, name))).all():
                 raise ValueError(f"{name} must be positive and finite")
-        if not 0 <= self.reading_noise < np.inf:
+        if np.shape(self.reading_noise) not in ((), (c,)):
+            raise ValueError(f"reading_noise must be one number or have shape {(c,)}")
+        noise = np.asarray(self.reading_noise)
+        if not (np.isfinite(noise) & (noise >= 0)).all():
             raise ValueError(f"reading_noise must be zero or positive, and finite, not {self.reading_noise}")
         if self.natural_zero is not None and self.natural_zero.shape != (c,):
             raise ValueError(f"natural_zero must have shape {(c,)}, not {self.natural_zero.shape}")

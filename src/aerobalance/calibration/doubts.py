@@ -71,11 +71,19 @@ def _doubt_reading_noise(calibration: Calibration) -> None:
     least = noise * np.sqrt(chi2.ppf(TOO_QUIET / noise.size, np.maximum(freedom, 1)) / np.maximum(freedom, 1))
     quiet = np.flatnonzero(found < least)
     if quiet.size:
-        texts = ", ".join(f"{schedule.components[i]} {found[i] / noise[i]:.2g} times" for i in quiet)
+        given = np.broadcast_to(matrix.reading_noise, noise.shape)
+        by_bridge = matrix.way == "iterative"
+        texts = ", ".join(
+            f"{f'r{matrix.gauges[i]}' if by_bridge else schedule.components[i]} {found[i] / noise[i]:.2g} times"
+            + (f" the {given[i]:g} mV/V" if by_bridge else " what the bridges' noise makes of it")
+            for i in quiet
+        )
+        each = np.ndim(matrix.reading_noise) == 0 and quiet.size < noise.size
         _doubt(
-            f"{schedule.name}: the readings scatter less about the matrix than the noise of {matrix.reading_noise:g} "
-            f"mV/V given for them: {texts} as much. The noise given is too large, or not of these readings; the "
-            "scatter counts for nothing in the uncertainty of the loads"
+            f"{schedule.name}: readings scatter less about the matrix than the noise given for them: {texts}. "
+            "That noise is too large, or not of these readings; their scatter counts for nothing in the "
+            "uncertainty of the loads"
+            + (". Where bridges differ, give each its own: --reading-noise rNAME=VALUE" if each else "")
         )
 
 

@@ -8,6 +8,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,7 +70,11 @@ class Calibration:
 
 
 def calibrate(
-    schedule: Schedule, *, model: Model = "auto", way: Way = "iterative", reading_noise: float = 0.0
+    schedule: Schedule,
+    *,
+    model: Model = "auto",
+    way: Way = "iterative",
+    reading_noise: float | Mapping[str, float] = 0.0,
 ) -> Calibration:
     """Make a balance matrix from a load schedule.
 
@@ -84,13 +89,16 @@ def calibrate(
     way
         ``"iterative"``: outputs fitted on loads. ``"non-iterative"``: loads fitted on outputs.
     reading_noise
-        Standard deviation of one reading of the schedule [mV/V], where known. The scatter of the residuals then counts
-        for the loads of a recording only as far as it goes beyond that; 0 counts it all.
+        Standard deviation of one reading of the schedule [mV/V], where known, one for all bridges or by bridge. The
+        scatter of the residuals then counts for the loads of a recording only as far as it goes beyond that; 0 counts
+        it all, and so does a bridge that is not named.
 
     Raises
     ------
     FitError
         The schedule cannot give a matrix; the message names component and evidence.
+    ValueError
+        `reading_noise` is negative, or names a bridge that the schedule does not have.
 
     Warns
     -----
@@ -98,6 +106,7 @@ def calibrate(
         The matrix can be used, but something in the schedule makes it worse than it looks.
     """
     check_schedule(schedule)
+    noise = _noise_of(reading_noise, schedule.gauges)
     terms = terms_of(model, len(schedule.components))
     data = ScaledPoints.of(schedule, way)
     terms, unknown = identifiable(data.design(terms, data.loads), data.intercepts, terms)
@@ -110,7 +119,7 @@ def calibrate(
     if model == "auto":
         choice = _chosen(data, terms, tares)
         tares, regressions = data.fit(terms, choice)
-    matrix = replace(data.matrix(terms, regressions, tares), reading_noise=reading_noise)
+    matrix = replace(data.matrix(terms, regressions, tares), reading_noise=noise)
     residuals = data.residuals(matrix, regressions, tares)
     check_residuals(schedule, residuals[schedule.fitted] / schedule.capacities)
     by_iteration = data.tares_by_iteration(terms, choice, regressions) if data.absolute else None
@@ -127,6 +136,24 @@ def calibrate(
         unidentified=unknown,
         condition=data.condition(terms, tares),
     )
+
+
+def _noise_of(given: float | Mapping[str, float], gauges: Sequence[str]) -> float | Array:
+    """Noise of a reading, one number or by bridge, shape (c,) [mV/V]; a bridge is its name, or r and its name."""
+    if not isinstance(given, Mapping):
+        return given
+    names = {f"r{gauge}": place for place, gauge in enumerate(gauges)}
+    for place, gauge in enumerate(gauges):
+        names.setdefault(gauge, place)
+    noise = np.zeros(len(gauges))
+    for name, value in given.items():
+        if name not in names:
+            raise ValueError(
+                f"reading_noise is given for {name}, which is no bridge of the schedule; it has "
+                + ", ".join(f"r{gauge}" for gauge in gauges)
+            )
+        noise[names[name]] = value
+    return noise
 
 
 def _beyond_model(

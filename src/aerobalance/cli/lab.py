@@ -63,13 +63,14 @@ def calibrate(
         typer.Option("--distances", help="Gauges from the centre, '1.5 1.5 1.25 1.25 in': N1 N2 S1 S2 (or PM, YM)."),
     ] = None,
     reading_noise: Annotated[
-        float,
+        list[str] | None,
         typer.Option(
             "--reading-noise",
             metavar="MV/V",
-            help="Standard deviation of one reading of the schedule, where known: no part of the balance's scatter.",
+            help="Standard deviation of one reading of the schedule, where known: no part of the balance's scatter. "
+            "One number, or rNF=0.0001 for each bridge (repeatable).",
         ),
-    ] = 0.0,
+    ] = None,
     report: Annotated[Path | None, typer.Option("--report", help="Write a page with figures and tables.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -85,7 +86,7 @@ def calibrate(
             keep_aside=keep_aside,
             capacities=capacity or (),
             distances=distances,
-            reading_noise=reading_noise,
+            reading_noise=calibration.reading_noise_from(reading_noise or ()),
             report=report,
         ),
         as_json,

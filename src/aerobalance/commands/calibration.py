@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,7 +37,7 @@ def calibrate(
     keep_aside: float = 0.0,
     capacities: Sequence[str] = (),
     distances: str | None = None,
-    reading_noise: float = 0.0,
+    reading_noise: float | Mapping[str, float] = 0.0,
     report: Path | None = None,
 ) -> Account:
     """Balance matrix from a load schedule."""
@@ -57,7 +57,10 @@ def calibrate(
         "keep_aside": keep_aside,
         "capacities": list(capacities),
         "distances": distances,
-        "reading_noise": {"value": reading_noise, "unit": "mV/V"},
+        "reading_noise": {
+            "value": dict(reading_noise) if isinstance(reading_noise, Mapping) else reading_noise,
+            "unit": "mV/V",
+        },
     }
     if out is not None:
         write_balance(out, calibration.matrix, found=found, inputs=[path], settings=settings, warnings=collected)
@@ -77,6 +80,37 @@ def capacities_from(texts: Sequence[str]) -> dict[str, tuple[float, str]] | None
             raise ValueError(f"--capacity must be like 'N1=2500 lbf', not {text!r}")
         capacities[match[1]] = (float(match[2]), match[3])
     return capacities or None
+
+
+def reading_noise_from(texts: Sequence[str]) -> float | dict[str, float]:
+    """Noise of the readings from the command line [mV/V]: one number, or ``rNF=0.0001`` for each bridge.
+
+    A unit may follow, as in ``rNF=0.1 uV/V``; without one it is mV/V.
+
+    Raises
+    ------
+    ValueError
+        A text is neither, a bridge comes twice, or there is more than one number without a bridge.
+    """
+    found: dict[str, float] = {}
+    for text in texts:
+        name, _, amount = (part.strip() for part in text.rpartition("="))
+        number, *unit = amount.split(maxsplit=1)[:2] or [""]
+        try:
+            value = float(number) * (conversion(unit[0].strip("[]"), expected="mV/V").factor if unit else 1.0)
+        except ValueError as error:
+            raise ValueError(
+                "--reading-noise must be one number in mV/V, or by bridge such as rNF=0.0001 or 'rNF=0.1 uV/V', not "
+                f"{text!r}: {error}"
+            ) from None
+        if not 0 <= value < np.inf:
+            raise ValueError(f"reading_noise must be zero or positive, and finite, not {text}")
+        if name in found:
+            raise ValueError(f"--reading-noise is given twice{f' for {name}' if name else ''}")
+        found[name] = value
+    if "" in found and len(found) > 1:
+        raise ValueError("--reading-noise is one number for all bridges, or rNAME=VALUE for each, not both")
+    return found.get("", found or 0.0)
 
 
 def geometry_from(text: str) -> Geometry:

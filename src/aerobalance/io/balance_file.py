@@ -56,7 +56,7 @@ class _Matrix(artefacts.Loose):
     balance_type: Literal["force", "moment", "direct", "unknown"] = "unknown"
     geometry: _Geometry | None = None
     temperature: dict[str, _Temperature] = Field(default_factory=dict)
-    reading_noise: NotNegative = 0.0
+    reading_noise: Finite | list[Finite] = 0.0
 
 
 class _BalanceFile(artefacts.Loose):
@@ -235,7 +235,7 @@ def matrix_payload(matrix: BalanceMatrix) -> dict[str, object]:
             name: {key: getattr(effect, key) for key in _Temperature.model_fields}
             for name, effect in matrix.temperature.items()
         },
-        "reading_noise": matrix.reading_noise,
+        "reading_noise": np.asarray(matrix.reading_noise).tolist(),
         "covariance": matrix.covariance.tolist(),
     }
 
@@ -305,7 +305,9 @@ def read_balance(path: Path | str) -> BalanceMatrix:
             balance_type=given.balance_type,
             geometry=None if given.geometry is None else Geometry(**given.geometry.model_dump()),
             temperature={name: TemperatureEffect(**effect.model_dump()) for name, effect in given.temperature.items()},
-            reading_noise=given.reading_noise,
+            reading_noise=(
+                np.array(given.reading_noise) if isinstance(given.reading_noise, list) else given.reading_noise
+            ),
         )
     except ValueError as error:
         raise ReadError(file, "matrix", str(error)) from None
