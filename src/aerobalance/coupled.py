@@ -12,7 +12,7 @@ other coordinates T Y + S X, so nothing is lost by the zero.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -178,9 +178,17 @@ class CoupledDynamics:
     damping
         D = C K^-1, shape (N, N); the unit of row i over that of column j [s].
     covariance
-        Covariance of `parameters`, shape (2 N^2, 2 N^2); all zero where not given.
+        Covariance of `parameters`, shape (2 N^2, 2 N^2), as the readings that they were found from leave it; all zero
+        where not given. With the balance matrix of these readings it is the one to work out a force with: what is
+        linear in the errors of that matrix is in the loads and in the dynamics alike, and is counted once, with the
+        matrix.
     mass
         What the ground's motion and gravity act on; None where it is not known.
+    covariance_of_calibration
+        What the calibration of the balance leaves in `parameters` beside that, shape (2 N^2, 2 N^2); all zero where
+        not known.
+    balance
+        SHA-256 of the file of the balance matrix that has this calibration; empty where it is not known.
     """
 
     components: tuple[str, ...]
@@ -188,6 +196,8 @@ class CoupledDynamics:
     damping: Array
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     mass: RigidMass | None = None
+    covariance_of_calibration: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    balance: str = ""
 
     def __post_init__(self) -> None:
         if not self.components or tuple(c for c in COMPONENTS if c in self.components) != tuple(self.components):
@@ -197,12 +207,14 @@ class CoupledDynamics:
             value = getattr(self, name)
             if value.shape != (n, n) or not np.isfinite(value).all():
                 raise ValueError(f"{name} must have shape ({n}, {n}) and be finite")
-        if self.covariance.size == 0:
-            object.__setattr__(self, "covariance", np.zeros((2 * n * n, 2 * n * n)))
-        if self.covariance.shape != (2 * n * n, 2 * n * n):
-            raise ValueError(f"covariance must have shape ({2 * n * n}, {2 * n * n}), not {self.covariance.shape}")
-        if not np.isfinite(self.covariance).all() or (np.diag(self.covariance) < 0).any():
-            raise ValueError("covariance must be finite, with variances of zero or more")
+        for name in ("covariance", "covariance_of_calibration"):
+            if getattr(self, name).size == 0:
+                object.__setattr__(self, name, np.zeros((2 * n * n, 2 * n * n)))
+            value = getattr(self, name)
+            if value.shape != (2 * n * n, 2 * n * n):
+                raise ValueError(f"{name} must have shape ({2 * n * n}, {2 * n * n}), not {value.shape}")
+            if not np.isfinite(value).all() or (np.diag(value) < 0).any():
+                raise ValueError(f"{name} must be finite, with variances of zero or more")
         if not (np.linalg.eigvals(self._generator).real < 0).all():
             raise ValueError("inertia and damping make a free oscillation that grows or never ends")
 
@@ -243,6 +255,17 @@ class CoupledDynamics:
         """
         flexibility = np.linalg.inv(stiffness)
         return cls(COMPONENTS, mass.matrix @ flexibility, damping @ flexibility, mass=mass)
+
+    @property
+    def total_covariance(self) -> Array:
+        """Covariance of `parameters` from readings and calibration together, shape (2 N^2, 2 N^2)."""
+        return np.asarray(self.covariance + self.covariance_of_calibration)
+
+    @property
+    def with_calibration(self) -> CoupledDynamics:
+        """The same for what does not know the calibration by itself: all that is not known is in `covariance`."""
+        nothing = np.zeros_like(self.covariance)
+        return replace(self, covariance=self.total_covariance, covariance_of_calibration=nothing, balance="")
 
     @property
     def hidden(self) -> int:
@@ -319,10 +342,10 @@ class CoupledDynamics:
     def mode_covariance(self) -> Array:
         """Covariance of the frequencies of `modes` [Hz], then of their damping ratios, (2 modes, 2 modes).
 
-        To first order in `covariance`: where two modes nearly coincide in frequency and damping they move farther.
+        To first order in `total_covariance`: where two modes nearly coincide in frequency and damping they move farther.
         """
         slopes = self.mode_slopes
-        return np.asarray(slopes @ self.covariance @ slopes.T)
+        return np.asarray(slopes @ self.total_covariance @ slopes.T)
 
     def equation(self, s: ArrayLike) -> NDArray[np.complex128]:
         """1 + D s + A s^2 of all coordinates, hidden ones too, at s of shape (m,) [rad/s]; shape (m, N, N)."""

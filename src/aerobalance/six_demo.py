@@ -167,12 +167,10 @@ def identified(folder: Folder, balance: CoupledBalance, files: BalanceFiles, mas
         load = np.zeros(len(COMPONENTS))
         load[place] = PULLED * balance.half_range[place]
         rig = replace(still(balance, 0.0, 0.0), releases=(Release(bearable(balance, load), instant=0.1),))
-        recorded, _ = folder.record(f"release_{name}", rig, 1.0)
-        paths.append(folder.path / f"release_{name}_loads.h5")
-        loads_command.loads(recorded, paths[-1], files=replace(files, mass=mass))
+        paths.append(folder.record(f"release_{name}", rig, 1.0)[0])
     dynamics = folder.path / "dynamics.json"
     half_range = dict(zip(COMPONENTS, balance.half_range.tolist(), strict=True))
-    identify_decays(paths, dynamics, mass=str(mass), half_range=half_range)
+    identify_decays(paths, dynamics, mass=str(mass), half_range=half_range, files=files)
     return dynamics
 
 

@@ -217,3 +217,59 @@ def test_a_failed_write_leaves_nothing(tmp_path):
     with pytest.raises(ValueError, match="no folder"):
         write_coupled(tmp_path / "none" / "dynamics.json", full(6))
     assert list(tmp_path.iterdir()) == []
+
+
+def with_calibration(seed):
+    """The same with what a calibration left."""
+    given = full(seed)
+    factor = 3 * np.sqrt(np.diag(given.covariance))[:, None] * np.random.default_rng(seed).normal(0, 1, (72, 20))
+    return replace(given, covariance_of_calibration=symmetric(factor @ factor.T), balance=SHA256)
+
+
+def test_what_the_calibration_left_reads_back_exactly(tmp_path):
+    seed = int(np.random.SeedSequence().entropy % 2**32)
+    given = with_calibration(seed)
+    path = written(tmp_path, given)
+    found = read_coupled(path)
+    for name in ("covariance", "covariance_of_calibration", "balance"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(given, name), err_msg=str(seed))
+    stated = json.loads(path.read_text())
+    u = np.sqrt(np.diag(given.covariance + given.covariance_of_calibration))
+    np.testing.assert_array_equal(np.ravel(stated["inertia"]["u"]), u[:36], err_msg=str(seed))
+    # what the readings leave may be nothing
+    exact = replace(given, covariance=np.zeros((72, 72)))
+    assert not read_coupled(written(tmp_path, exact)).covariance.any()
+
+
+def test_a_file_that_does_not_know_the_calibration_has_none(tmp_path):
+    found = read_coupled(written(tmp_path, full(6)))
+    assert not found.covariance_of_calibration.any()
+    assert found.balance == ""
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda contents: contents.pop("covariance"), "is needed beside calibration"),
+        (lambda contents: contents["calibration"].pop("covariance"), "calibration.covariance"),
+        (lambda contents: contents["calibration"].update(balance="mine"), "calibration.balance"),
+        (lambda contents: contents["inertia"]["u"][2].__setitem__(1, 1.0), "they must agree"),
+        (
+            lambda contents: contents["calibration"]["covariance"]["parameters"].__setitem__(0, "x"),
+            "must name some of",
+        ),
+        (lambda contents: contents["calibration"]["covariance"]["matrix"].pop(), "must have 72 rows"),
+        (
+            lambda contents: contents["calibration"]["covariance"]["matrix"][3].__setitem__(3, -1.0),
+            "negative variance",
+        ),
+        (lambda contents: contents["calibration"]["covariance"]["matrix"][3].__setitem__(4, 1e9), "not symmetric"),
+    ],
+)
+def test_a_broken_calibration_is_refused(tmp_path, change, words):
+    path = written(tmp_path, with_calibration(7))
+    contents = json.loads(path.read_text())
+    change(contents)
+    path.write_text(json.dumps(contents))
+    with pytest.raises(ReadError, match=words):
+        read_coupled(path)

@@ -17,11 +17,16 @@ from aerobalance.cli.options import (
     Mass,
     MaybeBalance,
     Model,
+    ModelOnZero,
     Modes,
+    OnZero,
     Out,
+    Tare,
     Way,
     Zero,
+    ZeroAfter,
     example,
+    gauge_files,
 )
 from aerobalance.components import STANDARD_GRAVITY
 
@@ -168,17 +173,35 @@ def identify_decay(
         ),
     ] = None,
     half_range: HalfRange = None,
+    balance: Annotated[
+        Path | None,
+        typer.Option(
+            "--balance",
+            help="With all: balance.json, for gauge outputs; what its calibration leaves in A and D is then known.",
+        ),
+    ] = None,
+    zero: Zero = None,
+    model_on_zero: OnZero = ModelOnZero.AUTO,
+    zero_after: ZeroAfter = None,
+    tare: Tare = None,
     channel_map: Map = None,
     as_json: Json = False,
 ) -> None:
     """Identify from a free decay: a load that is held and released."""
+    files = gauge_files(balance, zero, model_on_zero, zero_after, tare)
     if component == "all":
         from aerobalance.commands import identify_coupled
 
         ranges = identify_coupled.half_ranges(half_range or ())
         show(
             lambda: identify_coupled.identify_decays(
-                recs, out, mass=mass, half_range=ranges, modes=modes or "auto", channel_map=channel_map
+                recs,
+                out,
+                mass=mass,
+                half_range=ranges,
+                modes=modes or "auto",
+                files=files,
+                channel_map=channel_map,
             ),
             as_json,
             doing="fitting the releases",
@@ -188,6 +211,8 @@ def identify_decay(
     from aerobalance.commands import identify
 
     rec = _only(recs, half_range)
+    if files is not None:
+        raise ValueError("--balance goes with --component all; turn gauge outputs into loads with aerobalance loads")
     if mass is None:
         raise ValueError("Missing option '--mass': a release tells mass over stiffness only")
     show(

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
+
+if TYPE_CHECKING:
+    from aerobalance.commands.loads import BalanceFiles
 
 PROGRAM: Final = "aerobalance"
 
@@ -95,3 +98,28 @@ class Method(StrEnum):
 def example(text: str) -> str:
     """Epilogue of a command's help."""
     return f"Example: {PROGRAM} {text}"
+
+
+def gauge_files(
+    balance: Path | None,
+    zero: list[Path] | None,
+    model_on_zero: ModelOnZero,
+    zero_after: list[Path] | None,
+    tare: list[Path] | None,
+) -> BalanceFiles | None:
+    """Files that gauge outputs are reduced with; None for a recording of loads, to which none of them apply.
+
+    Raises
+    ------
+    ValueError
+        They do not go together.
+    """
+    from aerobalance.commands.loads import BalanceFiles
+
+    if balance is not None:
+        return BalanceFiles.of(balance, zero=zero, model_on_zero=model_on_zero.value, zero_after=zero_after, tare=tare)
+    if zero or zero_after or tare or model_on_zero != ModelOnZero.AUTO:
+        raise ValueError(
+            "--zero, --zero-after, --tare and --model-on-zero go with --balance: they are of gauge outputs"
+        )
+    return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -25,11 +25,9 @@ from aerobalance.cli.options import (
     Zero,
     ZeroAfter,
     example,
+    gauge_files,
 )
 from aerobalance.components import STANDARD_GRAVITY
-
-if TYPE_CHECKING:
-    from aerobalance.commands.loads import BalanceFiles
 
 app = typer.Typer()
 
@@ -66,25 +64,6 @@ def loads(
         as_json,
         doing="solving for the loads",
     )
-
-
-def _gauge_files(
-    balance: Path | None,
-    zero: list[Path] | None,
-    model_on_zero: ModelOnZero,
-    zero_after: list[Path] | None,
-    tare: list[Path] | None,
-) -> BalanceFiles | None:
-    """Files that gauge outputs are reduced with; None for a recording of loads, to which none of them apply."""
-    from aerobalance.commands.loads import BalanceFiles
-
-    if balance is not None:
-        return BalanceFiles.of(balance, zero=zero, model_on_zero=model_on_zero.value, zero_after=zero_after, tare=tare)
-    if zero or zero_after or tare or model_on_zero != ModelOnZero.AUTO:
-        raise ValueError(
-            "--zero, --zero-after, --tare and --model-on-zero go with --balance: they are of gauge outputs"
-        )
-    return None
 
 
 @app.command(epilog=example("force run.csv --dynamics dynamics.json -o force.csv"))
@@ -129,7 +108,7 @@ def force(
     from aerobalance.commands import force as command
     from aerobalance.commands.known import Check
 
-    files = _gauge_files(balance, zero, model_on_zero, zero_after, tare)
+    files = gauge_files(balance, zero, model_on_zero, zero_after, tare)
 
     show(
         lambda: command.force(
@@ -238,7 +217,7 @@ def compare(
     from aerobalance.commands import compare as command
     from aerobalance.commands.shared import amounts
 
-    files = _gauge_files(balance, zero, model_on_zero, zero_after, tare)
+    files = gauge_files(balance, zero, model_on_zero, zero_after, tare)
 
     ranges = amounts(half_range or (), "--half-range")
     show(

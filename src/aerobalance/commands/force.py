@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aerobalance.commands.known import Check, Known, Settings, read_known
+from aerobalance.commands.known import Check, Coupled, Known, Settings, read_known
 from aerobalance.commands.loads import BalanceFiles, Reduction, Source, loads_account
 from aerobalance.commands.shared import Account, check_out, doubts
 from aerobalance.commands.uncertainty import (
@@ -24,6 +24,7 @@ from aerobalance.estimate import ForceEstimate, with_balance
 from aerobalance.force import Method
 from aerobalance.hum import Hum
 from aerobalance.io import check_output, write_force
+from aerobalance.io.artefacts import digest
 from aerobalance.loads import static_uncertainty
 from aerobalance.matrix_curvature import CurvatureErrors
 from aerobalance.monte_carlo import MonteCarlo
@@ -57,6 +58,8 @@ def force(
     check_out(out, *inputs)
     check_out(report, *inputs, out)
     with doubts() as collected:
+        if files is not None:
+            source = source._replace(known=_through(files.balance, known, dynamics=dynamics))
         found = _found(path, source, settings, noise_record=noise_record, check=check)
     recording, estimates, reduction = found.recording, found.estimates, found.reduction
     write_force(out, recording, _force_of(estimates, recording))
@@ -74,6 +77,21 @@ def force(
         write_force_report(report, account, estimates, recording=recording, inputs=inputs)
         account["report"] = report.name
     return {**account, "summary": uncertainty_text(account["components"])}
+
+
+def _through(balance: Path, known: Known, *, dynamics: Path) -> Known:
+    """Dynamics for loads by a balance matrix: what another matrix left in them is not in these loads as well."""
+    if not isinstance(known, Coupled) or not known.dynamics.covariance_of_calibration.any():
+        return known
+    if known.dynamics.balance == digest(balance):
+        return known
+    warnings.warn(
+        f"{dynamics.name} was found by another balance matrix than {balance.name}; what the calibration of that one "
+        "left in the dynamics is added to the uncertainty",
+        DoubtWarning,
+        stacklevel=2,
+    )
+    return Coupled(known.dynamics.with_calibration)
 
 
 class _Found(NamedTuple):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -154,6 +154,17 @@ class Carried(NamedTuple):
     doubt: str = ""
 
 
+class Hung(Protocol):
+    """What hangs on a balance: of dynamics of either kind, or of a weighing."""
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Components that its weight is known along."""
+
+    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
+        """Weight along a component at given attitudes, shape (n,) [N, N*m]."""
+
+
 class Reduction(NamedTuple):
     """Loads felt, and the balance matrix that they were worked out with."""
 
@@ -164,7 +175,7 @@ class Reduction(NamedTuple):
 def from_gauges(
     recording: Recording,
     files: BalanceFiles,
-    known: Known,
+    known: Hung,
     *,
     gravity: float,
     channel_map: Path | None,
@@ -178,7 +189,7 @@ def from_gauges(
     files
         The balance and its zeros and tares.
     known
-        The dynamics, whose mass carries the weight.
+        The dynamics, whose mass carries the weight, or what else hangs on the balance.
     gravity
         Local acceleration of gravity [m/s^2].
     channel_map
@@ -258,7 +269,7 @@ def _without_gravity(recording: Recording) -> Recording:
     return replace(recording, channels=channels)
 
 
-def _carried_on_zero(zeros: Sequence[Recording], known: Known, *, gravity: float, pitched: bool) -> Carried:
+def _carried_on_zero(zeros: Sequence[Recording], known: Hung, *, gravity: float, pitched: bool) -> Carried:
     """Weight of the moving mass on the balance while its zero was read."""
     lacking = [zero.name for zero in zeros if "pitch" not in zero] if pitched else []
     doubt = f"{lacking[0]} has no channel pitch; the zero is taken as read level, with the model on" if lacking else ""

@@ -110,7 +110,7 @@ def compare_coupled(first: CoupledDynamics, second: CoupledDynamics) -> tuple[El
         raise ValueError("one of the dynamics has modes beyond the components; element by element they differ by them")
     ours = np.concatenate([first.inertia.ravel(), first.damping.ravel()])
     theirs = np.concatenate([second.inertia.ravel(), second.damping.ravel()])
-    u = np.sqrt(np.diag(first.covariance) + np.diag(second.covariance))
+    u = np.sqrt(np.diag(first.total_covariance) + np.diag(second.total_covariance))
     ratio = np.divide(theirs - ours, u, out=np.full(u.size, np.nan), where=u > 0)
     rows = zip(first.parameters, ours, theirs, u, ratio, strict=True)
     return tuple(ElementDifference(name, float(a), float(b), float(c), float(d)) for name, a, b, c, d in rows)
@@ -124,7 +124,7 @@ def agreement(first: CoupledDynamics, second: CoupledDynamics, *, damping: bool)
     count = first.inertia.size * (2 if damping else 1)
     ours = np.concatenate([first.inertia.ravel(), first.damping.ravel()])[:count]
     theirs = np.concatenate([second.inertia.ravel(), second.damping.ravel()])[:count]
-    together = (first.covariance + second.covariance)[:count, :count]
+    together = (first.total_covariance + second.total_covariance)[:count, :count]
     u = np.sqrt(np.diag(together))
     known = u > 0
     if not known.any():

@@ -1,4 +1,4 @@
-"""Modes of coupled dynamics with what the uncertainty of A and D leaves in them."""
+"""Modes of coupled dynamics with what the uncertainty of A and D, that from the calibration too, leaves in them."""
 
 from __future__ import annotations
 

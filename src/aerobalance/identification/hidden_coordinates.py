@@ -123,7 +123,7 @@ def static_shares(form: ModalForm) -> Array:
 
 
 def slow_matrices(dynamics: CoupledDynamics) -> tuple[Array, Array, Array]:
-    """A and D of F = X + D X' + A X'' to the second order in the frequency, and their covariance.
+    """A and D of F = X + D X' + A X'' to the second order in the frequency, and their whole covariance.
 
     With blocks 11 of the loads, 12 and 21 towards and from the hidden coordinates, D = D_11 and A = A_11 - D_12 D_21,
     because the blocks off the diagonal have no part at rest. For a rigid model on a sting that bends, A is its mass
@@ -137,15 +137,17 @@ def slow_matrices(dynamics: CoupledDynamics) -> tuple[Array, Array, Array]:
     slopes[0, :, :, 1, :, n:] = -np.einsum("ia,hj->ijah", unit, D[n:, :n])
     slopes[0, :, :, 1, n:, :] -= np.einsum("ih,jb->ijhb", D[:n, n:], unit)
     flat = slopes.reshape(2 * n * n, 2 * size * size)
-    return dynamics.inertia[:n, :n] - D[:n, n:] @ D[n:, :n], D[:n, :n], flat @ dynamics.covariance @ flat.T
+    return dynamics.inertia[:n, :n] - D[:n, n:] @ D[n:, :n], D[:n, :n], flat @ dynamics.total_covariance @ flat.T
 
 
 def quasi_static(dynamics: CoupledDynamics) -> CoupledDynamics:
-    """Dynamics of `slow_matrices`.
+    """Dynamics of `slow_matrices`, of which `covariance` holds all that is not known.
 
     Raises
     ------
     ValueError
         These make a motion that grows.
     """
-    return CoupledDynamics(dynamics.components, *slow_matrices(dynamics)) if dynamics.hidden else dynamics
+    if not dynamics.hidden:
+        return dynamics.with_calibration
+    return CoupledDynamics(dynamics.components, *slow_matrices(dynamics))

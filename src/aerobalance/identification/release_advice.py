@@ -153,6 +153,14 @@ def excitation(fit: ReleaseFit) -> tuple[Array, Array]:
 
 def physical_covariance(information: Array, matrices: Array, units: Units) -> Array:
     """Covariance of A and D [SI], row by row, from information on A^-1 and A^-1 D."""
+    slopes = physical_slopes(matrices, units)
+    size = np.linalg.norm(information, axis=0)
+    root = np.linalg.solve((information / size).T, (slopes / size).T)  # triangular: covariance is root' root
+    return np.asarray(root.T @ root)
+
+
+def physical_slopes(matrices: Array, units: Units) -> Array:
+    """Derivatives of A and D [SI], row by row, by A^-1 and A^-1 D in the units of the fit, shape (2 N^2, 2 N^2)."""
     n = coordinates_of(matrices)
     spring, brake = matrices.reshape(2, n, n)
     A = np.linalg.inv(spring)
@@ -162,10 +170,7 @@ def physical_covariance(information: Array, matrices: Array, units: Units) -> Ar
     slopes[n * n :, : n * n] = -np.kron(A, D.T)
     slopes[n * n :, n * n :] = np.kron(A, np.eye(n))
     ratio = units.ratio(n).ravel()
-    slopes *= np.concatenate([ratio / units.rate**2, ratio / units.rate])[:, None]
-    size = np.linalg.norm(information, axis=0)
-    root = np.linalg.solve((information / size).T, (slopes / size).T)  # triangular: covariance is root' root
-    return np.asarray(root.T @ root)
+    return np.asarray(slopes * np.concatenate([ratio / units.rate**2, ratio / units.rate])[:, None])
 
 
 def advice(

@@ -108,7 +108,7 @@ def linearise(piece: Piece, motion: FreeMotion, own: Array, *, whitener: Array, 
     """
     n = motion.components
     held, ringing, since = _parts(piece, own)
-    functions, model = _functions(piece, motion, own) if derivatives else (None, _model(piece, motion, own))
+    on_columns, model = _slopes(piece, motion, own) if derivatives else (None, _model(piece, motion, own))
     columns = motion.columns(piece.time[ringing] - since)
     on = motion.on_columns(model)[:, :, 0]
     on[-1] += own[:n]
@@ -116,10 +116,9 @@ def linearise(piece: Piece, motion: FreeMotion, own: Array, *, whitener: Array, 
     before = piece.values[held] - own[n : 2 * n]
     squares = float(np.sum((after @ whitener.T) ** 2) + np.sum((before @ whitener.T) ** 2))
     block: Array = np.zeros((0, 0))
-    if functions is not None:
+    if on_columns is not None:
         factor, along = _compressed(columns, after)
-        slopes = np.tensordot(factor, motion.on_columns(functions), axes=1)
-        slopes[:, :, :n] += factor[:, -1, None, None] * np.eye(n)
+        slopes = np.tensordot(factor, on_columns, axes=1)
         table = np.concatenate([slopes, along[:, :, None]], axis=2)
         rows = [_weighted(whitener, table)]
         if before.size:
@@ -130,6 +129,41 @@ def linearise(piece: Piece, motion: FreeMotion, own: Array, *, whitener: Array, 
             rows.append(_weighted(whitener, flat))
         block = np.array(qr(np.vstack(rows), mode="r", check_finite=False)[0][: table.shape[2]], dtype=np.float64)
     return Linear(squares, before.shape[0] + after.shape[0], block, before, after)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shares:
+    """How the readings after the edge of a record depend on all its parameters.
+
+    Attributes
+    ----------
+    held, ringing
+        Rows before and after the edge.
+    columns
+        Columns that span the readings after it, shape (m, p).
+    slopes
+        Derivatives of the readings by own parameters and matrices, on the columns, shape (p, n, own + 2 N^2); those
+        held are the second n parameters of a record that has any.
+    """
+
+    held: slice
+    ringing: slice
+    columns: Array
+    slopes: Array
+
+
+def shares_of_changes(piece: Piece, motion: FreeMotion, own: Array) -> Shares:
+    """Derivatives of the readings of a record, not weighted; the arguments are those of `linearise`."""
+    held, ringing, since = _parts(piece, own)
+    return Shares(held, ringing, motion.columns(piece.time[ringing] - since), _slopes(piece, motion, own)[0])
+
+
+def _slopes(piece: Piece, motion: FreeMotion, own: Array) -> tuple[Array, Coefficients]:
+    """Derivatives of the readings after the edge on the columns, and the motion."""
+    functions, model = _functions(piece, motion, own)
+    slopes, n = motion.on_columns(functions), motion.components
+    slopes[-1, :, :n] += np.eye(n)  # the loads that stay
+    return slopes, model
 
 
 def _compressed(columns: Array, left: Array) -> tuple[Array, Array]:

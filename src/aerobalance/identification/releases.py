@@ -38,9 +38,11 @@ from aerobalance.identification.release_advice import (
     physical_covariance,
     unmoved,
 )
+from aerobalance.identification.release_calibration import covariance_of_calibration
 from aerobalance.identification.release_fit import ReleaseFit, reweighed
 from aerobalance.identification.release_record import ReleaseRecord, release_record
 from aerobalance.identification.release_stages import Units
+from aerobalance.matrix_errors import MatrixErrors
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 
@@ -53,6 +55,7 @@ def identify_releases(
     half_range: Mapping[str, float] | None = None,
     release_share: float = 0.5,
     modes: int | Literal["auto"] = "auto",
+    errors: Sequence[MatrixErrors] = (),
 ) -> CoupledIdentification:
     """Identify A and D of F = X + D X' + A X'', Eq. (17) of [Gorbushin2020]_ with matrices, from releases.
 
@@ -72,11 +75,14 @@ def identify_releases(
     modes
         Number of modes: one for each component, or more where the model or the sting bends; ``"auto"`` takes those
         that the decays show clearly. Modes beyond one for each component need a release along every component.
+    errors
+        Where the balance matrix was used, for each recording: what its calibration leaves in A and D is then in
+        `CoupledDynamics.covariance_of_calibration`, and in the modes, the mass and its tests.
 
     Raises
     ------
     ValueError
-        There is no recording, or components, mass, half range, modes or sampling rates do not fit.
+        There is no recording, or components, mass, half range, modes, errors or sampling rates do not fit.
     FitError
         The releases leave a combination of loads at rest, the decays show too few modes, or no fit settles.
 
@@ -88,6 +94,8 @@ def identify_releases(
     """
     names = tuple(name for name in COMPONENTS if name in components)
     _check_call(recordings, names, components, mass=mass, release_share=release_share, modes=modes)
+    if errors and len(errors) != len(recordings):
+        raise ValueError(f"errors must be given for each of {len(recordings)} recordings or for none")
     records = [release_record(recording, names) for recording in recordings]
     sizes = _sizes(records, names, half_range)
     _check_moved(records, sizes, names)
@@ -97,8 +105,19 @@ def identify_releases(
     if (colour > 1).any():
         fit = reweighed(fit, fit.noise * np.sqrt(np.outer(colour, colour)))
     _check_seen(fit, names)
+    dynamics = _dynamics(fit, units, names)
+    if errors:
+        left = covariance_of_calibration(fit, units, records, errors, components=names)
+        dynamics = replace(dynamics, covariance_of_calibration=left)
     found = _result(
-        fit, units, records, names, colour=colour, mass=mass, given=half_range is not None, share=release_share
+        fit,
+        units,
+        records,
+        dynamics,
+        colour=colour,
+        mass=mass,
+        given=half_range is not None,
+        share=release_share,
     )
     found = replace(found, notes=(*_notes_on_modes(found, chosen), *found.notes))
     for note in found.notes:
@@ -204,14 +223,13 @@ def _result(
     fit: ReleaseFit,
     units: Units,
     records: list[ReleaseRecord],
-    names: tuple[str, ...],
+    dynamics: CoupledDynamics,
     *,
     colour: Array,
     mass: float | tuple[float, float] | None,
     given: bool,
     share: float,
 ) -> CoupledIdentification:
-    dynamics = _dynamics(fit, units, names)
     applied = APPLIED * units.sizes
     error = error_of(dynamics.covariance, force_weights(dynamics, sizes=applied))
     duration = float(np.median([record.time[-1] - record.time[0] for record in records]))

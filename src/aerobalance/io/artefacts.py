@@ -121,12 +121,19 @@ def provenance(inputs: Sequence[Path], *, settings: Mapping[str, object] | None 
     return {
         "program": f"aerobalance {__version__}",
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "inputs": [{"name": Path(file).name, "sha256": _digest(Path(file))} for file in inputs],
+        "inputs": [{"name": Path(file).name, "sha256": digest(Path(file))} for file in inputs],
         "settings": dict(settings or {}),
     }
 
 
-def _digest(path: Path) -> str:
+def digest(path: Path) -> str:
+    """SHA-256 of a file.
+
+    Raises
+    ------
+    ReadError
+        It cannot be read.
+    """
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

@@ -74,6 +74,11 @@ class RigidMassPart(Loose):
     covariance: Covariance | None = None
 
 
+class _Calibration(Loose):
+    balance: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = ""
+    covariance: Covariance
+
+
 class _CoupledFile(Loose):
     kind: Literal["coupled dynamics"] = "coupled dynamics"
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1
@@ -81,6 +86,7 @@ class _CoupledFile(Loose):
     inertia: _Matrix
     damping: _Matrix
     covariance: Covariance | None = None
+    calibration: _Calibration | None = None
     mass: RigidMassPart | None = None
     modes: list[ListedMode] = Field(default_factory=list)
 
@@ -102,9 +108,13 @@ def matrix_units(components: Sequence[str], kind: Matrix) -> list[list[str]]:
 
 
 def coupled_payload(dynamics: CoupledDynamics) -> dict[str, object]:
-    """Give what dynamics.json says of coupled components, as plain data."""
+    """Give what dynamics.json says of coupled components, as plain data.
+
+    The uncertainties ``u`` hold what the calibration of the balance leaves, which stands under ``calibration``;
+    ``covariance`` does not.
+    """
     n, names = len(dynamics.inertia), list(dynamics.coordinates)
-    deviations = np.sqrt(np.diag(dynamics.covariance)).reshape(2, n, n)
+    deviations = np.sqrt(np.diag(dynamics.total_covariance)).reshape(2, n, n)
     payload: dict[str, object] = {"components": list(dynamics.components)}
     for kind, deviation in zip(_TIMES, deviations, strict=True):
         payload[kind] = {
@@ -117,8 +127,14 @@ def coupled_payload(dynamics: CoupledDynamics) -> dict[str, object]:
     payload["modes"] = modes_payload(dynamics)
     if dynamics.mass is not None:
         payload["mass"] = _mass_payload(dynamics.mass)
-    if dynamics.covariance.any():
+    if dynamics.total_covariance.any():
         payload["covariance"] = {"parameters": list(dynamics.parameters), "matrix": dynamics.covariance}
+    if dynamics.covariance_of_calibration.any():
+        matrix = dynamics.covariance_of_calibration
+        payload["calibration"] = {
+            "balance": dynamics.balance,
+            "covariance": {"parameters": list(dynamics.parameters), "matrix": matrix},
+        }
     return payload
 
 
@@ -210,16 +226,44 @@ def read_coupled(path: Path | str) -> CoupledDynamics:
         matrices[kind], u = _read_matrix(file, kind, getattr(contents, kind), coordinates)
         pairs = [f"{kind} {row}/{column}" for row in coordinates for column in coordinates]
         deviations |= dict(zip(pairs, u.ravel().tolist(), strict=True))
-    covariance = checked_covariance(file, "covariance", contents.covariance, deviations)
+    covariance, of_calibration = _covariances(file, contents, deviations)
+    balance = "" if contents.calibration is None else contents.calibration.balance
     mass = rigid_mass_from(file, contents.mass) if contents.mass else None
     try:
-        dynamics = CoupledDynamics(names, matrices["inertia"], matrices["damping"], covariance, mass)
+        dynamics = CoupledDynamics(
+            names, matrices["inertia"], matrices["damping"], covariance, mass, of_calibration, balance
+        )
     except np.linalg.LinAlgError:
         raise ReadError(file, "inertia.matrix", "cannot be inverted: some load would move no mass") from None
     except ValueError as error:
         raise ReadError(file, "", str(error)) from None
     _check_modes(file, contents.modes, dynamics)
     return dynamics
+
+
+def _covariances(file: Path, contents: _CoupledFile, deviations: Mapping[str, float]) -> tuple[Array, Array]:
+    """Covariance that the readings leave, and that of the calibration, whose sum has the uncertainties of the file."""
+    if contents.calibration is None:
+        covariance = checked_covariance(file, "covariance", contents.covariance, deviations)
+        return covariance, np.zeros_like(covariance)
+    given = {"covariance": contents.covariance, "calibration.covariance": contents.calibration.covariance}
+    found = []
+    for where, part in given.items():
+        if part is None:  # no rounded difference of uncertainties can stand for it
+            raise ReadError(file, where, "is needed beside calibration, as u holds both")
+        diagonal = [abs(row[place]) ** 0.5 if place < len(row) else 0.0 for place, row in enumerate(part.matrix)]
+        own = dict(zip(part.parameters, diagonal, strict=False))
+        found.append(checked_covariance(file, where, part, {name: own.get(name, 0.0) for name in deviations}))
+    u = np.sqrt(np.diag(found[0] + found[1]))
+    for name, both, stated in zip(deviations, u, deviations.values(), strict=True):
+        if abs(both - stated) > 1e-6 * max(both, stated):
+            raise ReadError(
+                file,
+                "calibration.covariance.matrix",
+                f"has with covariance.matrix the standard uncertainty {both:.6g} for {name}, but {name}.u is "
+                f"{stated:.6g}; they must agree",
+            )
+    return found[0], found[1]
 
 
 def _read_matrix(path: Path, kind: Matrix, given: _Matrix, names: tuple[str, ...]) -> tuple[Array, Array]:
