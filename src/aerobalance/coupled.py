@@ -342,7 +342,7 @@ class CoupledDynamics:
     def mode_covariance(self) -> Array:
         """Covariance of the frequencies of `modes` [Hz], then of their damping ratios, (2 modes, 2 modes).
 
-        To first order in `total_covariance`: where two modes nearly coincide in frequency and damping they move farther.
+        To first order in `total_covariance`: modes that nearly coincide in frequency and damping move farther.
         """
         slopes = self.mode_slopes
         return np.asarray(slopes @ self.total_covariance @ slopes.T)
