@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from aerobalance.cli import main
+from aerobalance.commands.balance_files import BalanceFiles
 from aerobalance.commands.identify_coupled import releases_felt
-from aerobalance.commands.loads import BalanceFiles
 from aerobalance.components import COMPONENTS
 from aerobalance.io import read
 from aerobalance.io.balance_file import write_balance

@@ -18,9 +18,9 @@ from aerobalance import __version__
 from aerobalance.channel import Array
 from aerobalance.commands import calibration, force, weighing
 from aerobalance.commands import loads as loads_command
+from aerobalance.commands.balance_files import BalanceFiles
 from aerobalance.commands.identify_coupled import identify_decays
 from aerobalance.commands.known import Coupled
-from aerobalance.commands.loads import BalanceFiles
 from aerobalance.commands.shared import Account, doubts, seed_for
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.coupled_force import reconstruct_coupled

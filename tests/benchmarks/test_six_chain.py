@@ -18,9 +18,10 @@ import pytest
 from test_six import inner, wiener_bound
 
 from aerobalance.channel import Array
+from aerobalance.commands.balance_files import BalanceFiles
 from aerobalance.commands.force import force
 from aerobalance.commands.known import Coupled
-from aerobalance.commands.loads import BalanceFiles, from_gauges
+from aerobalance.commands.loads import from_gauges
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.coupled_force import reconstruct_coupled
 from aerobalance.io import read

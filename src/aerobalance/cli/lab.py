@@ -130,7 +130,7 @@ def weigh(
 ) -> None:
     """Find mass and centre of gravity from readings at several pitch (and roll) angles."""
     from aerobalance.commands import weighing
-    from aerobalance.commands.loads import BalanceFiles
+    from aerobalance.commands.balance_files import BalanceFiles
 
     if balance is None and zero:
         raise ValueError("--zero goes with --balance: it is a zero of gauge outputs")

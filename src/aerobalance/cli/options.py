@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 if TYPE_CHECKING:
-    from aerobalance.commands.loads import BalanceFiles
+    from aerobalance.commands.balance_files import BalanceFiles
 
 PROGRAM: Final = "aerobalance"
 
@@ -114,7 +114,7 @@ def gauge_files(
     ValueError
         They do not go together.
     """
-    from aerobalance.commands.loads import BalanceFiles
+    from aerobalance.commands.balance_files import BalanceFiles
 
     if balance is not None:
         return BalanceFiles.of(balance, zero=zero, model_on_zero=model_on_zero.value, zero_after=zero_after, tare=tare)

@@ -53,8 +53,9 @@ def loads(
 ) -> None:
     """Turn gauge outputs into the loads that the balance feels, with their uncertainty."""
     from aerobalance.commands import loads as command
+    from aerobalance.commands.balance_files import BalanceFiles
 
-    files = command.BalanceFiles.of(
+    files = BalanceFiles.of(
         balance, zero=zero, model_on_zero=model_on_zero.value, zero_after=zero_after, tare=tare, mass=mass
     )
     show(

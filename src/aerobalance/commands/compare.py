@@ -8,8 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.commands.balance_files import BalanceFiles
 from aerobalance.commands.known import Coupled, read_known
-from aerobalance.commands.loads import BalanceFiles, Source, loads_account
+from aerobalance.commands.loads import Source, loads_account
 from aerobalance.commands.shared import Account, check_out, doubts, known_component
 from aerobalance.components import STANDARD_GRAVITY, si_unit
 from aerobalance.dynamics import Dynamics

@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aerobalance.commands.balance_files import BalanceFiles
 from aerobalance.commands.known import Check, Coupled, Known, Settings, read_known
-from aerobalance.commands.loads import BalanceFiles, Reduction, Source, loads_account
+from aerobalance.commands.loads import Reduction, Source, loads_account
 from aerobalance.commands.shared import Account, check_out, doubts
 from aerobalance.commands.uncertainty import (
     Origins,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from aerobalance.channel import Array
+from aerobalance.commands.balance_files import BalanceFiles
 from aerobalance.commands.coupled_tables import (
     by_component,
     centre_test,
@@ -23,7 +24,7 @@ from aerobalance.commands.coupled_tables import (
     tests_text,
 )
 from aerobalance.commands.identify import number_of_modes
-from aerobalance.commands.loads import BalanceFiles, from_gauges
+from aerobalance.commands.loads import from_gauges
 from aerobalance.commands.shared import Account, amounts, check_out, doubts, recording_of, table_text
 from aerobalance.commands.weighing import mass_file
 from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, si_unit

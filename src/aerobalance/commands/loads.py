@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from aerobalance.balance import TOLERANCE, BalanceMatrix
 from aerobalance.channel import Array
+from aerobalance.commands.balance_files import BalanceFiles, Carried, attitudes_of, stand_in, zero_of, zeros_before
 from aerobalance.commands.known import Known
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of
 from aerobalance.components import COMPONENTS
 from aerobalance.forms import Form
-from aerobalance.gravity import Attitudes, PullOnZero
+from aerobalance.gravity import PullOnZero
 from aerobalance.io import check_output, write_loads
 from aerobalance.io.balance_file import write_balance
 from aerobalance.io.balfit_matrix import write_balfit_matrix
@@ -27,7 +27,6 @@ from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_l
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.weighing import LoadPoints, points_from_recordings
-from aerobalance.zeros import GaugeZero, gauge_zero, reads_no_weight, without_weight
 
 
 def convert_matrix(path: Path, out: Path) -> Account:
@@ -40,63 +39,6 @@ def convert_matrix(path: Path, out: Path) -> Account:
     else:
         write_balfit_matrix(out, matrix, description=f"from {path.name}")
     return {"file": path.name, "written": out.name, "components": list(matrix.components), "warnings": collected}
-
-
-ModelOnZero = Literal["auto", "on", "off"]
-
-
-@dataclass(frozen=True, slots=True)
-class BalanceFiles:
-    """Files that gauge outputs are reduced with.
-
-    Attributes
-    ----------
-    balance
-        balance.json, or a matrix in BALFIT's text layout.
-    zero, zero_after
-        Recordings with no wind before and after the run; the word ``none`` takes outputs as they are.
-    tare
-        Wind-off recordings, whose loads are taken off at the same attitude.
-    mass
-        mass.json of a weighing, whose weight is taken off instead.
-    model_on_zero
-        Whether the model hung on the balance while the zero was read; ``auto`` takes it so unless the natural zeros of
-        the calibration speak against it.
-    """
-
-    balance: Path
-    zero: tuple[Path, ...] = ()
-    zero_after: tuple[Path, ...] = ()
-    tare: tuple[Path, ...] = ()
-    mass: Path | None = None
-    model_on_zero: ModelOnZero = "auto"
-
-    @classmethod
-    def of(
-        cls,
-        balance: Path,
-        *,
-        zero: list[Path] | None = None,
-        model_on_zero: ModelOnZero = "auto",
-        zero_after: list[Path] | None = None,
-        tare: list[Path] | None = None,
-        mass: Path | None = None,
-    ) -> BalanceFiles:
-        """Take the files as the command line gives them."""
-        if model_on_zero != "auto" and not zero:
-            raise ValueError(f"--model-on-zero {model_on_zero} is said of a zero; give its recordings with --zero")
-        return cls(balance, tuple(zero or ()), tuple(zero_after or ()), tuple(tare or ()), mass, model_on_zero)
-
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        """All files."""
-        zeros = () if self.as_they_are else self.zero
-        return (self.balance, *zeros, *self.zero_after, *self.tare, *(() if self.mass is None else (self.mass,)))
-
-    @property
-    def as_they_are(self) -> bool:
-        """Whether the outputs are already less their zero."""
-        return [str(path) for path in self.zero] == ["none"]
 
 
 def reduced(
@@ -122,36 +64,18 @@ def reduced(
             DoubtWarning,
             stacklevel=2,
         )
-    before = _zeros(files, channel_map)
-    zero = _zero(files, before, matrix, channel_map, on_zero=on_zero)
+    before = zeros_before(files, channel_map)
+    zero = zero_of(files, before, matrix, channel_map, on_zero=on_zero)
     if form not in (None, "direct") and (files.tare or files.mass is not None):
         raise ValueError(f"--form {form} cannot go with --tare or --mass, which are in direct-read form")
     tare = None
     if files.tare:
         wind_off = [recording_of(path, channel_map) for path in files.tare]
-        zero = _stand_in(zero, wind_off, matrix)
+        zero = stand_in(zero, wind_off, matrix)
         tare = wind_off_loads(recording, wind_off, matrix, zero=zero)
     elif files.mass is not None:
         tare = _weight(recording, files.mass, matrix, since=before if zero is not None and zero.weight.any() else ())
     return loads_felt(recording, matrix, zero=zero, tare=tare, form=form), matrix
-
-
-class Carried(NamedTuple):
-    """What hung on the balance while its zero was read, along the components.
-
-    Attributes
-    ----------
-    weight
-        Shape (6,) [N, N*m].
-    pull
-        Pull of gravity on it.
-    doubt
-        What is doubtful about it, or nothing.
-    """
-
-    weight: Array
-    pull: PullOnZero
-    doubt: str = ""
 
 
 class Hung(Protocol):
@@ -273,83 +197,12 @@ def _carried_on_zero(zeros: Sequence[Recording], known: Hung, *, gravity: float,
     """Weight of the moving mass on the balance while its zero was read."""
     lacking = [zero.name for zero in zeros if "pitch" not in zero] if pitched else []
     doubt = f"{lacking[0]} has no channel pitch; the zero is taken as read level, with the model on" if lacking else ""
-    attitudes = [_attitudes(zero) for zero in zeros]
+    attitudes = [attitudes_of(zero) for zero in zeros]
     weights = np.zeros((len(zeros), len(COMPONENTS)))
     for row, (pitch, roll) in zip(weights, attitudes, strict=True):
         for name in known.components:
             row[COMPONENTS.index(name)] = np.nanmean(known.weight(name, pitch=pitch, roll=roll, gravity=gravity))
     return Carried(weights.mean(axis=0), PullOnZero.of(attitudes, gravity=gravity), doubt)
-
-
-def _stand_in(zero: GaugeZero | None, recordings: Sequence[Recording], matrix: BalanceMatrix) -> GaugeZero | None:
-    """Take the mean of recordings at rest for a zero, where neither the run nor the calibration has one."""
-    if zero is not None or matrix.natural_zero is not None:
-        return zero
-    warnings.warn(
-        "no zero was given and the calibration has none; the mean of the recordings at rest is taken for it. Offsets "
-        "count from there, and curved or bidirectional bridges are read from there",
-        DoubtWarning,
-        stacklevel=3,
-    )
-    return gauge_zero(recordings, matrix)
-
-
-def _zeros(files: BalanceFiles, channel_map: Path | None) -> list[Recording]:
-    """Recordings of the balance before the run."""
-    return [] if files.as_they_are else [recording_of(path, channel_map) for path in files.zero]
-
-
-def _zero(
-    files: BalanceFiles,
-    before: Sequence[Recording],
-    matrix: BalanceMatrix,
-    channel_map: Path | None,
-    *,
-    on_zero: Callable[[Sequence[Recording]], Carried] | None = None,
-) -> GaugeZero | None:
-    if files.as_they_are:
-        nothing = np.zeros(len(matrix.components))
-        return GaugeZero(nothing, nothing, "none: outputs as they are", nothing)
-    if not before:
-        if files.zero_after:
-            raise ValueError("--zero-after needs --zero: the drift is what changes between the two")
-        return None
-    after = [recording_of(path, channel_map) for path in files.zero_after]
-    zero = gauge_zero(before, matrix, after=after)
-    if files.mass is not None:
-        on_zero = partial(_weighed, mass=files.mass)
-    if files.model_on_zero == "off" or on_zero is None:
-        return zero
-    carried = on_zero(before)
-    if files.model_on_zero == "auto" and reads_no_weight(zero, carried.weight, matrix):
-        warnings.warn(
-            f"{zero.source} reads as the natural zeros of the calibration do, without the weight: it is taken as read "
-            "with the model off; --model-on-zero on or off says which",
-            DoubtWarning,
-            stacklevel=4,
-        )
-        return zero
-    if carried.doubt:
-        warnings.warn(carried.doubt, DoubtWarning, stacklevel=4)
-    return without_weight(replace(zero, weight=carried.weight, pull=carried.pull), matrix)
-
-
-def _weighed(recordings: Sequence[Recording], *, mass: Path) -> Carried:
-    """Weight of a weighing at the attitudes of recordings, their mean."""
-    lacking = [recording.name for recording in recordings if "pitch" not in recording]
-    if lacking:
-        raise FitError(
-            f"{lacking[0]} has no channel pitch, so the weight in its zero is not known; record pitch with the zero, "
-            "say --model-on-zero off if it was read without the model, or take wind-off recordings as --tare"
-        )
-    weighing = read_weighing(mass)
-    attitudes = [_attitudes(recording) for recording in recordings]
-    loads = [weighing.loads(pitch=pitch, roll=roll, offsets=False) for pitch, roll in attitudes]
-    weight = np.zeros(len(COMPONENTS))
-    weight[[COMPONENTS.index(name) for name in weighing.components]] = np.mean(
-        [np.nanmean(table, axis=0) for table in loads], axis=0
-    )
-    return Carried(weight, PullOnZero.of(attitudes, gravity=weighing.gravity))
 
 
 def _weight(
@@ -362,9 +215,9 @@ def _weight(
     weighing = read_weighing(path)
     names = matrix.components if matrix.direct is None else COMPONENTS
     recording.channel("pitch")  # without which the weight is not known
-    pitch, roll = _attitudes(recording)
+    pitch, roll = attitudes_of(recording)
     loads = weighing.loads(pitch=pitch, roll=roll, offsets=False)
-    u = weighing.uncertainty(pitch=pitch, roll=roll, offsets=False, since=[_attitudes(zero) for zero in since])
+    u = weighing.uncertainty(pitch=pitch, roll=roll, offsets=False, since=[attitudes_of(zero) for zero in since])
     columns = [weighing.components.index(name) if name in weighing.components else None for name in names]
     if all(column is None for column in columns):
         raise FitError(f"{path} weighs {', '.join(weighing.components)}, none of which are in {', '.join(names)}")
@@ -373,13 +226,6 @@ def _weight(
         np.column_stack([nothing if k is None else loads[:, k] for k in columns]),
         np.column_stack([nothing if k is None else u[:, k] for k in columns]),
     )
-
-
-def _attitudes(recording: Recording) -> Attitudes:
-    """Pitch and roll of a recording, zero where it has none, shape (n,) each."""
-    nothing = np.zeros(recording.samples)
-    pitch, roll = (recording.channel(name).values if name in recording else nothing for name in ("pitch", "roll"))
-    return Attitudes(pitch, roll)
 
 
 def weighed_loads(
@@ -400,8 +246,8 @@ def weighed_loads(
         raise ValueError("weighing takes --zero alone: tares and closing zeros would take off what is weighed")
     recordings = [recording_of(path, channel_map) for path in paths]
     matrix = read_matrix(files.balance)
-    zero = _zero(files, _zeros(files, channel_map), matrix, channel_map)
-    zero = _stand_in(zero, recordings, matrix)
+    zero = zero_of(files, zeros_before(files, channel_map), matrix, channel_map)
+    zero = stand_in(zero, recordings, matrix)
     felt = [loads_felt(recording, matrix, zero=zero) for recording in recordings]
     components = tuple(name for name in felt[0].components if name in COMPONENTS and (names is None or name in names))
     if not components:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from aerobalance.commands.loads import BalanceFiles, weighed_loads
+from aerobalance.commands.balance_files import BalanceFiles
+from aerobalance.commands.loads import weighed_loads
 from aerobalance.commands.shared import Account, check_out, doubts, known_component
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.io import (

@@ -130,8 +130,8 @@ def _together(task: Task) -> Outcome:
 
 
 def _force(task: Task) -> Outcome:
+    from aerobalance.commands.balance_files import BalanceFiles  # noqa: PLC0415
     from aerobalance.commands.force import force  # noqa: PLC0415
-    from aerobalance.commands.loads import BalanceFiles  # noqa: PLC0415
     from aerobalance.io.hdf5_contents import contents  # noqa: PLC0415
 
     path = Path(task.recordings[0])
