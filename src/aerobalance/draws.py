@@ -18,11 +18,11 @@ from aerobalance.problems import FitError
 
 def drawn_numbers(generator: np.random.Generator, covariance: Array, draws: int) -> Array:
     """Draws of normal numbers, shape (draws, p), whose mean is zero and whose covariance is exactly that given."""
-    root = _root(covariance)
+    root = root_of(covariance)
     return np.asarray(_normals(generator, root.shape[1], draws) @ root.T)
 
 
-def _root(covariance: Array) -> Array:
+def root_of(covariance: Array) -> Array:
     """A root of a covariance, shape (p, rank): worked out from the correlations, as the units lie decades apart."""
     deviation = np.sqrt(np.diag(covariance))
     unit = np.where(deviation > 0, deviation, 1.0)
@@ -81,12 +81,12 @@ def drawn_coupled(
         A draw is not physical.
     """
     size, mass = len(dynamics.inertia), dynamics.mass
-    own = _root(dynamics.covariance[np.ix_(rows, rows)])
+    own = root_of(dynamics.covariance[np.ix_(rows, rows)])
     # pinv of the rows' root, in units in which their numbers are alike
     unit = np.sqrt(np.sum(own**2, axis=1, keepdims=True))
     unit[unit == 0] = 1.0
     whole = (dynamics.covariance[:, rows] / unit.T) @ np.linalg.pinv(own / unit).T
-    of_mass = np.zeros((len(MASS_PARAMETERS), 0)) if mass is None else _root(mass.covariance)
+    of_mass = np.zeros((len(MASS_PARAMETERS), 0)) if mass is None else root_of(mass.covariance)
     normals = _normals(generator, own.shape[1] + of_mass.shape[1], draws)
     found = []
     try:

@@ -18,6 +18,7 @@ from aerobalance.components import COMPONENTS
 from aerobalance.contributions import Contribution, Systematic
 from aerobalance.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
 from aerobalance.decoupling import FINE, LoneComponent, finer
+from aerobalance.draws import root_of
 from aerobalance.estimate import Job, Through
 from aerobalance.motion import Unknown
 from aerobalance.platform_motion import PlatformMotion
@@ -101,7 +102,7 @@ class LoneJob(Job):
         own = np.searchsorted(rows, self.lone.rows(self.coupled))
         slopes[:, own] = self.lone.parameter_slopes(self.loads, interval=self.interval)
         for other in self.others:
-            # the readings of the others hold their forces, which are no part of what is taken off
+            # what is wrong in the row of another is taken for noise that it shows
             theirs = np.searchsorted(rows, other.rows(self.coupled))
             series = other.parameter_slopes(self.loads, interval=self.interval)
             slopes[:, theirs] -= self._taken_off(series, other)
@@ -154,9 +155,7 @@ class LoneJob(Job):
 
 def _directions(slopes: Array, covariance: Array, *, least: float) -> Array:
     """Slopes (n, p) turned to independent quantities of variance 1, the faintest of rms below `least` left out."""
-    unit = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    level, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
-    root = unit[:, None] * vectors * np.sqrt(np.maximum(level, 0.0))
+    root = root_of(covariance)
     power, turned = np.linalg.eigh(root.T @ (slopes.T @ slopes) @ root / slopes.shape[0])
     return np.asarray(slopes @ (root @ turned[:, power > least**2]))
 

@@ -148,7 +148,7 @@ def learn(reading: Reading, *, columns: Array, before: Learned | None = None) ->
     sizes, *_ = np.linalg.lstsq(columns[present], reading.values[present], rcond=None)
     left = reading.values - columns @ sizes
     if not present.all():
-        left = _bridged(left, present)
+        left = bridged(left, present)
     learned = _learn(reading, left)
     if not present.all():
         # what a straight line leaves in a gap is noise to this first answer, and to the bridge that follows from it
@@ -156,7 +156,7 @@ def learn(reading: Reading, *, columns: Array, before: Learned | None = None) ->
     return learned if columns.shape[1] == 1 else _learned_beside(reading, learned, columns)
 
 
-def _bridged(left: Array, present: NDArray[np.bool_]) -> Array:
+def bridged(left: Array, present: NDArray[np.bool_]) -> Array:
     """Gaps filled by straight lines between the means of some readings on either side.
 
     A line between two single readings is as uncertain as they are, and looks like a slow force.

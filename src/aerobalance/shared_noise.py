@@ -29,9 +29,9 @@ from aerobalance.channel import Array
 from aerobalance.decoupling import EDGE, LoneComponent
 from aerobalance.dynamics import Dynamics
 from aerobalance.noise_spectrum import ShapedNoise
-from aerobalance.prior import Learned, Reading
+from aerobalance.prior import Learned, Reading, bridged
 from aerobalance.shaping import ShapingFilter
-from aerobalance.spectrum import HANN_BANDWIDTH
+from aerobalance.spectrum import Periodogram
 
 WORTHWHILE: Final = 0.02
 """Decrease of the expected error, as a share of it, from which on noise is taken off."""
@@ -282,26 +282,24 @@ def as_expected(reading: Reading, before: Learned) -> bool:
     """
     if reading.noise is None:
         raise ValueError("the noise that is left has to be known")
-    left = _bridged(reading.values)
-    window = np.hanning(left.size + 2)[1:-1]
-    power = np.abs(np.fft.rfft((left - left.mean()) * window)) ** 2 * reading.interval / np.sum(window**2)
-    frequency: Array = np.arange(power.size) / (left.size * reading.interval)
-    noise = np.full(frequency.size, reading.noise**2 * reading.interval)
-    if reading.color is not None:
-        noise += reading.color.density(frequency)
-    gain = np.abs(reading.dynamics.response(frequency)) ** 2
-    force = gain * (before.shaping.spectrum(frequency) + reading.input_density)
-    silent = np.flatnonzero((force < noise / 10) & (frequency > reading.dynamics.natural_frequency))
-    if silent.size < 4 * PARTS:
+    values, color = reading.values - np.nanmean(reading.values), reading.color
+    seen = Periodogram.of(
+        values if reading.present.all() else bridged(values, reading.present),
+        reading.dynamics,
+        interval=reading.interval,
+        input_density=reading.input_density,
+        color=None if color is None else lambda f, width: color.density(f, width=width),
+    )
+    noise = seen.background(reading.noise**2 * reading.interval)
+    force = seen.gain * before.shaping.spectrum(seen.frequency)
+    silent = np.flatnonzero((force < noise / 10) & (seen.frequency > reading.dynamics.natural_frequency))
+    ratios, weight = (seen.density / (noise + force))[silent], seen.weight[silent]
+    share = np.cumsum(weight) / max(float(weight.sum()), 1e-300)
+    parts = np.array_split(np.arange(silent.size), np.searchsorted(share, np.arange(1, PARTS) / PARTS))
+    if not all(part.size for part in parts):
         return False
-    ratios = [float(np.mean(power[part] / (noise + force)[part])) for part in np.array_split(silent, PARTS)]
-    chance = 5 * float(np.sqrt(HANN_BANDWIDTH * PARTS / silent.size))
-    return max(ratios) < 1 + EXCESS + chance
-
-
-def _bridged(values: Array) -> Array:
-    place, known = np.arange(values.size), np.isfinite(values)
-    return values if known.all() else np.interp(place, place[known], values[known])
+    chance = 5 * float(np.sqrt(PARTS / weight.sum()))
+    return max(float(np.average(ratios[part], weights=weight[part])) for part in parts) < 1 + EXCESS + chance
 
 
 def _impulses(weights: NDArray[np.complex128]) -> Array:
