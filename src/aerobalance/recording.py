@@ -131,7 +131,8 @@ class Recording:
             The recording has no such channel; the message lists those it has.
         """
         if name not in self.channels:
-            raise FitError(f"{self.name} has no channel {name}; it has {', '.join(self.channels) or 'none'}")
+            hint = f"; r{name} becomes {name} by a balance matrix (--balance)" if f"r{name}" in self.channels else ""
+            raise FitError(f"{self.name} has no channel {name}; it has {', '.join(self.channels) or 'none'}{hint}")
         return self.channels[name]
 
 

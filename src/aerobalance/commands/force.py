@@ -121,9 +121,11 @@ def _found(
     known = source.known
     recording, reduction = source.recording(path)
     if not known.names_in(recording):
+        gauges = any(f"r{name}" in recording for name in known.components)
         raise FitError(
             f"{path} has none of the components of the dynamics, {', '.join(known.components)}; it has "
             f"{', '.join(recording.channels) or 'no channels'}"
+            + ("; gauge outputs become loads by a balance matrix (--balance)" if gauges else "")
         )
     noises = {}
     if noise_record is not None:
