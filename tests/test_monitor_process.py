@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="ch
 PROGRAM = """
 from pathlib import Path
 from aerobalance.monitor.command import Reach, monitor
-monitor(folder=Path({folder!r}), reach=Reach(port=0), browser=False, say=lambda text: print(text, flush=True))
+monitor(folder=Path({folder!r}), reach=Reach(port=0), browser=False, last=True, say=lambda text: print(text, flush=True))
 """
 
 

@@ -133,6 +133,7 @@ def monitor(
         reach=command.Reach(host, port, token, certificate, key),
         folder=folder,
         browser=not no_browser,
+        last=True,
         say=typer.echo,
         warn=lambda text: typer.echo(f"warning: {text}", err=True),
     )

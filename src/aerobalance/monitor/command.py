@@ -47,6 +47,7 @@ def monitor(
     reach: Reach | None = None,
     folder: Path | None = None,
     browser: bool = True,
+    last: bool = False,
     say: Callable[[str], None] = lambda _: None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> None:
@@ -63,6 +64,8 @@ def monitor(
         else the present one, if None.
     browser
         Whether to open the page in the browser.
+    last
+        Whether the program has nothing else to do: it ends with the page, by `os._exit`.
     say, warn
         Take a line for the operator.
 
@@ -87,9 +90,13 @@ def monitor(
             "without TLS (--certificate and --key) the token and all that is shown can be read on the network; "
             "use it on a network that you trust, or through a tunnel"
         )
-    from aerobalance.monitor.server import Page, serve  # noqa: PLC0415 - the call is checked before it is loaded
+    from aerobalance.monitor.server import Page  # noqa: PLC0415 - the call is checked before it is loaded
+    from aerobalance.monitor.serving import check_certificate, serve  # noqa: PLC0415
     from aerobalance.monitor.station import Beginning  # noqa: PLC0415
 
+    certificate = None if reach.certificate is None or reach.key is None else (reach.certificate, reach.key)
+    if certificate is not None:
+        check_certificate(*certificate)
     page = Page(Beginning(chosen, Folder(place), setup), door=door)
     name = "localhost" if is_loopback(reach.host) and ":" in reach.host else reach.host
     address = f"{'https' if secure else 'http'}://{name}:{port}/"
@@ -99,8 +106,7 @@ def monitor(
         if browser:
             threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
-    certificate = None if reach.certificate is None or reach.key is None else (reach.certificate, reach.key)
-    serve(page, door, certificate=certificate, ready=ready)
+    serve(page, door, certificate=certificate, ready=ready, last=last)
 
 
 def _check_free(host: str, port: int) -> None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import multiprocessing
-import signal
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -97,6 +96,10 @@ class _Empty(_Body):
     pass
 
 
+class _Stop(_Body):
+    pass
+
+
 class Page:
     """The page's server without its network: the board, the station, and the application.
 
@@ -118,6 +121,7 @@ class Page:
         self._begin = begin
         self.station: Station
         self.ending = asyncio.Event()
+        self._hands = ThreadPoolExecutor(2)
         self.app: ASGIApp = Guard(
             Starlette(
                 routes=[
@@ -138,7 +142,7 @@ class Page:
         )
         self._actions: Mapping[str, tuple[type[_Body], Callable[[Any], Any]]] = {
             "record": (_Record, lambda it: self.station.record(it.name, notes=it.notes, seconds=it.seconds)),
-            "stop": (_Empty, lambda _: self.station.stop()),
+            "stop": (_Stop, lambda _: self.station.stop()),
             "trigger": (_Empty, lambda _: self.station.call()),
             "mark": (_Mark, lambda it: self.station.mark(it.text)),
             "zero": (_Empty, lambda _: self.station.zero()),
@@ -171,6 +175,13 @@ class Page:
             self.ending.set()
             await self.board.tell()
             await asyncio.to_thread(self.station.close)
+            self._hands.shutdown(wait=False)
+
+    def close(self) -> None:
+        """End what is behind the page, where it has begun."""
+        station = getattr(self, "station", None)
+        if station is not None:
+            station.close()
 
     def _call(self, what: Callable[[], None]) -> None:
         """Have something done in the server's loop, from any thread."""
@@ -262,7 +273,9 @@ class Page:
         model, act = action
         try:
             body = model.model_validate_json(await _body(request))
-            found = await asyncio.to_thread(act, body)
+            # a record can be stopped whatever else is asked for and not done yet
+            hands = self._hands if model is _Stop else None
+            found = await asyncio.get_running_loop().run_in_executor(hands, act, body)
         except ClientDisconnect:
             return Response(status_code=400)  # to nobody
         except (_TooLargeError, ValidationError, ReadError, FitError, ValueError, OSError) as problem:
@@ -326,80 +339,3 @@ def _refusal(problem: Exception) -> Response:
     if isinstance(problem, ReadError):
         return JSONResponse({"error": problem.what, "where": problem.where}, 422)
     return JSONResponse({"error": str(problem)}, 413 if isinstance(problem, _TooLargeError) else 409)
-
-
-def serve(page: Page, door: Door, *, certificate: tuple[Path, Path] | None, ready: Callable[[], None]) -> None:
-    """Serve until SIGTERM or Ctrl-C; all processes have ended when this returns.
-
-    Parameters
-    ----------
-    page
-        What is served.
-    door
-        Where.
-    certificate
-        Certificate and key for TLS, or None.
-    ready
-        Called when the server listens.
-    """
-    import uvicorn  # noqa: PLC0415 - only the real server needs it
-
-    tls: dict[str, Any] = {}
-    if certificate is not None:
-        tls = {"ssl_certfile": str(certificate[0]), "ssl_keyfile": str(certificate[1])}
-
-    class _Server(uvicorn.Server):
-        @contextlib.contextmanager
-        def capture_signals(self):  # type: ignore[no-untyped-def]
-            yield
-
-        async def startup(self, sockets=None):  # type: ignore[no-untyped-def]
-            await super().startup(sockets)
-            if self.started:
-                ready()
-
-    config = uvicorn.Config(
-        page.app,
-        host=door.host,
-        port=door.port,
-        log_level="critical",
-        access_log=False,
-        server_header=False,
-        date_header=False,
-        ws="websockets-sansio",
-        ws_max_size=65536,
-        ws_per_message_deflate=False,
-        ws_ping_interval=None,
-        limit_concurrency=200,
-        timeout_keep_alive=5,
-        timeout_graceful_shutdown=1,
-        **tls,
-    )
-    server = _Server(config)
-
-    def close() -> None:  # there is a station only once the server has begun
-        page.station.close()
-
-    closing = threading.Thread(target=close)
-
-    async def run() -> None:
-        loop = asyncio.get_running_loop()
-
-        def end() -> None:
-            page.ending.set()
-            server.should_exit = True
-            if not closing.ident:
-                closing.start()
-
-        for number in (signal.SIGINT, signal.SIGTERM):
-            try:
-                loop.add_signal_handler(number, end)
-            except NotImplementedError:  # Windows
-                signal.signal(number, lambda *_: loop.call_soon_threadsafe(end))
-        await server.serve()
-
-    asyncio.run(run())
-    if closing.ident:
-        closing.join(1.5)
-    for process in multiprocessing.active_children():
-        process.kill()
