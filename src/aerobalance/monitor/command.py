@@ -14,7 +14,8 @@ from typing import Final
 from aerobalance.acquire.setup import load_setup
 from aerobalance.monitor.access import Door, is_loopback
 from aerobalance.monitor.folder import Folder
-from aerobalance.monitor.setups import rig_setup
+from aerobalance.monitor.setups import check_files, rig_setup
+from aerobalance.problems import ReadError
 
 DEFAULT_PORT: Final = 8765
 """Port where none is given."""
@@ -81,6 +82,15 @@ def monitor(
     place = folder or (Path() if setup is None else setup.parent)
     if not place.is_dir() or not os.access(place, os.W_OK):
         raise ValueError(f"the project folder {place} is not there or cannot be written to")
+    try:
+        check_files(chosen, Folder(place))
+    except ReadError as problem:
+        raise ReadError(
+            setup or "set-up",
+            problem.where,
+            f"{problem.what}, where the page reads and writes; move the file below it, or give --folder FOLDER: the "
+            "names of files in the set-up are then read from there",
+        ) from None
     port = reach.port or _free_port(reach.host)
     secure = reach.certificate is not None
     door = Door(reach.host, port, token=reach.token, secure=secure)
@@ -98,15 +108,22 @@ def monitor(
     if certificate is not None:
         check_certificate(*certificate)
     page = Page(Beginning(chosen, Folder(place), setup), door=door)
-    name = "localhost" if is_loopback(reach.host) and ":" in reach.host else reach.host
-    address = f"{'https' if secure else 'http'}://{name}:{port}/"
+    address = _address(door, reach.host)
 
     def ready() -> None:
         say(f"the page is at {address}; Ctrl-C ends it")
         if browser:
-            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+            own = _address(door, "127.0.0.1") if reach.host == "0.0.0.0" else address
+            mine = f"{own}?once={page.app.logins.once()}" if page.app.logins.asked else own
+            threading.Thread(target=webbrowser.open, args=(mine,), daemon=True).start()
 
     serve(page, door, certificate=certificate, ready=ready, last=last)
+
+
+def _address(door: Door, host: str) -> str:
+    """Address of the page for a browser."""
+    name = host if ":" not in host else "localhost" if is_loopback(host) or host == "::" else f"[{host}]"
+    return f"{'https' if door.secure else 'http'}://{name}:{door.port}/"
 
 
 def _check_free(host: str, port: int) -> None:

@@ -61,6 +61,17 @@ class Folder:
         if not inside:
             raise ValueError(f"{str(path)[:200]} is not below the project folder {self.path.name}")
 
+    def named(self, path: Path | str) -> Path:
+        """Return a file that a set-up names, or that is named for a recording.
+
+        Raises
+        ------
+        ValueError
+            It is outside the folder, by links too.
+        """
+        self.check(Path(path))
+        return self.path / path
+
     def recording(self, name: str) -> Path:
         """Return a recording that is there.
 
@@ -110,6 +121,13 @@ class Folder:
         for item in listed:
             stem = Path(item["name"]).stem
             reports = (f"{stem}-identified.html", f"{stem}-force.html")
-            item["reports"] = [name for name in reports if (self.path / name).is_file()]
-            item["identified"] = (self.path / f"{stem}-dynamics.json").is_file()
+            item["reports"] = [name for name in reports if self._has(name)]
+            item["identified"] = self._has(f"{stem}-dynamics.json")
         return listed
+
+    def _has(self, name: str) -> bool:
+        """Whether a file is there, and is in the folder indeed."""
+        try:
+            return self.named(name).is_file()
+        except ValueError:
+            return False

@@ -11,18 +11,19 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final
+from urllib.parse import quote
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from aerobalance.acquire.rig_values import RigName
 from aerobalance.acquire.setup import setup_from
+from aerobalance.io.held_file import is_held
 from aerobalance.monitor.access import REPORT_POLICY, Door, Guard
 from aerobalance.monitor.board import Board, plain
 from aerobalance.monitor.checks import Kind
@@ -122,7 +123,7 @@ class Page:
         self.station: Station
         self.ending = asyncio.Event()
         self._hands = ThreadPoolExecutor(2)
-        self.app: ASGIApp = Guard(
+        self.app = Guard(
             Starlette(
                 routes=[
                     Route("/", self._index),
@@ -262,7 +263,7 @@ class Page:
             return JSONResponse({"error": str(problem)}, 404)
         if path.suffix.lower() not in (".h5", ".csv", ".json", ".toml", ".html") or not path.is_file():
             return JSONResponse({"error": "there is no such file"}, 404)
-        return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+        return await asyncio.to_thread(_download, path)
 
     # ---- actions
 
@@ -312,6 +313,24 @@ class Page:
                 await serving
             with contextlib.suppress(Exception):
                 await socket.close(1001)
+
+
+def _download(path: Path) -> Response:
+    """A file to be kept; what a record that is being written holds at this moment, as a whole file."""
+    if not is_held(path):
+        return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+    from aerobalance.io.hdf5_snapshot import Snapshot  # noqa: PLC0415 - the library of HDF5 comes with it
+
+    try:
+        snapshot = Snapshot(path)
+    except (ReadError, OSError) as problem:
+        return JSONResponse({"error": getattr(problem, "what", str(problem))}, 409)
+    quoted = quote(path.name)
+    headers = {
+        "content-length": str(snapshot.size),
+        "content-disposition": f"attachment; filename*=utf-8''{quoted}",
+    }
+    return StreamingResponse(snapshot.parts(), media_type="application/octet-stream", headers=headers)
 
 
 class _TooLargeError(Exception):
