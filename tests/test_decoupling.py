@@ -13,7 +13,7 @@ from aerobalance.coupled_record import later
 from aerobalance.decoupling import LoneComponent, finer
 from aerobalance.rigs.six_balance import CoupledBalance, random_balance
 from aerobalance.rigs.six_bending import Bending, bending_dynamics
-from seeds import fresh
+from seeds import fresh, new_seed
 
 RATE = 25_000.0
 
@@ -22,7 +22,7 @@ Drawn = tuple[CoupledBalance, CoupledDynamics, int]
 
 @pytest.fixture(scope="module", params=["rigid", "bending"])
 def drawn(request: pytest.FixtureRequest) -> Drawn:
-    entropy = int(np.random.SeedSequence().generate_state(1)[0])
+    entropy = new_seed()
     generator = np.random.default_rng(entropy)
     balance = random_balance(generator)
     if request.param == "rigid":

@@ -22,6 +22,7 @@ from aerobalance.weighing import (
 )
 from aerobalance.weighing.advice import PROPOSALS
 from aerobalance.weighing.model import misalignment_matrix
+from seeds import new_seed
 
 G = STANDARD_GRAVITY
 MASS, CENTRE = 5.0, {"aft": -0.04, "right": 0.003, "up": 0.02}
@@ -158,7 +159,7 @@ def test_exact_without_noise():
 
 
 def test_uncertainties_are_right_by_monte_carlo():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     clean = read(pitch, roll, angles=ANGLES)
@@ -191,7 +192,7 @@ def test_uncertainties_are_right_by_monte_carlo():
 
 
 def test_p_values_are_even_where_the_components_agree():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid(4)
     clean = read(pitch, roll)
@@ -204,7 +205,7 @@ def test_p_values_are_even_where_the_components_agree():
 
 
 def test_scatter_of_each_component_is_found():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     found = weigh_quietly(points(pitch, roll, noisy(rng, read(pitch, roll))))
@@ -214,7 +215,7 @@ def test_scatter_of_each_component_is_found():
 
 
 def test_live_ends_that_differ_are_found_and_kept_apart():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     masses = {"AF": 5.1, "SF": 5.0, "NF": 4.9}
@@ -234,7 +235,7 @@ def test_live_ends_that_differ_are_found_and_kept_apart():
 
 
 def test_centres_that_differ_are_found_and_kept_apart():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     centres = {"RM": {**CENTRE, "up": 0.03}}
@@ -261,7 +262,7 @@ def test_a_wrong_sign_of_a_moment_is_doubted():
 
 
 def test_a_pitch_sweep_names_what_it_cannot_tell():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     clean = read(SWEEP, 0 * SWEEP, angles=ANGLES)
     found = weigh_quietly(points(SWEEP, None, noisy(rng, clean)))
@@ -292,7 +293,7 @@ def test_a_pitch_sweep_names_what_it_cannot_tell():
 
 
 def test_the_advice_is_right():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     clean = read(SWEEP, 0 * SWEEP)
     found = weigh_quietly(points(SWEEP, None, noisy(rng, clean)))
@@ -305,7 +306,7 @@ def test_the_advice_is_right():
 
 
 def test_uncertainty_covers_what_was_left_out():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     noise = np.tile(list(NOISE.values()), (SWEEP.size, 1))
     where = {"pitch": np.radians([-20.0, 0, 8]), "roll": np.radians([0.0, 90, 180])}
@@ -340,7 +341,7 @@ def test_what_one_component_cannot_tell_is_taken_from_the_others():
 
 
 def test_components_that_differ_in_a_pitch_sweep():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     centres = {"RM": {**CENTRE, "right": 0.05}}
     for _ in range(20):
@@ -365,7 +366,7 @@ def test_roll_alone_without_pitch():
 
 @pytest.mark.parametrize("components", [("NF", "AF"), ("AF", "PM"), ("NF", "PM", "SF"), ("RM", "SF"), ("YM", "AF")])
 def test_any_components_with_a_force(components):
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     found = weigh_quietly(points(pitch, roll, noisy(rng, read(pitch, roll, angles=ANGLES)), components))
@@ -393,7 +394,7 @@ def test_one_force_alone_gives_what_it_gives_by_itself():
 
 
 def test_taking_off_the_weight_leaves_the_noise():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     found = weigh_quietly(points(pitch, roll, noisy(rng, read(pitch, roll, angles=ANGLES))))
@@ -416,7 +417,7 @@ def test_taking_off_the_weight_leaves_the_noise():
 
 
 def test_weight_that_was_in_the_zero_counts_by_the_difference_of_attitudes():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     clean = read(pitch, roll, angles=ANGLES)
