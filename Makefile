@@ -5,7 +5,6 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-SEED ?= 0
 ROUNDS ?= 3
 TEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
@@ -15,7 +14,7 @@ demo: $(READY)
 	$(BIN)/aerobalance demo --out build/demo
 
 test: $(READY)
-	$(TEST) --seed $(SEED)
+	$(TEST)$(if $(SEED), --seed $(SEED))
 
 soak: $(READY)
 	@failed=""; \
