@@ -22,7 +22,7 @@ from aerobalance.weighing import (
 )
 from aerobalance.weighing.advice import PROPOSALS
 from aerobalance.weighing.model import misalignment_matrix
-from seeds import new_seed
+from seeds import new_seed, trials
 
 G = STANDARD_GRAVITY
 MASS, CENTRE = 5.0, {"aft": -0.04, "right": 0.003, "up": 0.02}
@@ -165,7 +165,7 @@ def test_uncertainties_are_right_by_monte_carlo():
     clean = read(pitch, roll, angles=ANGLES)
     other_pitch, other_roll = np.radians([-30.0, 5, 40]), np.radians([20.0, 160, 275])
     expected = read(other_pitch, other_roll, angles=ANGLES)
-    draws, scores, disagreements, load_scores = 100, [], 0, []
+    draws, scores, disagreements, load_scores = trials(40, 100), [], 0, []
     for _ in range(draws):
         found = weigh_quietly(points(pitch, roll, noisy(rng, clean)))
         disagreements += not (found.mass_agreement.agree and found.centre_agreement.agree)
@@ -182,12 +182,12 @@ def test_uncertainties_are_right_by_monte_carlo():
         where = {"pitch": other_pitch, "roll": other_roll}
         load_scores.append(((found.loads(**where) - expected) / found.uncertainty(**where)).ravel())
     square = np.mean(np.column_stack([scores, load_scores]) ** 2, axis=0)
-    # Mean square of 100 scores: chi-squared, widened by 57/55 for noise estimated with some 57 degrees of freedom;
+    # Mean square of as many scores: chi-squared, widened by 57/55 for noise estimated with some 57 degrees of freedom;
     # 1e-7 on either side of each of 39 scores fails once in 1e5 runs.
     low, high = stats.chi2.ppf(1e-7, draws) / draws, stats.chi2.isf(1e-7, draws) / draws * 57 / 55
     assert (square > low).all(), (square, entropy)
     assert (square < high).all(), (square, entropy)
-    # Two tests a draw at 0.001: six false alarms of 200 happen once in 1e5 runs.
+    # Two tests a draw at 0.001: six false alarms, of 200 even, happen once in 1e5 runs.
     assert disagreements < 6, entropy
 
 
@@ -196,7 +196,7 @@ def test_p_values_are_even_where_the_components_agree():
     rng = np.random.default_rng(entropy)
     pitch, roll = grid(4)
     clean = read(pitch, roll)
-    found = [weigh_quietly(points(pitch, roll, noisy(rng, clean))) for _ in range(60)]
+    found = [weigh_quietly(points(pitch, roll, noisy(rng, clean))) for _ in range(trials(30, 60))]
     for name in ("mass_agreement", "centre_agreement"):
         tests = [getattr(one, name) for one in found]
         assert {test.degrees_of_freedom for test in tests} == {2 if name == "mass_agreement" else 3}
@@ -310,8 +310,8 @@ def test_uncertainty_covers_what_was_left_out():
     rng = np.random.default_rng(entropy)
     noise = np.tile(list(NOISE.values()), (SWEEP.size, 1))
     where = {"pitch": np.radians([-20.0, 0, 8]), "roll": np.radians([0.0, 90, 180])}
-    scores = []
-    for _ in range(100):
+    draws, scores = trials(40, 100), []
+    for _ in range(draws):
         angles = {name: rng.normal(0, np.radians(1)) for name in ANGLES}
         loads = noisy(rng, read(SWEEP, 0 * SWEEP, angles=angles))
         found = weigh_quietly(points(SWEEP, None, loads, noise=noise))
@@ -321,8 +321,8 @@ def test_uncertainty_covers_what_was_left_out():
     # Chi-squared with 1e-7 on either side. Noise is known, so scatter only adds to it (with 7 degrees of freedom a
     # quarter on average in square): down to 0.75. The misalignments are drawn with the natural
     # scale of 1 deg; one that is fitted instead of left out is one more good score.
-    assert (square < stats.chi2.isf(1e-7, 100) / 100).all(), (square, entropy)
-    assert (square > 0.75 * stats.chi2.ppf(1e-7, 100) / 100).all(), (square, entropy)
+    assert (square < stats.chi2.isf(1e-7, draws) / draws).all(), (square, entropy)
+    assert (square > 0.75 * stats.chi2.ppf(1e-7, draws) / draws).all(), (square, entropy)
 
 
 def test_what_one_component_cannot_tell_is_taken_from_the_others():
@@ -430,7 +430,7 @@ def test_weight_that_was_in_the_zero_counts_by_the_difference_of_attitudes():
         return loads(*run) - np.mean(before, axis=0)
 
     expected = counted(lambda pitch, roll: read(pitch, roll, angles=ANGLES))
-    draws, scores = 100, []
+    draws, scores = trials(40, 100), []
     for _ in range(draws):
         found = weigh_quietly(points(pitch, roll, noisy(rng, clean)))
         u = found.uncertainty(pitch=run.pitch, roll=run.roll, since=zeros)
