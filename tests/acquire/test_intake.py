@@ -11,6 +11,7 @@ from aerobalance.acquire.guards import Limit
 from aerobalance.acquire.intake import AtLevel, AtOnce, AtTime, End, Intake, OnCall, Piece, Plan, Start
 from aerobalance.acquire.source import Block
 from aerobalance.io.hdf5_layout import StoredChannel
+from seeds import new_seed
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N", sign=-1.0, scale=2.0, offset=1.0))
 
@@ -181,7 +182,7 @@ def test_restarted_count_goes_on_by_the_clock_of_the_computer() -> None:
 
 def drifting(ppm, seconds):
     rate, watch = 1000.0, Continuity(1000.0)
-    rng = np.random.default_rng(np.random.SeedSequence().entropy)
+    rng = np.random.default_rng(new_seed())
     events = []
     for number in range(int(seconds * 10)):
         # true time of the source's sample, and an arrival up to 40 ms later

@@ -29,6 +29,7 @@ from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import Provenance, StoredChannel
 from aerobalance.problems import DoubtWarning, FitError
+from seeds import new_seed
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N"))
 
@@ -59,7 +60,7 @@ def stored(path):
 
 
 def test_what_the_source_gave_is_in_the_file_to_the_last_bit(tmp_path) -> None:
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     take = Take(job(tmp_path / "run.h5"))
     given, tick = {}, 5_000_000_000
@@ -179,14 +180,14 @@ def kill_recorders(folder, count, seed):
 
 
 def test_kill_of_recorder_or_source_loses_nothing_acknowledged(tmp_path) -> None:
-    seed = np.random.SeedSequence().entropy
+    seed = new_seed()
     print(f"seed {seed}")  # noqa: T201 - shown on failure
     kill_recorders(tmp_path, 10, seed)
 
 
 @pytest.mark.long
 def test_kill_of_recorder_or_source_a_hundred_times(tmp_path) -> None:
-    seed = np.random.SeedSequence().entropy
+    seed = new_seed()
     print(f"seed {seed}")  # noqa: T201 - shown on failure
     kill_recorders(tmp_path, 100, seed)
 

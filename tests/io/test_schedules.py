@@ -12,6 +12,7 @@ from aerobalance.io.load_columns import balance_type_of, load_key
 from aerobalance.io.schedule import read_schedule, write_balfit_schedule
 from aerobalance.io.units import conversion
 from aerobalance.problems import DoubtWarning, FitError, ReadError
+from seeds import new_seed
 
 POUND = 0.45359237 * 9.80665  # international pound (1959) and standard gravity (1901), both exact
 INCH = 0.0254
@@ -607,7 +608,7 @@ def test_balfit_that_cannot_be_read_says_where_and_what(tmp_path, kind):
 
 
 def test_balfit_written_and_read_again_is_the_same(tmp_path):
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     text = balfit(temperature=(12, "degC", ["20.5", "21", "22", "19"]))
     for number in np.unique(balfit_numbers()[0]):
