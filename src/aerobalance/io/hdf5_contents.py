@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 
 from aerobalance.anti_alias import AntiAlias, Kind
 from aerobalance.channel import Channel, Coupling, CrossAxis, unit_inside
+from aerobalance.io.hdf5_closing import marked_as_written
 from aerobalance.io.hdf5_layout import BLOCK, CHANNELS, EVENT, FORMAT, GAP, STATUS, StoredChannel
 from aerobalance.problems import ReadError
 
 if TYPE_CHECKING:
     import h5py
 
-_FLAGGED_VERSION: Final = 3
-_WRITING: Final = 0b101
 _COUPLINGS: Final = ("kinematic", "dc", "ac")
 
 
@@ -91,7 +90,10 @@ def opened(path: Path) -> Iterator[h5py.File]:
     import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
 
     try:
-        with h5py.File(path, "r", swmr=_being_written(path), libver="latest", locking="best-effort") as file:
+        marked = _being_written(path)
+        # Beside a writer its lock stands in nobody's way, and the library wants both opened in one way in a process.
+        locking = False if marked else "best-effort"
+        with h5py.File(path, "r", swmr=marked, libver="latest", locking=locking) as file:
             yield file
     except (ReadError, GeneratorExit):
         raise
@@ -109,8 +111,7 @@ def _being_written(path: Path) -> bool:
     to be written, which never happens in a damaged file.
     """
     with path.open("rb") as file:
-        head = file.read(12)
-    return len(head) == 12 and head[8] >= _FLAGGED_VERSION and bool(head[11] & _WRITING)
+        return marked_as_written(file.read(12))
 
 
 def contents_of(path: Path, file: h5py.File) -> Contents:
