@@ -114,6 +114,11 @@ def close_all_broken_off(folder: Path) -> list[str]:
     return done
 
 
+def closed_text(name: str) -> str:
+    """Say that the mark was taken off a file."""
+    return f"{name} was broken off by a kill; it is closed now, so that every HDF5 program opens it"
+
+
 @contextlib.contextmanager
 def _alone(path: Path) -> Iterator[int | None]:
     """Open a marked file under a lock that only one can have; None where it is not marked, or somebody has it."""

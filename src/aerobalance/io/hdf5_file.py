@@ -127,7 +127,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
         labels = _numbers(path, found, wanted)
         ticks, readings, stamps = _samples(path, file, found, labels, doubts)
     if found.state != "ended":
-        doubts.append("the record was not ended (it is still written to, or broken off); its complete blocks are used")
+        doubts.append(_not_ended(found))
     touched = contact_doubt(found.events, rate=found.rate, origin=found.origin)
     for text in (*doubts, *([touched] if touched else [])):
         warnings.warn(f"{path.name}: {text}", DoubtWarning, stacklevel=4)
@@ -218,6 +218,16 @@ def _write_whole(path: Path, channels: Sequence[StoredChannel], values: Array, t
             file["status"][...] = status_row("ended", "converted")
     except OSError as error:
         raise disk_full(error) from error
+
+
+def _not_ended(found: Contents) -> str:
+    text = "the record was not ended (it is still written to, or broken off); its complete blocks are used"
+    if not found.marked:
+        return text
+    return (
+        f"{text}. Other HDF5 programs refuse it until it is closed: after a kill the next `aerobalance record` or "
+        "`aerobalance monitor` in its folder does so, and `h5clear -s -i 0 FILE` does"
+    )
 
 
 def _block(file: h5py.File, found: Contents, number: int) -> Array | None:
