@@ -8,6 +8,7 @@ import struct
 import threading
 import time
 
+import h5py
 import numpy as np
 import pytest
 from starlette.websockets import WebSocketDisconnect
@@ -531,7 +532,9 @@ def test_record_with_zero_mark_and_set_up(running) -> None:
     assert running.post("record", name="one").status_code == 409  # never written over
     kept = contents(running.folder / "one.h5")
     assert kept.state == "ended"
-    assert "the first" in kept.setup and "offset" in kept.setup
+    with h5py.File(running.folder / "one.h5") as file:
+        written = file["setup"][...].tobytes().decode()
+    assert "the first" in written and "offset" in written
     assert kept.channels[0].offset == pytest.approx(-zero)
     assert running.post("job", verb="info", recording="one.h5").status_code == 200
     state = running.wait(lambda state: state["tasks"] and state["tasks"][-1]["state"] in ("done", "failed"))

@@ -13,6 +13,7 @@ import zlib
 from pathlib import Path
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 
@@ -75,7 +76,9 @@ def test_what_the_source_gave_is_in_the_file_to_the_last_bit(tmp_path) -> None:
     assert list(found) == list(given), f"seed {entropy}"
     assert all(found[tick].tobytes() == given[tick].tobytes() for tick in given), f"seed {entropy}"
     said = contents(tmp_path / "run.h5")
-    assert (said.state, said.reason, said.setup) == ("ended", "done", 'name = "x"\n')
+    assert (said.state, said.reason) == ("ended", "done")
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert file["setup"][...].tobytes() == b'name = "x"\n'
     gaps = {tick for gap in said.gaps for tick in range(gap["tick"], gap["tick"] + gap["samples"])}
     assert gaps == set(range(min(given), max(given))) - set(given)
     # the checksum as the layout describes it, worked out without the library

@@ -18,6 +18,7 @@ from aerobalance.acquire.planned import plan_of
 from aerobalance.acquire.recorder import Job, Progress, Tell, run_recorder
 from aerobalance.acquire.setup import Setup, setup_text, stored_channels
 from aerobalance.acquire.spawning import start
+from aerobalance.io.hdf5_closing import close_broken_off
 from aerobalance.io.hdf5_layout import Provenance
 from aerobalance.problems import FitError
 
@@ -89,6 +90,8 @@ class Recorder:
     def _gone(self) -> None:
         if not self.progress.over:
             last = self.progress
+            with contextlib.suppress(OSError):  # so that other HDF5 programs can open it
+                close_broken_off(last.path)
             reason = "the recorder is gone without a word (killed, or crashed); all acknowledged blocks are kept"
             names = Progress.__slots__
             kept = {name: getattr(last, name) for name in names if name not in ("state", "reason")}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,7 +16,8 @@ from aerobalance.acquire.recorder import Progress
 from aerobalance.acquire.session import Recorder, Session
 from aerobalance.acquire.setup import SOURCES, Setup, load_setup, setup_from
 from aerobalance.commands.shared import Account
-from aerobalance.problems import FitError
+from aerobalance.io.hdf5_closing import close_all_broken_off, closed_text
+from aerobalance.problems import DoubtWarning, FitError
 
 _TICK = 0.1
 
@@ -66,6 +68,8 @@ def record(
         raise ValueError(f"cannot record to {out}: recordings are written as .h5; `aerobalance convert` makes others")
     chosen = wished(setup, wishes or Wishes())
     folder = Path() if setup is None else setup.parent
+    for name in close_all_broken_off(out.parent):
+        warnings.warn(closed_text(name), DoubtWarning, stacklevel=2)
     with _told(out) as told, Session(chosen, folder.resolve()) as session:
         recorder = session.record(out, replace=replace)
         recorder.ready()

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from aerobalance.acquire.setup import load_setup
+from aerobalance.io.hdf5_closing import close_all_broken_off, closed_text
 from aerobalance.monitor.access import Door, is_loopback
 from aerobalance.monitor.folder import Folder
 from aerobalance.monitor.setups import rig_setup
@@ -78,6 +79,8 @@ def monitor(
     place = folder or (Path() if setup is None else setup.parent)
     if not place.is_dir() or not os.access(place, os.W_OK):
         raise ValueError(f"the project folder {place} is not there or cannot be written to")
+    for name in close_all_broken_off(place):
+        warn(closed_text(name))
     port = reach.port or _free_port(reach.host)
     secure = reach.certificate is not None
     door = Door(reach.host, port, token=reach.token, secure=secure)
