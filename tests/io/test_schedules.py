@@ -683,7 +683,7 @@ def test_table_in_volts_needs_the_excitation(tmp_path):
 
 
 BAD_TABLE = {
-    "no pairs": ("time [s],AF [N]\n0,1\n", ["column 1 ('time [s]')", "neither a load", "rNAME"]),
+    "no pairs": ("time [s],AF [N]\n0,1\n", ["header", "line 1 has 'time [s]; AF [N]'", "rNAME", "--map", ".vol"]),
     "output in volts": ("AF [N],rAF [mV]\n1,2\n", ["column 2", "a gauge output", "excitation [V]"]),
     "zero excitation": ("AF [N],rAF [mV],excitation [V]\n1,2,5\n1,2,0\n", ["line 3", "excitation is 0 V"]),
     "load missing": ("AF [N],rAF [mV/V]\n1,2\n,2\n", ["line 3, column 1", "missing"]),
@@ -692,7 +692,7 @@ BAD_TABLE = {
     "flag of two": ("AF [N],rAF [mV/V],confirmation\n1,2,2\n", ["line 2, column 3", "0 and 1"]),
     "zeros only": ("AF [N],rAF [mV/V],natural_zero\n,2,1\n", ["natural zeros only"]),
     "column twice": ("AF [N],AF [lbf],rAF [mV/V]\n1,2,3\n", ["column 2", "already"]),
-    "prose": ("Dear reader\n\nnothing here\n", ["line 3", "no number", ".vol"]),
+    "prose": ("Dear reader\n\nnothing here\n", ["header", "line 1 has 'Dear reader'", "rN1", ".vol"]),
     "empty": ("", ["is empty"]),
     "temperature in m": ("AF [N],rAF [mV/V],temperature [m]\n1,2,2\n", ["column 3", "a temperature"]),
 }
