@@ -17,10 +17,14 @@ from aerobalance.acquire.continuity import Event, Gap
 from aerobalance.acquire.feed import Address, Feed, Sender
 from aerobalance.acquire.intake import End, Intake, Output, Piece, Plan, Start
 from aerobalance.acquire.source import Block
-from aerobalance.io.hdf5_layout import BlockWriter, DiskFullError, Provenance
+from aerobalance.io.hdf5_layout import BlockWriter, DiskFullError, Provenance, plain_reason
+from aerobalance.io.held_file import HeldFile, Mishap
 
 PATIENCE: Final = 1.0
 """Time after which samples are written although their block is not full, where none follow [s]."""
+
+LOOKED: Final = 0.25
+"""Time between looks at whether the file is still in its place [s]."""
 
 _TICK: Final = 0.1
 _AT_ONCE: Final = 64
@@ -47,7 +51,7 @@ class Progress:
     reason
         Why it ended, or what it waits for.
     path
-        The file.
+        The file; not as at the beginning where it was deleted, moved or replaced meanwhile.
     blocks
         Blocks acknowledged.
     samples
@@ -68,6 +72,10 @@ class Progress:
         Space left on the disk [bytes].
     full
         Whether a full disk ended the record.
+    mishap
+        What other programs did to the file, and where the record is now; an empty string for nothing.
+    unkept
+        Whether that ended the record.
     """
 
     state: State
@@ -83,6 +91,8 @@ class Progress:
     touched: int = 0
     free: int = 0
     full: bool = False
+    mishap: str = ""
+    unkept: bool = False
 
     @property
     def over(self) -> bool:
@@ -131,10 +141,13 @@ class Take:
         self.writer = BlockWriter(
             Path(job.path), plan.channels, rate=plan.rate, rows=plan.rows, provenance=job.provenance
         )
-        self.progress = Progress("waiting", plan.trigger.text, job.path, free=self._free())
+        self.held = HeldFile(Path(job.path))
+        self.progress = Progress("waiting", plan.trigger.text, job.path)
+        self._set(free=self._free())
         self._block_bytes = plan.rows * len(plan.channels) * 8
         self._origin = 0
         self._end: str | None = None
+        self._gone = False
 
     def feed(self, block: Block) -> bool:
         """Take a block; say whether something was acknowledged or noted."""
@@ -150,6 +163,7 @@ class Take:
 
     def end(self, reason: str) -> None:
         """Write the rest and close the file."""
+        self.look()
         if self.progress.over:
             return
         try:
@@ -161,6 +175,44 @@ class Take:
             self._full(str(problem))
             return
         self._set(state="ended", reason=reason)
+        self.held.release()
+
+    def look(self) -> bool:
+        """See whether the file is still in its place, and go on where it is now; say whether anything has happened."""
+        mishap = None if self.progress.over or self._gone else self.held.look()
+        if mishap is None:
+            return False
+        if mishap.path is None:
+            self._lost(mishap)
+            return True
+        text = mishap.text
+        if mishap.path.name not in text:
+            text += f"; the record is in {mishap.path.name}, with all samples"
+        before = self.progress.mishap
+        self._set(path=str(mishap.path), mishap=f"{before}; {text}" if before else text)
+        with contextlib.suppress(DiskFullError):
+            self.note("file", text)
+        return True
+
+    def _lost(self, mishap: Mishap) -> None:
+        """End a record whose file has no name any more: what is still open is copied to a new file."""
+        self._gone = self.intake.ended = True
+        reason = f"{mishap.text}; the record was ended"
+        if mishap.damaged:
+            reason += ", and what the file holds is damaged"
+            self._set(state="ended", reason=reason, mishap=reason, unkept=True, blocks=0, samples=0)
+            return
+        try:
+            self._write(self.intake.flush())
+            with contextlib.suppress(DiskFullError):
+                self.writer.finish(reason)
+            copy = self.held.copy()
+            reason += f", and what it holds was copied to {copy.name}"
+            self._set(path=str(copy))
+        except OSError as problem:
+            reason += f"; it could not be copied ({problem.strerror or problem}) and is lost"
+            self._set(blocks=0, samples=0)
+        self._set(state="ended", reason=reason, mishap=reason, unkept=True)
 
     def _write(self, outputs: list[Output]) -> bool:
         try:
@@ -195,6 +247,9 @@ class Take:
         self._set(events=done.events + 1, touched=done.touched + (event.kind == "contact"))
 
     def _piece(self, piece: Piece) -> None:
+        self.look()
+        if self.progress.over:
+            return
         free = self._free()
         if free < self.job.keep_free + 2 * self._block_bytes:
             self._set(full=True, free=free)
@@ -228,7 +283,7 @@ class Take:
 
     def _free(self) -> int:
         try:
-            return shutil.disk_usage(Path(self.job.path).parent).free
+            return shutil.disk_usage(Path(self.progress.path).parent).free
         except OSError:
             return 0
 
@@ -245,8 +300,8 @@ def run_recorder(job: Job, address: Address, control: Connection[Any, Any]) -> N
         feed = Feed(address, viewer=False)
         take = Take(job)
     except (OSError, EOFError, RuntimeError) as problem:
-        text = f"cannot record to {job.path}: {getattr(problem, 'strerror', None) or problem or 'the source is gone'}"
-        control.send(Progress("failed", " ".join(text.split()), job.path))
+        text = "the source is gone" if isinstance(problem, EOFError) else plain_reason(problem)
+        control.send(Progress("failed", f"cannot record to {job.path}: {text}", job.path))
         return
     teller = Sender(control, _UNHEARD)
     _tell(teller, take.progress)
@@ -259,7 +314,7 @@ def run_recorder(job: Job, address: Address, control: Connection[Any, Any]) -> N
 def _record(take: Take, feed: Feed, starter: tuple[Connection[Any, Any], Sender], told: list[str]) -> None:
     """Serve the source and the starter until the record is over."""
     control, teller = starter
-    last = time.monotonic()
+    last = looked = time.monotonic()
     while not take.progress.over:
         ready = wait([feed.connection, control], _TICK)
         if told:
@@ -268,11 +323,16 @@ def _record(take: Take, feed: Feed, starter: tuple[Connection[Any, Any], Sender]
         if control in ready and not _obey(take, control):
             return
         changed = False
+        if time.monotonic() - looked > LOOKED:
+            looked = time.monotonic()
+            changed = take.look()
+            if take.progress.over:
+                return
         if feed.connection in ready:
             last = time.monotonic()
-            changed = _drain(take, feed)
+            changed |= _drain(take, feed)
         elif time.monotonic() - last > PATIENCE:
-            changed = take.flush()
+            changed |= take.flush()
         if changed and not take.progress.over:
             _tell(teller, take.progress)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import secrets
 import shutil
 import tempfile
@@ -20,6 +21,7 @@ from aerobalance.acquire.setup import Setup, setup_text, stored_channels
 from aerobalance.acquire.spawning import start
 from aerobalance.io.hdf5_closing import close_broken_off
 from aerobalance.io.hdf5_layout import Provenance
+from aerobalance.io.held_file import refuse_held
 from aerobalance.problems import FitError
 
 _STARTING: Final = 60.0
@@ -191,7 +193,7 @@ class Session:
         ReadError
             The balance matrix cannot be read.
         ValueError
-            The file is there already, or the disk has no room for the record.
+            The file is there already, is being written, or the disk has no room for the record.
         """
         setup = setup or self.setup
         channels = stored_channels(setup, self.hello.channels)
@@ -202,10 +204,7 @@ class Session:
 
             matrix = read_matrix(self._files / setup.files.balance)
         plan = plan_of(setup, channels, self.hello.rate, balance=matrix)
-        if path.is_dir() or not path.parent.is_dir():
-            raise ValueError(f"cannot write {path}: it is a folder, or there is no folder {path.parent}")
-        if path.exists() and not replace:
-            raise ValueError(f"{path} is there already; a recording is never overwritten unless told to (--replace)")
+        _check_name(path, replace=replace)
         keep_free = round(setup.record.keep_free * 1e6)
         # without an end, a second is the least that is worth beginning
         samples = (plan.length or max(2 * plan.rows, round(plan.rate))) + plan.before
@@ -217,6 +216,7 @@ class Session:
                 f"{path.parent} has {free / 1e6:.0f} MB left; record for less time, or elsewhere"
             )
         if replace:
+            refuse_held(path)
             path.unlink(missing_ok=True)
         provenance = Provenance(self.hello.description, setup_text(setup), setup.name)
         return Recorder(Job(str(path), plan, self.hello.clocked, provenance, keep_free), self.address)
@@ -235,3 +235,15 @@ class Session:
     def _order(self, order: Order) -> None:
         with contextlib.suppress(OSError):
             self._control.send(order)
+
+
+def _check_name(path: Path, *, replace: bool) -> None:
+    """Refuse a file that cannot be recorded to."""
+    try:
+        if path.is_dir() or not path.parent.is_dir():
+            raise ValueError(f"cannot write {path}: it is a folder, or there is no folder {path.parent}")
+        taken = os.path.lexists(path)  # a link that leads nowhere as well
+    except OSError as problem:
+        raise ValueError(f"cannot write {str(path)[:200]}: {problem.strerror or problem}") from None
+    if taken and not replace:
+        raise ValueError(f"{path} is there already; a recording is never overwritten unless told to (--replace)")

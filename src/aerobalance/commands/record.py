@@ -17,6 +17,7 @@ from aerobalance.acquire.session import Recorder, Session
 from aerobalance.acquire.setup import SOURCES, Setup, load_setup, setup_from
 from aerobalance.commands.shared import Account
 from aerobalance.io.hdf5_closing import close_all_broken_off, closed_text
+from aerobalance.io.held_file import recover_all
 from aerobalance.problems import DoubtWarning, FitError
 
 _TICK = 0.1
@@ -68,7 +69,10 @@ def record(
         raise ValueError(f"cannot record to {out}: recordings are written as .h5; `aerobalance convert` makes others")
     chosen = wished(setup, wishes or Wishes())
     folder = Path() if setup is None else setup.parent
-    for name in close_all_broken_off(out.parent):
+    for found in recover_all(out.parent):
+        text = "its record was broken off by a kill after it had lost its name; what was written is in it"
+        warnings.warn(f"{found.name} is back: {text}", DoubtWarning, stacklevel=2)
+    for name in close_all_broken_off(out.parent):  # those that are back as well
         warnings.warn(closed_text(name), DoubtWarning, stacklevel=2)
     with _told(out) as told, Session(chosen, folder.resolve()) as session:
         recorder = session.record(out, replace=replace)
@@ -76,7 +80,9 @@ def record(
         told.begun = True
         session.start()
         progress = _follow(recorder, session, told, show or (lambda _: None))
-    return _account(out, progress, bool(told), [said.text for said in session.said if said.kind == "refused"])
+    if progress.mishap and not progress.unkept:
+        warnings.warn(progress.mishap, DoubtWarning, stacklevel=2)
+    return _account(progress, bool(told), [said.text for said in session.said if said.kind == "refused"])
 
 
 def wished(setup: Path | None, wishes: Wishes) -> Setup:
@@ -160,12 +166,16 @@ def line(progress: Progress) -> str:
     if progress.state == "waiting":
         return f"waiting for the trigger ({progress.reason}); disk left {progress.free / 1e9:.1f} GB"
     gaps = f"{progress.gaps} gap(s), {progress.lost} samples lost" if progress.gaps else "no gaps"
-    return f"{progress.seconds:.1f} s, {progress.blocks} blocks, {gaps}; disk left {progress.free / 1e9:.1f} GB"
+    mishap = f"; {progress.mishap}" if progress.mishap else ""
+    return (
+        f"{progress.seconds:.1f} s, {progress.blocks} blocks, {gaps}; disk left {progress.free / 1e9:.1f} GB{mishap}"
+    )
 
 
-def _account(out: Path, progress: Progress, told: bool, refused: list[str]) -> Account:
+def _account(progress: Progress, told: bool, refused: list[str]) -> Account:
+    out = Path(progress.path)
     crashed = "gone without a word" in progress.reason or "failed" in progress.reason
-    if crashed or progress.full or not (progress.samples or told):
+    if crashed or progress.full or progress.unkept or not (progress.samples or told):
         kept = f"{progress.blocks} block(s), {progress.samples} samples of each channel are in {out.name}"
         raise FitError(f"the record ended early: {progress.reason}; {kept}")
     return {
@@ -177,5 +187,5 @@ def _account(out: Path, progress: Progress, told: bool, refused: list[str]) -> A
         "gaps": progress.gaps,
         "lost": progress.lost,
         "events": progress.events,
-        "warnings": refused,
+        "warnings": [*refused, *([progress.mishap] if progress.mishap else [])],
     }

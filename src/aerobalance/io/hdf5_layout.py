@@ -24,6 +24,7 @@ import errno
 import io
 import json
 import os
+import re
 import struct
 import time
 import zlib
@@ -381,7 +382,20 @@ def disk_full(error: Exception) -> DiskFullError:
     known = getattr(error, "errno", None) in FULL or any(f"errno = {number}," in text for number in FULL)
     if known or "no space left" in text or "file too large" in text or "quota exceeded" in text:
         return DiskFullError("the disk, its quota or the largest size of a file is used up")
-    return DiskFullError(f"the file can no longer be written: {' '.join(str(error).split())[:200]}")
+    return DiskFullError(f"the file can no longer be written: {plain_reason(error)}")
+
+
+def plain_reason(error: Exception) -> str:
+    """Say in the system's words why a file could not be made or written; the library hides the error number."""
+    number = getattr(error, "errno", None)
+    found = re.search(r"errno = (\d+)", str(error))
+    if not isinstance(number, int) and found:
+        number = int(found[1])
+    if number == errno.EEXIST:
+        return "it is there already, made by another program just now; give another name"
+    if isinstance(number, int) and number > 0:
+        return os.strerror(number).lower()
+    return "it is locked, damaged, or of no use to the HDF5 library"
 
 
 def _cross_axis_text(channel: StoredChannel) -> bytes:

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from aerobalance.io.held_file import refuse_held
+
 
 @contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
@@ -29,13 +31,14 @@ def replacing(path: Path | str) -> Iterator[Path]:
     Raises
     ------
     ValueError
-        The folder does not exist or cannot be written to, or `path` is a folder.
+        The folder does not exist or cannot be written to, `path` is a folder, or a recording that is being written.
     """
     target = Path(path)
     if target.is_dir():
         raise ValueError(f"{target} is a folder; the name of a file is needed")
     if not target.parent.is_dir():
         raise ValueError(f"cannot write {target}: there is no folder {target.parent}")
+    refuse_held(target)
     try:
         handle, name = tempfile.mkstemp(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent)
     except OSError as error:
@@ -47,6 +50,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
         with beside.open("rb+") as file:
             os.fsync(file.fileno())
         beside.chmod(_mode(target))
+        refuse_held(target)  # a record may have begun meanwhile
         beside.replace(target)
     except OSError as error:
         raise ValueError(f"cannot write {target}: {error.strerror or error}") from error

@@ -48,4 +48,5 @@ def _record(station: Station) -> dict[str, Any]:
     if progress is None:
         return {"state": "none"}
     names = ("state", "reason", "blocks", "samples", "seconds", "gaps", "lost", "events", "touched", "free", "full")
+    names += ("mishap", "unkept")
     return {name: getattr(progress, name) for name in names} | {"file": Path(progress.path).name}

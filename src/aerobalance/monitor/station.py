@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 from aerobalance.acquire.recorder import Progress, Tell
 from aerobalance.acquire.session import Recorder, Session
 from aerobalance.acquire.setup import Setup, save_setup, setup_text
+from aerobalance.io.held_file import recover_all
 from aerobalance.monitor.checks import Checks
 from aerobalance.monitor.folder import Folder
 from aerobalance.monitor.messages import Answer, Means, News, SetZeros, TakeZeros, Watch, Watching, Zeros
@@ -84,6 +85,9 @@ class Station:
         self.marker: Callable[[str, str], None] = lambda *_: None
         self.listed_version = 0
         self.sweep: dict[str, Any] | None = None
+        for found in recover_all(self.folder.path):
+            text = "its record was broken off by a kill after it had lost its name; what was written is in it"
+            self.say(f"{found.name} is back: {text}", kind="error")
         self.checks = Checks(self)
         self.engine = Engine(self._answer)
         self.tasks = Tasks(self)
@@ -224,7 +228,9 @@ class Station:
         self.changed()
 
     def _ended(self, progress: Progress) -> None:
-        bad = progress.full or progress.state == "failed" or "gone without a word" in progress.reason
+        bad = (
+            progress.full or progress.unkept or progress.state == "failed" or "gone without a word" in progress.reason
+        )
         name = Path(progress.path).name
         text = f"record {name} ended: {progress.reason}; {progress.seconds:.2f} s, {progress.blocks} blocks"
         if progress.gaps:
@@ -350,6 +356,9 @@ class Station:
             if self.progress.over:
                 self._ended(self.progress)
             elif self.progress != before:
+                if before is not None and self.progress.mishap != before.mishap:
+                    self.say(self.progress.mishap, kind="error")
+                    self.listed_version += 1
                 self.changed()
 
     def say(self, text: str, *, kind: str = "info") -> None:

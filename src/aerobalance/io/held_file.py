@@ -1,0 +1,232 @@
+"""A file while it is being written: nobody may replace it, and it is not lost with its name.
+
+A writer holds a shared lock on its file, so that readers are let in and whoever would replace the file is not. The
+file has a second, hidden name beside it for as long: where the first is deleted or goes to another file, the content
+is still there under the second, with all that was written, and is given a new name beside the old one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import sys
+from pathlib import Path
+from typing import Final, NamedTuple
+
+if sys.platform != "win32":
+    import fcntl
+
+SPARE: Final = ".recording"
+"""Ending of the second name, which begins with a dot."""
+
+_LONGEST: Final = 200
+_MOST_NAMES: Final = 10_000
+
+
+class Mishap(NamedTuple):
+    """What has happened to a file that is being written.
+
+    Attributes
+    ----------
+    text
+        In words, beginning with the name that the file had.
+    path
+        Where the file is now; None where it has no name any more, or was cut short.
+    damaged
+        Whether what was written is no longer in it.
+    """
+
+    text: str
+    path: Path | None
+    damaged: bool = False
+
+
+class HeldFile:
+    """Holds a file that is being written, under whatever name it has.
+
+    Parameters
+    ----------
+    path
+        The file, which must exist.
+
+    Raises
+    ------
+    OSError
+        It cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.absolute()
+        self._first = self.path
+        self._spare = self.path.with_name(f".{path.name[:_LONGEST]}{SPARE}")
+        self._handle = _locked(self.path)
+        self._size = 0
+        if sys.platform != "win32":  # there, an open file can be neither deleted nor replaced
+            self._link()
+
+    def look(self) -> Mishap | None:
+        """Return what has happened to the file since the last look; None where it is in its place and whole."""
+        if sys.platform == "win32":
+            return None
+        size = os.fstat(self._handle).st_size
+        if size < self._size:
+            return Mishap(f"{self.path.name} was cut short by another program while it was written", None, True)
+        self._size = size
+        if self._is(self.path):
+            if not self._is(self._spare):
+                self._link()
+            return None
+        old, there = self.path.name, os.path.lexists(self.path)
+        moved = Path(f"/proc/self/fd/{self._handle}")
+        with contextlib.suppress(OSError):
+            moved = moved.readlink()
+        if self._is(moved) and moved not in (self._spare, Path(f"/proc/self/fd/{self._handle}")):
+            self.path = moved
+            return Mishap(f"{old} was moved to {moved} while it was written", moved)
+        what = "was replaced by another file" if there else "was deleted"
+        found = self._new_name() if self._is(self._spare) else None
+        if found is not None:
+            handle = _locked(found)  # by its new name, so that it can be followed from there
+            os.close(self._handle)
+            self._handle, self.path = handle, found
+        return Mishap(f"{old} {what} while it was written", found)
+
+    def copy(self) -> Path:
+        """Copy the content of a file that has no name any more, and return the copy.
+
+        Raises
+        ------
+        OSError
+            It cannot be copied.
+        """
+        self._first.parent.mkdir(parents=True, exist_ok=True)
+        with os.fdopen(os.dup(self._handle), "rb") as source:
+            for path in _names(self._first):
+                try:
+                    target = path.open("xb")
+                except FileExistsError:
+                    continue
+                with target:
+                    source.seek(0)
+                    shutil.copyfileobj(source, target, 2**20)
+                    target.flush()
+                    os.fsync(target.fileno())
+                self.path = path
+                return path
+        raise FileExistsError(f"all names beside {self._first} are taken")
+
+    def release(self) -> None:
+        """Let the file go: it is complete, and has its one name."""
+        if self._is(self._spare) and self._is(self.path):
+            with contextlib.suppress(OSError):
+                self._spare.unlink()
+        os.close(self._handle)
+
+    def _is(self, path: Path) -> bool:
+        """Whether a name is that of the file which is held."""
+        try:
+            return os.path.samestat(os.lstat(path), os.fstat(self._handle))
+        except OSError:
+            return False
+
+    def _link(self) -> None:
+        """Give the file its second name, where the file system has such."""
+        with contextlib.suppress(OSError):
+            if os.path.lexists(self._spare) and not is_held(self._spare):
+                recover(self._spare)
+            os.link(self.path, self._spare)
+
+    def _new_name(self) -> Path | None:
+        for path in _names(self._first):
+            try:
+                os.link(self._spare, path)
+            except FileExistsError:
+                continue
+            except OSError:
+                return None
+            return path
+        return None
+
+
+def _locked(path: Path) -> int:
+    """Open a file and lock it against being replaced, where the file system has locks."""
+    handle = os.open(path, os.O_RDONLY)
+    if sys.platform != "win32":
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    return handle
+
+
+def is_held(path: Path) -> bool:
+    """Say whether a file is being written at this moment, or is otherwise locked by another program."""
+    if sys.platform == "win32":
+        return False
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # a file system without locks
+        return False
+    else:
+        return False
+    finally:
+        os.close(handle)
+
+
+def refuse_held(path: Path) -> None:
+    """Refuse to replace a file that is being written.
+
+    Raises
+    ------
+    ValueError
+        It is.
+    """
+    if is_held(path):
+        raise ValueError(
+            f"{path} is being recorded, or is in use by another program, and is not replaced; "
+            "let that end first, or give another name"
+        )
+
+
+def recover(spare: Path) -> Path | None:
+    """Tidy up the second name of a file whose writer was killed; return the file's new name where it had lost its own.
+
+    Parameters
+    ----------
+    spare
+        The second name.
+    """
+    if not spare.is_file() or spare.is_symlink() or is_held(spare):
+        return None
+    found: Path | None = None
+    if os.lstat(spare).st_nlink == 1:  # its own name is gone
+        first = spare.with_name(spare.name.removeprefix(".").removesuffix(SPARE))
+        for path in (first, *_names(first)):
+            with contextlib.suppress(FileExistsError):
+                os.link(spare, path)
+                found = path
+                break
+        else:
+            return None
+    spare.unlink(missing_ok=True)
+    return found
+
+
+def recover_all(folder: Path) -> list[Path]:
+    """Tidy up in a folder after writers that were killed; return the files that had lost their names."""
+    found = []
+    for spare in folder.glob(f".*{SPARE}"):
+        with contextlib.suppress(OSError):
+            path = recover(spare)
+            found += [] if path is None else [path]
+    return found
+
+
+def _names(path: Path) -> list[Path]:
+    """Names beside a file: run-2.h5, run-3.h5 and so on."""
+    return [path.with_name(f"{path.stem[:_LONGEST]}-{number}{path.suffix}") for number in range(2, _MOST_NAMES)]
