@@ -8,6 +8,7 @@ import json
 import multiprocessing
 import signal
 import threading
+import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -44,6 +45,9 @@ LARGEST_BODY: Final = 1_000_000
 MOST_VIEWERS: Final = 16
 """Viewers at once."""
 
+LATEST_PRESS: Final = 10.0
+"""Time that a press of a button may be on its way [s]."""
+
 Short = Annotated[str, Field(max_length=100)]
 Text = Annotated[str, Field(max_length=10_000)]
 
@@ -56,6 +60,13 @@ class _Record(_Body):
     name: Short
     notes: Text = ""
     seconds: Annotated[float, Field(gt=0, le=1e7, allow_inf_nan=False)] | None = None
+    pressed: Annotated[float, Field(allow_inf_nan=False)] | None = None
+
+    @property
+    def asked(self) -> float:
+        """When the button was pressed, on the steady clock [s]; the page says it by this computer's clock [ms]."""
+        ago = 0.0 if self.pressed is None else time.time() - self.pressed / 1e3
+        return time.monotonic() - min(max(ago, 0.0), LATEST_PRESS)
 
 
 class _Mark(_Body):
@@ -137,7 +148,7 @@ class Page:
             door,
         )
         self._actions: Mapping[str, tuple[type[_Body], Callable[[Any], Any]]] = {
-            "record": (_Record, lambda it: self.station.record(it.name, notes=it.notes, seconds=it.seconds)),
+            "record": (_Record, self._record),
             "stop": (_Empty, lambda _: self.station.stop()),
             "trigger": (_Empty, lambda _: self.station.call()),
             "mark": (_Mark, lambda it: self.station.mark(it.text)),
@@ -268,6 +279,9 @@ class Page:
         except (_TooLargeError, ValidationError, ReadError, FitError, ValueError, OSError) as problem:
             return _refusal(problem)
         return JSONResponse({"done": True, "number": found if isinstance(found, int) else None})
+
+    def _record(self, wish: _Record) -> None:
+        self.station.record(wish.name, notes=wish.notes, seconds=wish.seconds, asked=wish.asked)
 
     def _job(self, wish: _Job) -> int:
         settings = {key: value for key in ("component", "mass", "dynamics") if (value := getattr(wish, key))}

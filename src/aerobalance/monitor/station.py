@@ -27,6 +27,9 @@ from aerobalance.problems import FitError, ReadError
 POLLED: Final = 0.1
 """Time between looks at source and recorder [s]."""
 
+STARTING: Final = 60.0
+"""Time that a recorder has to start [s]."""
+
 PATIENCE: Final = 0.5
 """Time that ending waits for what is under way [s]."""
 
@@ -154,31 +157,57 @@ class Station:
         """Whether a record is under way."""
         return self.recorder is not None and self.progress is not None and not self.progress.over
 
-    def record(self, name: str, *, notes: str, seconds: float | None) -> None:
-        """Begin a record.
+    def record(self, name: str, *, notes: str, seconds: float | None, asked: float | None = None) -> None:
+        """Begin a record; what was sampled since it was asked for is in it, however long its process takes to start.
+
+        Parameters
+        ----------
+        name
+            Name of the file.
+        notes
+            What the operator wrote.
+        seconds
+            Length [s]; None for that of the set-up.
+        asked
+            When it was asked for, on the steady clock [s]; None for now.
 
         Raises
         ------
         FitError, ValueError
             It cannot be begun; the message says why.
         """
+        asked = time.monotonic() if asked is None else asked
         with self._lock:
             session = self.running()
             if self.recording:
                 raise ValueError("a record is under way already")
             path = self.folder.new_recording(name)
             setup = setup_of_record(self.setup, session.hello.channels, zeros=self.zeros, notes=notes, seconds=seconds)
-            recorder = session.record(path, setup=setup)
-            try:
-                self.progress = recorder.ready()
-            except ValueError:
-                recorder.stop(timeout=0.5)
-                raise
-            self.recorder = recorder
+            recorder = session.record(path, setup=setup, asked=asked)
+            self.recorder, self.progress = recorder, recorder.progress
             self._mark(f"record {path.name} begins", kind="start")
             for note in self.checks.notes:
-                recorder.tell(Tell("note", note))
-            self.changed()
+                recorder.tell(Tell("note", note, asked))
+        self._await(recorder)
+
+    def _await(self, recorder: Recorder) -> None:
+        """Wait until a recorder takes samples; others may look at the state, or stop it, meanwhile.
+
+        Raises
+        ------
+        ValueError
+            It cannot record.
+        """
+        limit = time.monotonic() + STARTING
+        while not recorder.heard and not recorder.progress.over:
+            if time.monotonic() > limit:
+                recorder.stop(timeout=0.5, hurry=True)
+                raise ValueError(f"the recorder did not start within {STARTING:g} s")
+            time.sleep(POLLED / 4)
+            with self._lock:
+                self._look_at_record()
+        if recorder.progress.state == "failed":
+            raise ValueError(recorder.progress.reason)
 
     def stop(self) -> Progress | None:
         """End the record; its file is closed when this returns."""
@@ -199,7 +228,7 @@ class Station:
             if shown:
                 self._mark(text)
             if self.recorder is not None and self.recording:
-                self.recorder.tell(Tell("note", text))
+                self.recorder.tell(Tell("note", text, time.monotonic()))
 
     def call(self) -> None:
         """Begin the record now, whatever its trigger waits for."""
@@ -338,16 +367,21 @@ class Station:
                     self.checks.done(said.text)
                     self._mark(said.text, kind="control")
                     if self.recorder is not None and self.recording:
-                        self.recorder.tell(Tell("note", said.text))
+                        self.recorder.tell(Tell("note", said.text, time.monotonic()))
                 elif said.kind == "refused":
                     self.say(said.text, kind="error")
                 elif said.kind == "failed":
                     self.source = Source("ended", said.text, self.source.number)
                     self.say(said.text, kind="error")
+        self._look_at_record()
+
+    def _look_at_record(self) -> None:
         if self.recorder is not None and self.recording:
             before = self.progress
             self.progress = self.recorder.poll()
-            if self.progress.over:
+            if self.progress.state == "failed":
+                self.changed()  # who asked for it is told
+            elif self.progress.over:
                 self._ended(self.progress)
             elif self.progress != before:
                 self.changed()
@@ -383,7 +417,7 @@ class Station:
         if self._lock.acquire(timeout=PATIENCE):
             try:
                 if self.recorder is not None and self.recording:
-                    self.recorder.stop("the page was ended", timeout=1.0)
+                    self.recorder.stop("the page was ended", timeout=1.0, hurry=True)
                 if self.session is not None:
                     self.session.close()
             finally:
