@@ -276,7 +276,7 @@ class _Server:
         for outlet in self.outlets:
             # What a patient source has given must all arrive; a device's receivers have a second for the rest.
             patient = self.source.patient and not hurry
-            patience = 0.2 if outlet.viewer else 60.0 if patient else 1.0
+            patience = (2.0 if patient else 0.2) if outlet.viewer else 60.0 if patient else 1.0
             outlet.sender.finish(patience, last=_END + reason.encode())
         self._listener.close()
 

@@ -25,9 +25,11 @@ from starlette.websockets import WebSocket
 
 from aerobalance.acquire.rig_values import RigName
 from aerobalance.acquire.setup import setup_from
+from aerobalance.io.messages import first_fault
 from aerobalance.monitor.access import REPORT_POLICY, Door, Guard
 from aerobalance.monitor.board import Board, plain
 from aerobalance.monitor.checks import Kind
+from aerobalance.monitor.folder import RECORDINGS
 from aerobalance.monitor.form import form_of
 from aerobalance.monitor.messages import News, Watching
 from aerobalance.monitor.setups import check_files, rig_setup
@@ -153,6 +155,7 @@ class Page:
             "trigger": (_Empty, lambda _: self.station.call()),
             "mark": (_Mark, lambda it: self.station.mark(it.text)),
             "zero": (_Empty, lambda _: self.station.zero()),
+            "acknowledge": (_Empty, lambda _: self.station.acknowledge()),
             "clear_zero": (_Empty, lambda _: self.station.clear_zero()),
             "test": (_Check, lambda it: self.station.checks.press(it.kind)),
             "give_up": (_Empty, lambda _: self.station.checks.give_up()),
@@ -260,7 +263,7 @@ class Page:
             path = self.station.folder.file(request.path_params["name"])
         except ValueError as problem:
             return JSONResponse({"error": str(problem)}, 404)
-        if path.suffix.lower() not in (".h5", ".csv", ".json", ".toml", ".html") or not path.is_file():
+        if path.suffix.lower() not in (*RECORDINGS, ".json", ".toml", ".html") or not path.is_file():
             return JSONResponse({"error": "there is no such file"}, 404)
         return FileResponse(path, media_type="application/octet-stream", filename=path.name)
 
@@ -277,7 +280,7 @@ class Page:
         except ClientDisconnect:
             return Response(status_code=400)  # to nobody
         except (_TooLargeError, ValidationError, ReadError, FitError, ValueError, OSError) as problem:
-            return _refusal(problem)
+            return _refusal(problem, model)
         return JSONResponse({"done": True, "number": found if isinstance(found, int) else None})
 
     def _record(self, wish: _Record) -> None:
@@ -330,12 +333,11 @@ async def _body(request: Request) -> bytes:
     return b"".join(parts) or b"{}"
 
 
-def _refusal(problem: Exception) -> Response:
+def _refusal(problem: Exception, model: type[_Body]) -> Response:
     """Say what was wrong with a request, and with which field."""
     if isinstance(problem, ValidationError):
-        fault = problem.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in fault["loc"])
-        text = f"{where}: {fault['msg']}" if where else fault["msg"]
+        where, what = first_fault(problem, model)
+        text = f"{where}: {what}" if where else "the request is no JSON"
         return JSONResponse({"error": text, "where": where}, 422)
     if isinstance(problem, ReadError):
         return JSONResponse({"error": problem.what, "where": problem.where}, 422)

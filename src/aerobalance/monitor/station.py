@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 from aerobalance.acquire.recorder import Progress, Tell
 from aerobalance.acquire.session import Recorder, Session
 from aerobalance.acquire.setup import Setup, save_setup, setup_text
+from aerobalance.monitor.alarms import Alarms
 from aerobalance.monitor.checks import Checks
 from aerobalance.monitor.folder import Folder
 from aerobalance.monitor.messages import Answer, Means, News, SetZeros, TakeZeros, Watch, Watching, Zeros
@@ -29,6 +30,9 @@ POLLED: Final = 0.1
 
 STARTING: Final = 60.0
 """Time that a recorder has to start [s]."""
+
+UNWATCHED: Final = 20.0
+"""Time after which a source begins although the charts do not follow it yet [s]."""
 
 PATIENCE: Final = 0.5
 """Time that ending waits for what is under way [s]."""
@@ -82,12 +86,14 @@ class Station:
         self.zeros: dict[str, float] = {}
         self.controls: dict[str, float] = {}
         self.watching: Watching | None = None
+        self._held_since, self._unwatched = 0.0, False
         self.messages: deque[dict[str, Any]] = deque(maxlen=MESSAGES)
         self._message_numbers = itertools.count(1)
         self.marker: Callable[[str, str], None] = lambda *_: None
         self.listed_version = 0
         self.sweep: dict[str, Any] | None = None
         self.checks = Checks(self)
+        self.alarms = Alarms(changed)
         self.engine = Engine(self._answer)
         self.tasks = Tasks(self)
         threading.Thread(target=self._watch_over, daemon=True).start()
@@ -114,6 +120,7 @@ class Station:
             self.source = Source("starting", "the source is starting", number)
             self.zeros, self.recorder, self.progress, self.watching = {}, None, None, None
             self.checks.forget()
+            self.alarms.leave()
             self.changed()
             try:
                 self.session = Session(setup, self.folder.path)
@@ -125,8 +132,7 @@ class Station:
             watch = Watch(number, self.session.address, setup_text(setup), str(self.folder.path), {})
             self.engine.remember(watch)
             self.engine.order(watch)
-            self.session.start()
-            self.source = Source("running", self.session.hello.description, number)
+            self._held_since, self._unwatched = time.monotonic(), False
             self.changed()
 
     def control(self, name: str, value: float) -> None:
@@ -237,6 +243,10 @@ class Station:
                 raise ValueError("no record is waiting for its trigger")
             self.recorder.tell(Tell("call", "button"))
 
+    def acknowledge(self) -> None:
+        """Take note that the operator has seen the alarms."""
+        self.alarms.acknowledge()
+
     def begin_sweep(self) -> None:
         """Begin a stepped-sine run.
 
@@ -290,7 +300,8 @@ class Station:
                 watch = Watch(self.source.number, self.session.address, setup_text(self.setup), folder, zeros)
                 self.engine.remember(watch)
             self.engine.order(SetZeros(zeros))
-        listed = ", ".join(f"{name} {value:.4g}" for name, value in zeros.items())
+        units = {} if self.watching is None else dict(zip(self.watching.names, self.watching.units, strict=True))
+        listed = ", ".join(f"{name} {value:.4g} {units.get(name, '')}".strip() for name, value in zeros.items())
         self._mark(f"zero: {listed}" if zeros else "zero taken back", kind="zero")
 
     # ---- set-up
@@ -340,12 +351,15 @@ class Station:
                 self.changed()
         elif isinstance(answer, News):
             self.checks.watch(answer.update.remarks)
+            if answer.number == self.source.number:
+                self.alarms.watch(answer.update, self.watching)
             self._heard(answer)
         elif isinstance(answer, Means):
             self.checks.heard(answer)
         elif isinstance(answer, Zeros):
             self._set_zeros(dict(answer.zeros))
         elif answer.number in (-1, self.source.number):
+            self._unwatched |= answer.number != -1  # an engine that is started again will follow
             if answer.number != -1 and answer.text.startswith("the source ended"):
                 return  # the source's own word says it better
             self.say(answer.text, kind="error")
@@ -356,7 +370,17 @@ class Station:
             with contextlib.suppress(OSError), self._lock:
                 self._look()
 
+    def _let_flow(self, session: Session) -> None:
+        """Let a source begin once the charts follow it, so that a short replay is seen whole."""
+        late = time.monotonic() - self._held_since > UNWATCHED
+        if self.source.state == "starting" and (self.watching is not None or self._unwatched or late):
+            session.start()
+            self.source = Source("running", session.hello.description, self.source.number)
+            self.changed()
+
     def _look(self) -> None:
+        if self.session is not None:
+            self._let_flow(self.session)
         if self.session is not None:
             for said in self.session.news():
                 if said.kind == "ended":
