@@ -195,6 +195,56 @@ def test_kill_of_recorder_or_source_a_hundred_times(tmp_path) -> None:
     kill_recorders(tmp_path, 100, seed)
 
 
+def ticks_by_the_clock(feed, until):
+    """Follow a source of 25 kHz until a time on the steady clock; return what tells the tick of a time."""
+    found = []
+    while not found or found[-1].received < until:
+        found.append(feed.take())
+
+    def tick_at(at):
+        block = next(block for block in found if block.received >= at)
+        return block.end - round((block.received - at) * 25_000)
+
+    return tick_at
+
+
+def test_what_is_sampled_since_the_press_is_in_the_file(tmp_path) -> None:
+    with Session(setup_of(), tmp_path) as session:
+        feed = session.view()
+        session.start()
+        while feed.take().end < 25_000:
+            pass
+        pressed = time.monotonic()
+        recorder = session.record(tmp_path / "run.h5", asked=pressed)
+        stopped = time.monotonic() + 0.3
+        time.sleep(0.3)
+        # the process takes longer than this to start: it finds the samples, and the stop, when it is there
+        progress = recorder.stop("enough")
+        tick_at = ticks_by_the_clock(feed, stopped + 0.1)
+        feed.close()
+    ticks = list(stored(tmp_path / "run.h5"))
+    said = contents(tmp_path / "run.h5")
+    assert (progress.state, progress.reason, said.reason) == ("ended", "enough", "enough")
+    assert ticks == list(range(ticks[0], ticks[-1] + 1))
+    assert abs(ticks[0] - tick_at(pressed)) <= 0.1 * 25_000
+    assert ticks[-1] >= tick_at(stopped) - 0.1 * 25_000
+    # a block of 10 ms comes when it is due, so the sample is nearer than the test asks
+    print(f"first sample {(ticks[0] - tick_at(pressed)) / 25:.1f} ms from the press")  # noqa: T201
+
+
+def test_pre_trigger_is_there_at_once(tmp_path) -> None:
+    with Session(setup_of(more="pre_trigger = 0.4\n"), tmp_path) as session:
+        feed = session.view()
+        session.start()
+        while feed.take().end < 25_000:
+            pass
+        recorder = session.record(tmp_path / "run.h5", asked=time.monotonic())
+        recorder.ready()
+        recorder.stop("enough")
+        feed.close()
+    assert read(tmp_path / "run.h5").start == pytest.approx(-0.4)
+
+
 def test_another_recorder_goes_on_where_one_was_killed(tmp_path) -> None:
     with Session(setup_of(), tmp_path) as session:
         first = session.record(tmp_path / "a.h5")
