@@ -15,6 +15,7 @@ from aerobalance.acquire.recorder import Progress
 from aerobalance.acquire.session import Recorder, Session
 from aerobalance.acquire.setup import SOURCES, Setup, load_setup, setup_from
 from aerobalance.commands.shared import Account
+from aerobalance.io.safe_write import OUTPUTS
 from aerobalance.problems import FitError
 
 _TICK = 0.1
@@ -70,6 +71,7 @@ def record(
         recorder = session.record(out, replace=replace)
         recorder.ready()
         told.begun = True
+        OUTPUTS.note(out, replaced=False)  # from its first block on
         session.start()
         progress = _follow(recorder, session, told, show or (lambda _: None))
     return _account(out, progress, bool(told), [said.text for said in session.said if said.kind == "refused"])
@@ -155,8 +157,13 @@ def line(progress: Progress) -> str:
     """Say in one line how a record stands."""
     if progress.state == "waiting":
         return f"waiting for the trigger ({progress.reason}); disk left {progress.free / 1e9:.1f} GB"
-    gaps = f"{progress.gaps} gap(s), {progress.lost} samples lost" if progress.gaps else "no gaps"
-    return f"{progress.seconds:.1f} s, {progress.blocks} blocks, {gaps}; disk left {progress.free / 1e9:.1f} GB"
+    left = f"disk left {progress.free / 1e9:.1f} GB"
+    return f"{progress.seconds:.1f} s, {progress.blocks} blocks, {gaps_text(progress)}; {left}"
+
+
+def gaps_text(progress: Progress) -> str:
+    """Say what is missing of a record."""
+    return f"{progress.gaps} gap(s), {progress.lost} samples lost" if progress.gaps else "no gaps"
 
 
 def _account(out: Path, progress: Progress, told: bool, refused: list[str]) -> Account:
@@ -174,4 +181,6 @@ def _account(out: Path, progress: Progress, told: bool, refused: list[str]) -> A
         "lost": progress.lost,
         "events": progress.events,
         "warnings": refused,
+        "summary": f"{out}: {progress.seconds:.6g} s, {progress.samples} samples of each channel in "
+        f"{progress.blocks} blocks, {gaps_text(progress)}; {progress.reason}\n",
     }

@@ -39,6 +39,9 @@ SUFFIXES: Final[Mapping[str, str]] = {".h5": "", ".hdf5": ""}
 LARGEST_GAP: Final = 20
 """Samples of the clock per sample of the file beyond which the recording has to be cut at its gaps."""
 
+CONVERTED: Final = "converted"
+"""Why a recording ended that was made from another file."""
+
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _ROWS: Final = 8192
 
@@ -196,7 +199,7 @@ def write_columns(
             for first in range(0, n, writer.rows):
                 part = slice(first, first + writer.rows)
                 writer.append(first, values[part], stamps=columns[time][part])
-            writer.finish("converted")
+            writer.finish(CONVERTED)
         except DiskFullError as problem:
             raise ValueError(f"cannot write {path}: {problem}") from problem
 
