@@ -18,6 +18,7 @@ from aerobalance.acquire.setup import SOURCES, Setup, load_setup, setup_from
 from aerobalance.commands.shared import Account
 from aerobalance.io.hdf5_closing import close_all_broken_off, closed_text
 from aerobalance.io.held_file import recover_all
+from aerobalance.io.safe_write import OUTPUTS
 from aerobalance.problems import DoubtWarning, FitError
 
 _TICK = 0.1
@@ -78,6 +79,7 @@ def record(
         recorder = session.record(out, replace=replace)
         recorder.ready()
         told.begun = True
+        OUTPUTS.note(out, replaced=False)  # from its first block on
         session.start()
         progress = _follow(recorder, session, told, show or (lambda _: None))
     if progress.mishap and not progress.unkept:
@@ -165,11 +167,14 @@ def line(progress: Progress) -> str:
     """Say in one line how a record stands."""
     if progress.state == "waiting":
         return f"waiting for the trigger ({progress.reason}); disk left {progress.free / 1e9:.1f} GB"
-    gaps = f"{progress.gaps} gap(s), {progress.lost} samples lost" if progress.gaps else "no gaps"
+    left = f"disk left {progress.free / 1e9:.1f} GB"
     mishap = f"; {progress.mishap}" if progress.mishap else ""
-    return (
-        f"{progress.seconds:.1f} s, {progress.blocks} blocks, {gaps}; disk left {progress.free / 1e9:.1f} GB{mishap}"
-    )
+    return f"{progress.seconds:.1f} s, {progress.blocks} blocks, {gaps_text(progress)}; {left}{mishap}"
+
+
+def gaps_text(progress: Progress) -> str:
+    """Say what is missing of a record."""
+    return f"{progress.gaps} gap(s), {progress.lost} samples lost" if progress.gaps else "no gaps"
 
 
 def _account(progress: Progress, told: bool, refused: list[str]) -> Account:
@@ -188,4 +193,6 @@ def _account(progress: Progress, told: bool, refused: list[str]) -> Account:
         "lost": progress.lost,
         "events": progress.events,
         "warnings": [*refused, *([progress.mishap] if progress.mishap else [])],
+        "summary": f"{out}: {progress.seconds:.6g} s, {progress.samples} samples of each channel in "
+        f"{progress.blocks} blocks, {gaps_text(progress)}; {progress.reason}\n",
     }

@@ -44,6 +44,9 @@ SUFFIXES: Final[Mapping[str, str]] = {".h5": "", ".hdf5": ""}
 LARGEST_GAP: Final = 20
 """Samples of the clock per sample of the file beyond which the recording has to be cut at its gaps."""
 
+CONVERTED: Final = "converted"
+"""Why a recording ended that was made from another file."""
+
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _ROWS: Final = 8192
 
@@ -215,7 +218,7 @@ def _write_whole(path: Path, channels: Sequence[StoredChannel], values: Array, t
                     return
             file["blocks"].resize(blocks.shape)
             file["blocks"][...] = blocks
-            file["status"][...] = status_row("ended", "converted")
+            file["status"][...] = status_row("ended", CONVERTED)
     except OSError as error:
         raise disk_full(error) from error
 
