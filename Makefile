@@ -1,16 +1,30 @@
-# make demo | test | check | bench | docs | pins | clean: each sets up .venv first, when needed.
+# make demo | test | soak | check | bench | docs | pins | clean: each sets up .venv first, when needed.
+# Random numbers of tests are the same at every `make test`. `make soak` runs the tests with new ones, ROUNDS times;
+# `make test SEED=123` runs them with the seed of a round that failed.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+ROUNDS ?= 3
+TEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
-.PHONY: demo test check bench docs pins clean
+.PHONY: demo test soak check bench docs pins clean
 
 demo: $(READY)
 	$(BIN)/aerobalance demo --out build/demo
 
 test: $(READY)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+	$(TEST)$(if $(SEED), --seed $(SEED))
+
+soak: $(READY)
+	@failed=""; \
+	for round in $$(seq $(ROUNDS)); do \
+	  seed=$$($(BIN)/python -c "import secrets; print(secrets.randbits(32))"); \
+	  echo "round $$round of $(ROUNDS): seed $$seed (again: make test SEED=$$seed)"; \
+	  $(TEST) --seed $$seed || { [ $$? -eq 1 ] || exit 2; failed="$$failed $$seed"; }; \
+	done; \
+	if [ -n "$$failed" ]; then echo "failed with the seeds:$$failed (again: make test SEED=...)"; exit 1; fi; \
+	echo "no failure in $(ROUNDS) rounds"
 
 check: $(READY)
 	$(BIN)/ruff check .

@@ -12,6 +12,7 @@ from aerobalance.monitor.folder import Folder
 from aerobalance.monitor.server import Page
 from aerobalance.monitor.setups import rig_setup
 from aerobalance.monitor.station import Beginning
+from seeds import new_seed
 
 BASE = "http://127.0.0.1:8765"
 LIVE = "ws://127.0.0.1:8765/live"
@@ -22,7 +23,9 @@ class Running:
 
     def __init__(self, folder, rig="cable_cut", **door):
         self.folder = folder
-        self.page = Page(Beginning(rig_setup(rig), Folder(folder), None), door=Door("127.0.0.1", 8765, **door))
+        setup = rig_setup(rig)
+        setup = setup.model_copy(update={"source": setup.source.model_copy(update={"seed": new_seed()})})
+        self.page = Page(Beginning(setup, Folder(folder), None), door=Door("127.0.0.1", 8765, **door))
         self.client = TestClient(self.page.app, base_url=BASE, headers={"origin": BASE})
 
     def __enter__(self):
@@ -47,6 +50,6 @@ class Running:
 
 
 def source_of(rig, **settings):
-    source = SimulatedSource(RigSettings(rig=rig, speed=math.inf, **settings))
+    source = SimulatedSource(RigSettings(rig=rig, speed=math.inf, **({"seed": new_seed()} | settings)))
     source.start()
     return source

@@ -8,13 +8,14 @@ from aerobalance.components import COMPONENTS, MOMENTS
 from aerobalance.coupled import VECTORS, RigidMass
 from aerobalance.problems import DoubtWarning
 from aerobalance.weighing.model import misalignment_matrix
+from seeds import new_seed
 
 NF, PM, SF, YM, RM, AF = range(6)
 
 
 @pytest.fixture
 def rng():
-    seed = np.random.SeedSequence().entropy
+    seed = new_seed()
     print("seed", seed)  # noqa: T201 - shown where a test fails
     return np.random.default_rng(seed)
 

@@ -20,7 +20,7 @@ from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, SimulatedCalibration, random_balance
 from aerobalance.schedule import Schedule
 from aerobalance.terms import terms_of
-from seeds import generator, seed_from
+from seeds import generator, seed_from, trials
 from tare_bound import tare_bound
 
 NOISE = 0.7e-3
@@ -105,7 +105,7 @@ def test_equation_2_comes_back_to_rounding() -> None:
 def draws() -> list[tuple[BalanceMatrix, SimulatedCalibration, Calibration]]:
     rng = generator()
     found = []
-    for _ in range(20):
+    for _ in range(trials(12, 20)):
         balance = random_balance(seed_from(rng))
         run = CalibrationStand(balance, noise=NOISE).run(seed_from(rng))
         found.append((balance, run, calibrate(run.schedule, model="96")))
@@ -256,9 +256,11 @@ def cover_of_errors(model: str, rng: np.random.Generator, *, count: int) -> Arra
 
 
 @pytest.mark.parametrize(
-    ("model", "count"), [("linear", 100), ("abs", 100), pytest.param("96", 40, marks=pytest.mark.slow)]
+    ("model", "fixed", "soak"),
+    [("linear", 40, 100), ("abs", 40, 100), pytest.param("96", 20, 40, marks=pytest.mark.slow)],
 )
-def test_covariance_of_loads_against_monte_carlo(model: str, count: int) -> None:
+def test_covariance_of_loads_against_monte_carlo(model: str, fixed: int, soak: int) -> None:
+    count = trials(fixed, soak)
     ratio = cover_of_errors(model, generator(), count=count)
     # six components are independent; the four loads of one draw need not be
     limit = scipy.stats.norm.isf(FALSE_ALARM / 2) * np.sqrt(2 / (6 * count))
@@ -360,7 +362,7 @@ def covers(truth: str, model: str, rng: np.random.Generator, *, count: int) -> l
     ],
 )
 def test_cover_of_confirmation_points(truth: str, model: str, low: float, high: float) -> None:
-    shares = covers(truth, model, generator(), count=12)
+    shares = covers(truth, model, generator(), count=trials(6, 12))
     assert low <= np.mean(shares) <= high, shares
 
 

@@ -31,6 +31,7 @@ from aerobalance.page import PLACE_HOLDERS, decimals, empty_figure, fixed
 from aerobalance.problems import ReadError
 from aerobalance.rigs.calibration_stand import CalibrationStand, random_balance
 from html_pages import Balanced
+from seeds import new_seed
 
 NAME = "<b>tricky & $x_2$ -- name</b>"
 BROWSER_FLAGS = [
@@ -50,7 +51,7 @@ class Page:
     """A simulated calibration with one point spoilt, and its page."""
 
     def __init__(self, folder: Path) -> None:
-        self.seed = int(np.random.SeedSequence().generate_state(1)[0])
+        self.seed = new_seed()
         effects = (TemperatureEffect(20.0, 2e-4, 0.0, 1e-4, 0.0),) * 6
         stand = CalibrationStand(
             random_balance(self.seed, model="abs"), confirmation=0.1, temperature_swing=4.0,

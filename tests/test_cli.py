@@ -11,6 +11,7 @@ import pytest
 from scipy.signal import butter, filtfilt
 
 from aerobalance.cli import main
+from seeds import new_seed
 
 MASS, STIFFNESS, DAMPING = 177.87, 3.4e7, 3000.0
 RATE, COUNT, RELEASE, HELD = 1600.0, 2400, 0.3, 5000.0
@@ -30,7 +31,7 @@ HAND_MADE = {
 
 @pytest.fixture
 def seed():
-    return np.random.SeedSequence().entropy
+    return new_seed()
 
 
 @pytest.fixture

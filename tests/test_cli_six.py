@@ -16,12 +16,13 @@ from aerobalance.io.coupled_file import write_coupled
 from aerobalance.rigs import SixComponentRig
 from aerobalance.rigs.six_balance import CoupledBalance, random_balance
 from aerobalance.rigs.six_components import Release, SixSimulation
+from seeds import new_seed
 
 
 @pytest.fixture(scope="module")
 def cut(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CoupledBalance, SixSimulation, int]:
     """A folder with the record of a release, run.h5, and the balance's dynamics.json."""
-    entropy = int(np.random.SeedSequence().generate_state(1)[0])
+    entropy = new_seed()
     generator = np.random.default_rng(entropy)
     balance = random_balance(generator)
     rig = SixComponentRig(balance, releases=(Release(0.3 * balance.half_range, 0.1001),), output="loads")

@@ -18,6 +18,7 @@ from aerobalance.io.schedule import read_schedule, write_balfit_schedule
 from aerobalance.io.weighing_file import read_weighing, write_weighing
 from aerobalance.problems import ReadError
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
+from seeds import new_seed
 
 GRAVITY = 9.80665
 MASS = 60.0
@@ -27,7 +28,7 @@ STIFFNESS, DAMPING = 3.0e7, 800.0
 
 @pytest.fixture
 def seed() -> int:
-    entropy = int(np.random.SeedSequence().entropy) % 2**63
+    entropy = new_seed()
     print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
     return entropy
 

@@ -10,6 +10,7 @@ import pytest
 from aerobalance.cli import main
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
+from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 MAP = """\
@@ -28,7 +29,7 @@ noise = 0.0
 def here(tmp_path, monkeypatch):
     """A folder with two tones and a weight at 5 degrees, a map that doubts the inclinometer's zero, and dynamics."""
     monkeypatch.chdir(tmp_path)
-    generator = np.random.default_rng()
+    generator = np.random.default_rng(new_seed())
     time = np.arange(1200) / 1600
     force = 100 * np.sin(2 * np.pi * 9 * time) + 40 * np.sin(2 * np.pi * 23 * time)
     load = T128.load_felt(force, interval=1 / 1600) + T128.mass * STANDARD_GRAVITY * np.sin(np.deg2rad(5.0))

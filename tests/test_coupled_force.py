@@ -19,12 +19,13 @@ from aerobalance.rigs import SixComponentRig
 from aerobalance.rigs.six_balance import CoupledBalance, random_balance
 from aerobalance.rigs.six_components import Release, SixSimulation
 from aerobalance.rigs.six_signals import Band, broadband, random_motion
+from seeds import new_seed
 
 DURATION = 0.25
 
 
 def _drawn() -> tuple[CoupledBalance, CoupledDynamics, np.random.Generator, int]:
-    entropy = int(np.random.SeedSequence().generate_state(1)[0])
+    entropy = new_seed()
     generator = np.random.default_rng(entropy)
     balance = random_balance(generator)
     return balance, replace(balance.dynamics, mass=balance.mass), generator, entropy
@@ -116,7 +117,7 @@ def test_motion_and_gravity_are_taken_off_all_components() -> None:
 
 def test_one_component_is_the_axial_way() -> None:
     """Diagonal matrices: the same forces to rounding, with steps, noise and gaps."""
-    entropy = int(np.random.SeedSequence().generate_state(1)[0])
+    entropy = new_seed()
     generator = np.random.default_rng(entropy)
     parts = [Dynamics("NF", 100.0, 1e8, 500.0), Dynamics("AF", 177.87, 3.093e7, 828.21)]
     rate, samples = 1600.0, 2400

@@ -11,6 +11,7 @@ from aerobalance.contributions import Contribution, Noise, Systematic
 from aerobalance.derivatives import covariance_of, regress
 from aerobalance.estimate import ForceEstimate
 from aerobalance.problems import FitError
+from seeds import new_seed
 
 SAMPLES = 1200
 TIME = np.arange(SAMPLES) / SAMPLES
@@ -19,7 +20,7 @@ TRUTH = np.array([40.0, -7.0, 0.5])
 
 
 def _generator() -> tuple[np.random.Generator, int]:
-    entropy = int(np.random.SeedSequence().generate_state(1)[0])
+    entropy = new_seed()
     return np.random.default_rng(entropy), entropy
 
 

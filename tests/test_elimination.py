@@ -11,6 +11,7 @@ from aerobalance.dynamics import Mode
 from aerobalance.elimination import Eliminated, modes_of, shares_of, stable_factor
 from aerobalance.rigs.six_balance import random_balance
 from aerobalance.rigs.six_bending import Bending, bending_dynamics
+from seeds import new_seed
 
 
 def values(polynomials: Array, s: Array) -> Array:
@@ -20,7 +21,7 @@ def values(polynomials: Array, s: Array) -> Array:
 
 
 def bent() -> tuple[CoupledDynamics, int]:
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    seed = new_seed()
     generator = np.random.default_rng(seed)
     balance = random_balance(generator)
     highest = max(mode.natural_frequency for mode in balance.dynamics.modes)
@@ -91,7 +92,7 @@ def test_stable_factor_gives_the_modes_back() -> None:
 
 
 def test_partial_fractions_add_to_the_whole() -> None:
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    seed = new_seed()
     generator = np.random.default_rng(seed)
     modes = [Mode(50 * 3**k * generator.uniform(1, 2), generator.uniform(0.01, 1.5)) for k in range(3)]
     given = generator.normal(size=(2, 7)) * 2000.0 ** -np.arange(7.0)

@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from seeds import new_seed
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 JUDGED = float(stats.t(20).isf(5e-6))
 
@@ -23,7 +25,7 @@ JUDGED = float(stats.t(20).isf(5e-6))
 def _ran(name: str) -> tuple[dict[str, Any], dict[str, Any], int]:
     """Names of the script, its results on a fresh seed, and the seed."""
     script = runpy.run_path(str(EXAMPLES / f"{name}.py"))
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    seed = new_seed()
     main: Callable[[int], dict[str, Any]] = script["main"]
     return script, main(seed), seed
 

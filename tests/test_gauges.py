@@ -8,6 +8,7 @@ from aerobalance.components import is_gauge
 from aerobalance.gauges import gauge_outputs
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
+from seeds import new_seed
 
 RATE = 1000.0
 
@@ -24,7 +25,7 @@ def recording(*, excitation=None, missing_excitation=False, **volts):
 
 @pytest.fixture
 def seed():
-    return np.random.SeedSequence().entropy
+    return new_seed()
 
 
 def test_names_of_gauges():

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from aerobalance.live_alignment import Aligner
 from aerobalance.live_modes import REACH
+from seeds import new_seed
 
 
 def pushed(aligner, rows, cuts):
@@ -15,7 +16,7 @@ def pushed(aligner, rows, cuts):
 
 
 def test_a_lag_of_any_part_of_a_sample_is_taken_out() -> None:
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     late = np.array([0.0, *rng.uniform(-30, 30, 4)])
     k = np.arange(600.0)
@@ -31,7 +32,7 @@ def test_a_lag_of_any_part_of_a_sample_is_taken_out() -> None:
 
 
 def test_whole_samples_are_taken_out_exactly() -> None:
-    rows = np.random.default_rng(np.random.SeedSequence()).normal(size=(50, 3))
+    rows = np.random.default_rng(new_seed()).normal(size=(50, 3))
     rows[20, 1] = np.nan
     aligner = Aligner([0.0, 3.0, -4.0])
     made = aligner.push(rows)

@@ -16,6 +16,7 @@ from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from aerobalance.zeros import GaugeZero, gauge_table, gauge_zero
+from seeds import new_seed
 
 RATE = 1000.0
 NOISE = 2e-4  # of a reading of a bridge [mV/V]
@@ -23,7 +24,7 @@ NOISE = 2e-4  # of a reading of a bridge [mV/V]
 
 @pytest.fixture
 def seed() -> int:
-    return int(np.random.SeedSequence().entropy) % 2**63
+    return new_seed()
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Recording
 from aerobalance.resonance import REACH, Averaged, missing_mode, own_resonance, smeared
 from aerobalance.rigs import CableCut, Sensor
+from seeds import new_seed
 
 RATE = 1600.0
 BARE = CableCut().dynamics
@@ -24,7 +25,7 @@ BARE = CableCut().dynamics
 
 @pytest.fixture
 def seed() -> Iterator[int]:
-    entropy = int(np.random.SeedSequence().generate_state(1)[0])
+    entropy = new_seed()
     print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
     yield entropy
 

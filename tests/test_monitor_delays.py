@@ -15,6 +15,7 @@ from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.monitor.view import Panel, View
 from aerobalance.problems import ReadError
 from aerobalance.published import VIBRATION_RIG
+from seeds import new_seed
 
 RATE = 25_000.0
 DYNAMICS = VIBRATION_RIG.dynamics
@@ -51,7 +52,7 @@ def force_of(samples, *, delays=(0.0, 0.0), cuts=500):
 
 @pytest.mark.parametrize("late", [(0.0, 37e-6), (53e-6, 0.0), (120e-6, 20e-6)])
 def test_delays_are_taken_out_of_the_force(late) -> None:
-    seed = np.random.SeedSequence().entropy
+    seed = new_seed()
     there = force_of(shaken(seed))
     load_late, ground_late = late
     samples = shaken(seed, load_late=load_late, ground_late=ground_late)
@@ -65,7 +66,7 @@ def test_delays_are_taken_out_of_the_force(late) -> None:
 
 
 def test_chunks_make_no_difference() -> None:
-    seed = np.random.SeedSequence().entropy
+    seed = new_seed()
     rng = np.random.default_rng(seed)
     late = (61e-6, 0.0)
     samples = shaken(seed, load_late=late[0])[:12_000]
@@ -78,7 +79,7 @@ def test_chunks_make_no_difference() -> None:
 
 
 def test_delays_are_taken_out_of_forces_that_ring_together() -> None:
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    seed = new_seed()
     source = SimulatedSource(RigSettings(rig="six", speed=math.inf, seed=seed, noise=0.1, rate=6000.0))
     source.start()
     source.control("shake", 2.0)

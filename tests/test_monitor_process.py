@@ -25,6 +25,7 @@ import websockets
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.problems import DoubtWarning
+from seeds import new_seed
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="children are found in /proc")
 
@@ -179,7 +180,7 @@ def test_told_to_end_while_it_starts(tmp_path) -> None:
 
 
 def test_rubbish_at_the_socket(program) -> None:
-    seed = random.SystemRandom().getrandbits(32)
+    seed = new_seed()
     rng = random.Random(seed)
     port = int(program.base.rpartition(":")[2])
     host = f"Host: 127.0.0.1:{port}\r\nOrigin: {program.base}\r\n".encode()
@@ -236,7 +237,7 @@ def small_disk(folder, size):
 def test_full_disk_ends_the_record_and_nothing_else(tmp_path) -> None:
     with small_disk(tmp_path / "small", "5m") as small, Program(small) as program:
         # 4 channels of 8 bytes at 50 kHz: 1.6 MB a second
-        source = {"kind": "simulated", "rig": "cable_cut", "rate": 50_000.0}
+        source = {"kind": "simulated", "rig": "cable_cut", "rate": 50_000.0, "seed": new_seed()}
         setup = {"source": source, "record": {"keep_free": 1.0, "block": 0.1}}
         program.post("setup", setup=setup)
         program.wait(lambda state: state["source"]["state"] == "running" and state["numbers"].get("readings"))
@@ -283,7 +284,7 @@ def test_quota_ends_the_record_and_nothing_else(tmp_path) -> None:
 
 @pytest.mark.long
 def test_killed_at_random_moments(tmp_path) -> None:
-    seed = random.SystemRandom().getrandbits(32)
+    seed = new_seed()
     print("seed", seed)  # noqa: T201 - shown where the test fails
     rng = random.Random(seed)
     for round_ in range(5):

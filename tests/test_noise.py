@@ -7,11 +7,12 @@ import pytest
 from scipy.signal import lfilter
 
 from aerobalance.noise import white_noise
+from seeds import new_seed
 
 
 @pytest.fixture
 def generator():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
     return np.random.default_rng(entropy)
 

@@ -15,6 +15,7 @@ from aerobalance.motion import GroundMotion
 from aerobalance.platform_motion import PlatformMotion
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
+from seeds import new_seed
 
 RATE = 1000.0
 STEP = 1e-3
@@ -25,7 +26,7 @@ GRAVITY = np.array([0.0, 0.0, -STANDARD_GRAVITY])
 
 @pytest.fixture
 def seed():
-    drawn = np.random.SeedSequence().entropy
+    drawn = new_seed()
     print("seed", drawn)  # noqa: T201 - shown where a test fails
     return drawn
 

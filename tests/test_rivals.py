@@ -39,6 +39,7 @@ from aerobalance.rivals import (
     raw_reading,
 )
 from aerobalance.scores import Truth, find_jumps, truth_on_clock
+from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
@@ -46,7 +47,7 @@ RATE = 1600.0
 
 @pytest.fixture
 def seed():
-    return np.random.SeedSequence().entropy
+    return new_seed()
 
 
 def recording(load, rate=RATE, **channels):

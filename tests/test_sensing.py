@@ -16,6 +16,7 @@ from aerobalance.motion import GroundMotion
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.sensing import LEAST_GAIN, corrected
+from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
@@ -30,7 +31,7 @@ CLOSE = 1e-4
 
 @pytest.fixture
 def seed():
-    return np.random.SeedSequence().entropy
+    return new_seed()
 
 
 def record(**channels) -> Recording:

@@ -8,6 +8,7 @@ from scipy.linalg import expm
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.shaping import ShapingFilter
 from aerobalance.smoother import FORCE, LOAD, LOAD_RATE, Filter, StateSpace
+from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 INTERVAL = 1 / 1600
@@ -58,7 +59,7 @@ def dense(system: StateSpace, present: np.ndarray, readings: np.ndarray) -> tupl
 
 
 def case(order: int, *, missing: bool) -> tuple[StateSpace, np.ndarray, np.ndarray, int]:
-    seed = np.random.SeedSequence().entropy
+    seed = new_seed()
     generator = np.random.default_rng(seed)
     force = butterworth(order, cutoff=120.0, density=500.0)
     system = StateSpace.of_balance(T128, force, interval=INTERVAL, noise=2.0, input_density=0.5, swing=30.0)

@@ -5,10 +5,11 @@ import pytest
 
 from aerobalance.thinning import ROLL_OFF, SPAN, Thinner, root_raised_cosine
 from aerobalance.waterfall import LENGTH, RunningSpectrum
+from seeds import new_seed
 
 
 def test_does_not_depend_on_the_cut() -> None:
-    seed = np.random.SeedSequence().entropy
+    seed = new_seed()
     rng = np.random.default_rng(seed)
     samples = rng.standard_normal((4000, 3))
     whole = Thinner(3, 7).push(samples)

@@ -22,6 +22,7 @@ from aerobalance.weighing import (
 )
 from aerobalance.weighing.advice import PROPOSALS
 from aerobalance.weighing.model import misalignment_matrix
+from seeds import new_seed, trials
 
 G = STANDARD_GRAVITY
 MASS, CENTRE = 5.0, {"aft": -0.04, "right": 0.003, "up": 0.02}
@@ -158,13 +159,13 @@ def test_exact_without_noise():
 
 
 def test_uncertainties_are_right_by_monte_carlo():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     clean = read(pitch, roll, angles=ANGLES)
     other_pitch, other_roll = np.radians([-30.0, 5, 40]), np.radians([20.0, 160, 275])
     expected = read(other_pitch, other_roll, angles=ANGLES)
-    draws, scores, disagreements, load_scores = 100, [], 0, []
+    draws, scores, disagreements, load_scores = trials(40, 100), [], 0, []
     for _ in range(draws):
         found = weigh_quietly(points(pitch, roll, noisy(rng, clean)))
         disagreements += not (found.mass_agreement.agree and found.centre_agreement.agree)
@@ -181,21 +182,21 @@ def test_uncertainties_are_right_by_monte_carlo():
         where = {"pitch": other_pitch, "roll": other_roll}
         load_scores.append(((found.loads(**where) - expected) / found.uncertainty(**where)).ravel())
     square = np.mean(np.column_stack([scores, load_scores]) ** 2, axis=0)
-    # Mean square of 100 scores: chi-squared, widened by 57/55 for noise estimated with some 57 degrees of freedom;
+    # Mean square of as many scores: chi-squared, widened by 57/55 for noise estimated with some 57 degrees of freedom;
     # 1e-7 on either side of each of 39 scores fails once in 1e5 runs.
     low, high = stats.chi2.ppf(1e-7, draws) / draws, stats.chi2.isf(1e-7, draws) / draws * 57 / 55
     assert (square > low).all(), (square, entropy)
     assert (square < high).all(), (square, entropy)
-    # Two tests a draw at 0.001: six false alarms of 200 happen once in 1e5 runs.
+    # Two tests a draw at 0.001: six false alarms, of 200 even, happen once in 1e5 runs.
     assert disagreements < 6, entropy
 
 
 def test_p_values_are_even_where_the_components_agree():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid(4)
     clean = read(pitch, roll)
-    found = [weigh_quietly(points(pitch, roll, noisy(rng, clean))) for _ in range(60)]
+    found = [weigh_quietly(points(pitch, roll, noisy(rng, clean))) for _ in range(trials(30, 60))]
     for name in ("mass_agreement", "centre_agreement"):
         tests = [getattr(one, name) for one in found]
         assert {test.degrees_of_freedom for test in tests} == {2 if name == "mass_agreement" else 3}
@@ -204,7 +205,7 @@ def test_p_values_are_even_where_the_components_agree():
 
 
 def test_scatter_of_each_component_is_found():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     found = weigh_quietly(points(pitch, roll, noisy(rng, read(pitch, roll))))
@@ -214,7 +215,7 @@ def test_scatter_of_each_component_is_found():
 
 
 def test_live_ends_that_differ_are_found_and_kept_apart():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     masses = {"AF": 5.1, "SF": 5.0, "NF": 4.9}
@@ -234,7 +235,7 @@ def test_live_ends_that_differ_are_found_and_kept_apart():
 
 
 def test_centres_that_differ_are_found_and_kept_apart():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     centres = {"RM": {**CENTRE, "up": 0.03}}
@@ -261,7 +262,7 @@ def test_a_wrong_sign_of_a_moment_is_doubted():
 
 
 def test_a_pitch_sweep_names_what_it_cannot_tell():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     clean = read(SWEEP, 0 * SWEEP, angles=ANGLES)
     found = weigh_quietly(points(SWEEP, None, noisy(rng, clean)))
@@ -292,7 +293,7 @@ def test_a_pitch_sweep_names_what_it_cannot_tell():
 
 
 def test_the_advice_is_right():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     clean = read(SWEEP, 0 * SWEEP)
     found = weigh_quietly(points(SWEEP, None, noisy(rng, clean)))
@@ -305,12 +306,12 @@ def test_the_advice_is_right():
 
 
 def test_uncertainty_covers_what_was_left_out():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     noise = np.tile(list(NOISE.values()), (SWEEP.size, 1))
     where = {"pitch": np.radians([-20.0, 0, 8]), "roll": np.radians([0.0, 90, 180])}
-    scores = []
-    for _ in range(100):
+    draws, scores = trials(40, 100), []
+    for _ in range(draws):
         angles = {name: rng.normal(0, np.radians(1)) for name in ANGLES}
         loads = noisy(rng, read(SWEEP, 0 * SWEEP, angles=angles))
         found = weigh_quietly(points(SWEEP, None, loads, noise=noise))
@@ -320,8 +321,8 @@ def test_uncertainty_covers_what_was_left_out():
     # Chi-squared with 1e-7 on either side. Noise is known, so scatter only adds to it (with 7 degrees of freedom a
     # quarter on average in square): down to 0.75. The misalignments are drawn with the natural
     # scale of 1 deg; one that is fitted instead of left out is one more good score.
-    assert (square < stats.chi2.isf(1e-7, 100) / 100).all(), (square, entropy)
-    assert (square > 0.75 * stats.chi2.ppf(1e-7, 100) / 100).all(), (square, entropy)
+    assert (square < stats.chi2.isf(1e-7, draws) / draws).all(), (square, entropy)
+    assert (square > 0.75 * stats.chi2.ppf(1e-7, draws) / draws).all(), (square, entropy)
 
 
 def test_what_one_component_cannot_tell_is_taken_from_the_others():
@@ -340,7 +341,7 @@ def test_what_one_component_cannot_tell_is_taken_from_the_others():
 
 
 def test_components_that_differ_in_a_pitch_sweep():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     centres = {"RM": {**CENTRE, "right": 0.05}}
     for _ in range(20):
@@ -365,7 +366,7 @@ def test_roll_alone_without_pitch():
 
 @pytest.mark.parametrize("components", [("NF", "AF"), ("AF", "PM"), ("NF", "PM", "SF"), ("RM", "SF"), ("YM", "AF")])
 def test_any_components_with_a_force(components):
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     found = weigh_quietly(points(pitch, roll, noisy(rng, read(pitch, roll, angles=ANGLES)), components))
@@ -393,7 +394,7 @@ def test_one_force_alone_gives_what_it_gives_by_itself():
 
 
 def test_taking_off_the_weight_leaves_the_noise():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     found = weigh_quietly(points(pitch, roll, noisy(rng, read(pitch, roll, angles=ANGLES))))
@@ -416,7 +417,7 @@ def test_taking_off_the_weight_leaves_the_noise():
 
 
 def test_weight_that_was_in_the_zero_counts_by_the_difference_of_attitudes():
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     pitch, roll = grid()
     clean = read(pitch, roll, angles=ANGLES)
@@ -429,7 +430,7 @@ def test_weight_that_was_in_the_zero_counts_by_the_difference_of_attitudes():
         return loads(*run) - np.mean(before, axis=0)
 
     expected = counted(lambda pitch, roll: read(pitch, roll, angles=ANGLES))
-    draws, scores = 100, []
+    draws, scores = trials(40, 100), []
     for _ in range(draws):
         found = weigh_quietly(points(pitch, roll, noisy(rng, clean)))
         u = found.uncertainty(pitch=run.pitch, roll=run.roll, since=zeros)

@@ -15,8 +15,8 @@ import numpy as np
 
 from aerobalance import __version__
 from aerobalance.channel import Array, Channel
-from aerobalance.commands import force, identify, weighing
-from aerobalance.commands.shared import seed_for
+from aerobalance.commands import answers, force, identify, weighing
+from aerobalance.commands.shared import seed_for, table_text
 from aerobalance.comparison import (
     COVERAGE,
     agreements_of,
@@ -158,13 +158,33 @@ def run_demo(out: Path, *, seed: int | None = None) -> Account:
             "armature": ARMATURE_MASS,
         },
     )
-    return {
+    account: Account = {
         "report": str(report),
         "seed": seed,
         "agreements": [{key: row[key] for key in ("name", "printed", "computed", "agrees")} for row in agreements],
         "deviations": deviations,
         "warnings": [f"{item['step']}: {item['text']}" for item in run.warnings],
     }
+    return {**account, "summary": summary(account)}
+
+
+def summary(account: Account) -> str:
+    """Short answer for people: the numbers that the paper prints, beside those found here."""
+    rows = [
+        (
+            row["name"],
+            *(
+                answers.short(value) if isinstance(value, float) else str(value)
+                for value in (row["printed"], row["computed"])
+            ),
+            "yes" if row["agrees"] else "NO",
+        )
+        for row in account["agreements"]
+    ]
+    agree = sum(row["agrees"] for row in account["agreements"])
+    table = table_text("Both experiments of the paper, simulated", ("", "printed", "computed", "agrees"), rows)
+    lines = [f"{agree} of {len(rows)} printed numbers agree", f"report: {account['report']}; seed {account['seed']}"]
+    return "\n".join([table, *lines]) + "\n"
 
 
 def _weigh(

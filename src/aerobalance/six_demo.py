@@ -307,4 +307,4 @@ def summary(account: Account) -> str:
         f"{row['uncertainty_percent']:8.3g}{row['cover_percent']:7.1f}%"
         for row in account["components"]
     ]
-    return "\n".join([*lines, "", f"page: {account['page']}", f"seed: {account['seed']}"]) + "\n"
+    return "\n".join([*lines, "", f"page: {account['page']}; seed {account['seed']}"]) + "\n"

@@ -20,6 +20,7 @@ from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.load_envelope import LoadEnvelope
 from aerobalance.problems import FitError, ReadError
 from aerobalance.rigs.calibration_stand import random_balance
+from seeds import new_seed
 
 POUND = 4.4482216152605  # N, by the definition of the pound (0.45359237 kg) and standard gravity
 
@@ -90,7 +91,7 @@ def test_contacts_are_noted_at_the_same_samples(cut, closed, action) -> None:
 
 
 def test_loads_of_gauge_outputs_are_watched() -> None:
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    seed = new_seed()
     balance = random_balance(seed)
     setup = setup_from(
         {
@@ -117,7 +118,7 @@ def test_loads_of_gauge_outputs_are_watched() -> None:
 
 
 def test_gauge_that_was_zeroed_has_no_natural_zero() -> None:
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    seed = new_seed()
     balance = random_balance(seed)
     setup = setup_from({"files": {"balance": "b.json"}, "envelope": {"shape": "balance"}})
     channels = [StoredChannel(name=f"r{name}", unit="mV/V", offset=0.1 * k) for k, name in enumerate(balance.gauges)]

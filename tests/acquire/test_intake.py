@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,6 +12,7 @@ from aerobalance.acquire.guards import Limit
 from aerobalance.acquire.intake import AtLevel, AtOnce, AtTime, End, Intake, OnCall, Piece, Plan, Start
 from aerobalance.acquire.source import Block
 from aerobalance.io.hdf5_layout import StoredChannel
+from seeds import new_seed
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N", sign=-1.0, scale=2.0, offset=1.0))
 
@@ -181,7 +183,7 @@ def test_restarted_count_goes_on_by_the_clock_of_the_computer() -> None:
 
 def drifting(ppm, seconds):
     rate, watch = 1000.0, Continuity(1000.0)
-    rng = np.random.default_rng(np.random.SeedSequence().entropy)
+    rng = np.random.default_rng(new_seed())
     events = []
     for number in range(int(seconds * 10)):
         # true time of the source's sample, and an arrival up to 40 ms later
@@ -212,3 +214,32 @@ def test_plan_without_settings_takes_everything() -> None:
     out = run(Plan(CHANNELS, 100.0, 64, trigger=AtOnce()), blocks([3, 70, 71], 200))
     assert np.array_equal(pieces(out)[0], np.arange(200))
     assert [len(item.samples) for item in out if isinstance(item, Piece)] == [64, 64, 64, 8]
+
+
+@pytest.mark.parametrize(("before", "first"), [(0, 150), (120, 30), (1000, 0)])
+def test_a_record_begins_where_it_was_asked_for(before, first) -> None:
+    """Blocks of 40 samples at 1 kHz, each received when its last sample was taken: 0.15 s is tick 150."""
+    intake = Intake(Plan(CHANNELS, 1000.0, 64, before=before), asked=0.15)
+    made = []
+    for tick in range(0, 400, 40):
+        made += intake.feed(Block(tick, truth(np.arange(tick, tick + 40)), (tick + 40) / 1000))
+    pieces = [item for item in [*made, *intake.flush()] if isinstance(item, Piece)]
+    assert [item for item in made if isinstance(item, Start)] == [Start(150, "at once")]
+    assert pieces[0].tick == first
+    assert np.concatenate([piece.samples for piece in pieces])[:, 0].tolist() == list(range(first, 400))
+
+
+def test_a_record_says_that_it_begins_after_it_was_asked_for() -> None:
+    intake = Intake(Plan(CHANNELS, 1000.0, 64), asked=0.15)
+    made = intake.feed(Block(400, truth(np.arange(400, 440)), 0.44))
+    text = "at once; 0.25 s after it was asked for, as there are no samples from before"
+    assert made[0] == Start(400, text)
+
+
+def test_a_level_counts_from_where_the_record_was_asked_for() -> None:
+    intake = Intake(Plan(CHANNELS, 1000.0, 64, trigger=AtLevel(0, 100.0, True, "AF")), asked=0.15)
+    made = []
+    for tick in range(0, 400, 40):
+        samples = truth(np.arange(tick, tick + 40)) % 130  # rises past 100 at ticks 100, 230 and 360
+        made += intake.feed(Block(tick, samples, (tick + 40) / 1000))
+    assert next(item for item in made if isinstance(item, Start)).tick == 230

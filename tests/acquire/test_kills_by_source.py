@@ -20,6 +20,7 @@ from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
 from aerobalance.problems import DoubtWarning
 from aerobalance.published import CABLE_CUT
+from seeds import new_seed
 
 SEED = 11
 RECORD = "[record]\nblock = 0.05\nkeep_free = 0.0\n[channels.AF]\n[channels.live_acceleration]\n"
@@ -125,6 +126,6 @@ def kill(kind, folder, count, seed):
 @pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_thirty_kills_lose_nothing_acknowledged(kind, tmp_path) -> None:
-    seed = np.random.SeedSequence().entropy
+    seed = new_seed()
     print(f"seed {seed}")  # noqa: T201 - shown on failure
     kill(kind, tmp_path, 30, seed)

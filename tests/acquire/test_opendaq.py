@@ -113,7 +113,7 @@ def test_record_across_a_restart_gives_info_and_force(tmp_path) -> None:
 
     port, file = free_port(), tmp_path / "run.h5"
     (tmp_path / "rig.toml").write_text(
-        '[source]\nkind = "simulated"\nrig = "cable_cut"\nrate = 250.0\n', encoding="utf-8"
+        '[source]\nkind = "simulated"\nrig = "cable_cut"\nrate = 250.0\nseed = 7\n', encoding="utf-8"
     )
     rigs = [Server(RIG, port, tmp_path / "rig.toml") for _ in range(2)]
     with rigs[0] as server, rigs[1] as again:

@@ -11,6 +11,7 @@ from aerobalance.acquire.source import SourceEndedError
 from aerobalance.io import read
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
 from aerobalance.problems import DoubtWarning, ReadError
+from seeds import new_seed
 
 CHANNELS = (
     StoredChannel("AF", "lbf", sign=-1.0, scale=2.0, offset=0.5),
@@ -38,7 +39,7 @@ def played(source):
 
 
 def test_a_record_is_played_as_it_would_be_read_with_its_gaps_and_units(tmp_path) -> None:
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng(entropy)
     blocks, tick = [], 7_000
     for _ in range(12):

@@ -15,12 +15,13 @@ from aerobalance.recording import Recording
 from aerobalance.rigs import SixComponentRig
 from aerobalance.rigs.six_balance import random_balance
 from aerobalance.rigs.six_signals import Band, broadband
+from seeds import new_seed
 
 BAND = Band(0, 900)
 
 
 def _record() -> tuple[Recording, CoupledDynamics, np.random.Generator, int]:
-    entropy = int(np.random.SeedSequence().generate_state(1)[0])
+    entropy = new_seed()
     generator = np.random.default_rng(entropy)
     balance = random_balance(generator)
     load = broadband(generator, BAND, rms=0.02 * balance.half_range, period=4.0)

@@ -11,6 +11,7 @@ import numpy as np
 from aerobalance.channel import Channel
 from aerobalance.io import read, write_recording
 from aerobalance.recording import Recording
+from seeds import new_seed
 
 
 def with_csv_module(path):
@@ -29,7 +30,7 @@ def seconds(task):
 
 def test_csv_beside_a_plain_parser(tmp_path, record) -> None:
     path = tmp_path / "long.csv"
-    seed = np.random.SeedSequence().entropy
+    seed = new_seed()
     print(f"seed {seed}")  # noqa: T201
     values = np.random.default_rng(seed).normal(size=150_000)
     stamps = np.arange(values.size) / 25_000

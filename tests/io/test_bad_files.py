@@ -8,6 +8,7 @@ import pytest
 
 from aerobalance.io import read, read_table
 from aerobalance.problems import DoubtWarning, ReadError
+from seeds import new_seed
 
 GOOD = "time [s],AF [N]\n0,1\n0.1,2\n0.2,3\n"
 
@@ -146,7 +147,7 @@ def test_table_refuses_a_missing_cell_and_a_missing_column(tmp_path):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_damaged_files_never_end_in_anything_but_a_read_error(tmp_path, seed):
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     rng = np.random.default_rng([seed, entropy % 2**32])
     path = tmp_path / "damaged.csv"
     good = bytearray(b"time [s],AF [N],pitch [deg]\n" + b"".join(b"%d.5,%d,1e-3\n" % (i, i * i) for i in range(20)))

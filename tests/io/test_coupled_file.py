@@ -14,6 +14,7 @@ from aerobalance.io.coupled_file import dynamics_kind, matrix_units, read_any_dy
 from aerobalance.io.dynamics_file import read_dynamics, write_dynamics
 from aerobalance.problems import ReadError
 from aerobalance.rigs import random_balance
+from seeds import new_seed
 
 # printf 'time [s],AF [N]\n0,1\n1,2\n' | sha256sum
 SHA256 = "ef293ed0de57a6f4c463d425043e4eb566f80704df1763d9cf36760d3c6bf8ac"
@@ -41,7 +42,7 @@ def written(tmp_path, dynamics, **settings):
 
 
 def test_round_trip_is_exact(tmp_path):
-    seed = int(np.random.SeedSequence().entropy % 2**32)
+    seed = new_seed()
     given = full(seed)
     found = read_coupled(written(tmp_path, given))
     assert found.components == given.components
@@ -227,7 +228,7 @@ def with_calibration(seed):
 
 
 def test_what_the_calibration_left_reads_back_exactly(tmp_path):
-    seed = int(np.random.SeedSequence().entropy % 2**32)
+    seed = new_seed()
     given = with_calibration(seed)
     path = written(tmp_path, given)
     found = read_coupled(path)

@@ -13,6 +13,7 @@ from aerobalance.cli import main
 from aerobalance.io import column_names, load_channel_map, read, template
 from aerobalance.io.tdms_file import round_interval
 from aerobalance.problems import DoubtWarning, ReadError
+from seeds import new_seed
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "internal-balance"
 
@@ -447,7 +448,7 @@ def test_a_file_that_was_never_closed_is_read_and_doubted(tmp_path):
 
 
 def test_damaged_bytes_end_in_a_recording_or_a_read_error(tmp_path, capfd):
-    entropy = np.random.SeedSequence().entropy
+    entropy = new_seed()
     generator = np.random.default_rng(entropy)
     good = three_segments()
     refused = 0

@@ -17,6 +17,7 @@ from aerobalance.published import (
     Printed,
 )
 from aerobalance.rigs import ARMATURE_MASS, Sensor, Simulation, SteppedSine, VibrationRig
+from seeds import new_seed
 
 FREQUENCIES = (*np.arange(300.0, 600.0, 50.0), *np.arange(600.0, 650.0, 10.0), 652.5, *np.arange(660.0, 750.0, 10.0),
                752.0, *np.arange(760.0, 1000.0, 30.0))  # fmt: skip
@@ -30,7 +31,7 @@ def corners(*numbers: Printed):
 @pytest.fixture(scope="module")
 def experiment() -> tuple[Simulation, int]:
     """The rig with the printed dynamics, 0.05 N and 0.05 m/s^2 noise, steady dwells."""
-    seed = np.random.SeedSequence().entropy
+    seed = new_seed()
     sensors = {name: Sensor(noise=0.05) for name in ("AF", "ground_acceleration", "live_acceleration")}
     drive = SteppedSine(FREQUENCIES, settle=0.05, hold=0.15)
     return VibrationRig(sensors=sensors).run(drive, np.random.default_rng(seed)), seed

@@ -67,12 +67,18 @@ class Continuity:
     clocked: bool = True
     expected: int | None = None
     shift: int = 0
-    _last: float = 0.0
+    last: float = 0.0
     _first: float | None = None
     _early: float = float("inf")
     _late: float = float("inf")
     _window: float = 0.0
     _noted: float = 0.0
+
+    def tick_at(self, at: float | None) -> int:
+        """Tick of the sample of a time on the steady clock [s], as far as there is one yet; of the next for None."""
+        expected = self.expected or 0
+        late = 0 if at is None else round((self.last - at) * self.rate)
+        return max(0, expected - max(0, late))
 
     def follow(self, block: Block) -> Watched:
         """Put a block in its place: samples that came before are taken off, missing ones are counted."""
@@ -98,7 +104,7 @@ class Continuity:
         if block.remark and gap is None:
             events.append(Event(tick, "source", block.remark))
         block = replace(block, tick=tick)
-        self.expected, self._last = block.end, block.received
+        self.expected, self.last = block.end, block.received
         if gap is not None:
             self._first, self._early, self._late, self._noted = None, float("inf"), float("inf"), 0.0
         if self.clocked:
@@ -108,7 +114,7 @@ class Continuity:
     def _restarted(self, block: Block, tick: int, expected: int) -> tuple[Gap | None, int]:
         """Continue the count of a device that began anew: only the computer's clock tells how long it was away."""
         rows = block.samples.shape[0]
-        away = round((block.received - self._last) * self.rate) - rows
+        away = round((block.received - self.last) * self.rate) - rows
         missing = max(away, 0)
         place = expected + missing
         self.shift += place - tick

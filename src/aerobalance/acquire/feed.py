@@ -28,6 +28,12 @@ KEPT: Final = 256 * 2**20
 KEPT_FOR_VIEWERS: Final = 8 * 2**20
 """Bytes that wait for a viewer."""
 
+RECENT: Final = 30.0
+"""Time that blocks are kept for a record that was asked for before its recorder had started [s]."""
+
+RECENT_BYTES: Final = 64 * 2**20
+"""Bytes that are kept for it at most."""
+
 _BLOCK: Final = b"B"
 _END: Final = b"E"
 _TICK: Final = 0.1
@@ -181,6 +187,8 @@ class Feed:
         Where it listens.
     viewer
         Whether blocks may be left out where this receiver is slow.
+    recent
+        Whether the blocks of the last `RECENT` seconds are wanted first.
 
     Raises
     ------
@@ -188,9 +196,9 @@ class Feed:
         There is no such process (any more).
     """
 
-    def __init__(self, address: Address, *, viewer: bool) -> None:
+    def __init__(self, address: Address, *, viewer: bool, recent: bool = False) -> None:
         self.connection = Client(address.socket, authkey=address.key)
-        self.connection.send(viewer)
+        self.connection.send((viewer, recent))
         self.hello: Hello = self.connection.recv()
 
     def take(self) -> Block | str:
@@ -220,6 +228,9 @@ class _Server:
         self.hello = Hello(
             tuple(source.channels), source.rate, source.clocked, source.description, tuple(source.controls)
         )
+        self._recent: deque[Block] = deque()
+        self._recent_bytes = 0
+        self._changing = threading.Lock()
         self._listener = Listener(address.socket, authkey=address.key)
         threading.Thread(target=self._accept, daemon=True).start()
 
@@ -227,18 +238,33 @@ class _Server:
         while True:
             try:
                 connection = self._listener.accept()
-                viewer = bool(connection.recv())
+                viewer, recent = connection.recv()
                 connection.send(self.hello)
-                self.outlets = [*self.outlets, _Outlet(connection, viewer=viewer)]
+                self._add(_Outlet(connection, viewer=bool(viewer)), recent=bool(recent))
             except (OSError, EOFError, AuthenticationError):
                 if self._closed:
                     return
 
     _closed = False
 
+    def _add(self, outlet: _Outlet, *, recent: bool) -> None:
+        """Add a receiver, which may want what was given before; no block is left out or comes twice."""
+        with self._changing:
+            for block in self._recent if recent else ():
+                outlet.give(block, patient=False)
+            self.outlets = [*self.outlets, outlet]
+
+    def _keep(self, block: Block) -> None:
+        self._recent.append(block)
+        self._recent_bytes += block.samples.nbytes
+        while self._recent_bytes > RECENT_BYTES or block.received > self._recent[0].received + RECENT:
+            self._recent_bytes -= self._recent.popleft().samples.nbytes
+
     def give(self, block: Block, say: Callable[[Said], None]) -> None:
         """Give a block to all; let go of those that are gone."""
-        outlets = self.outlets
+        with self._changing:
+            self._keep(block)
+            outlets = self.outlets
         for outlet in outlets:
             outlet.give(block, patient=self.source.patient)
             if outlet.sender.broken:
@@ -251,7 +277,7 @@ class _Server:
         for outlet in self.outlets:
             # What a patient source has given must all arrive; a device's receivers have a second for the rest.
             patient = self.source.patient and not hurry
-            patience = 0.2 if outlet.viewer else 60.0 if patient else 1.0
+            patience = (2.0 if patient else 0.2) if outlet.viewer else 60.0 if patient else 1.0
             outlet.sender.finish(patience, last=_END + reason.encode())
         self._listener.close()
 

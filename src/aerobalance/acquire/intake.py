@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from aerobalance.acquire.source import Block
 from aerobalance.channel import Array
 from aerobalance.fouling import Contact, ContactFinder
 from aerobalance.io.hdf5_layout import StoredChannel
+
+LATE: Final = 0.1
+"""Time by which a record may begin after it was asked for without saying so [s]."""
 
 
 class Piece(NamedTuple):
@@ -182,10 +185,15 @@ class Intake:
         What is to be recorded.
     clocked
         Whether the source's clock is steady.
+    asked
+        When the record was asked for, on the steady clock [s]: it begins no earlier, but for what it keeps from before
+        its trigger. None for at once.
     """
 
-    def __init__(self, plan: Plan, *, clocked: bool = True) -> None:
+    def __init__(self, plan: Plan, *, clocked: bool = True, asked: float | None = None) -> None:
         self.plan = plan
+        self._asked = asked
+        self._late = ""
         self.continuity = Continuity(plan.rate, clocked=clocked)
         self.started: int | None = None
         self.ended = False
@@ -215,7 +223,7 @@ class Intake:
         block = watched.block
         values = self._values(block.samples) if self._values_needed else block.samples
         if self.started is None:
-            tick = self._begins(block, values)
+            tick = self._begins(block, values, self._early(block))
             if tick is None:
                 return self._keep([*found, block])
             return self._begin([*found, block], tick, values)
@@ -238,10 +246,27 @@ class Intake:
         values = _values(self.plan.channels, samples)
         return values if self.plan.loads is None else self.plan.loads.extended(values)
 
-    def _begins(self, block: Block, values: Array) -> int | None:
+    def _early(self, block: Block) -> int:
+        """Rows of a block that were sampled before the record was asked for."""
+        rows = len(block.samples)
+        if self._asked is None:
+            return 0
+        if block.received < self._asked:
+            return rows
+        early = rows - round((block.received - self._asked) * self.plan.rate)
+        self._asked = None
+        if -early > LATE * self.plan.rate:
+            self._late = (
+                f"; {-early / self.plan.rate:.2f} s after it was asked for, as there are no samples from before"
+            )
+        return min(max(early, 0), rows)
+
+    def _begins(self, block: Block, values: Array, early: int) -> int | None:
+        if early == block.samples.shape[0]:
+            return None
         if self._called is not None:
-            return block.tick
-        return self.plan.trigger.find(block.tick, values)
+            return block.tick + early
+        return self.plan.trigger.find(block.tick + early, values[early:])
 
     def _keep(self, found: Sequence[Output | Block]) -> list[Output]:
         """Hold what came before the trigger; where the record runs, pass it on."""
@@ -257,7 +282,7 @@ class Intake:
 
     def _begin(self, found: Sequence[Output | Block], tick: int, values: Array) -> list[Output]:
         plan = self.plan
-        text = self._called or plan.trigger.text
+        text = (self._called or plan.trigger.text) + self._late
         self.started = tick
         if plan.length is not None:
             self._stop = (tick + plan.length, f"complete: {plan.length} samples from the trigger on")

@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 from aerobalance.acquire.continuity import Event, Gap
 from aerobalance.acquire.feed import Address, Feed, Sender
-from aerobalance.acquire.intake import End, Intake, Output, Piece, Plan, Start
+from aerobalance.acquire.intake import AtOnce, End, Intake, Output, Piece, Plan, Start
 from aerobalance.acquire.source import Block
 from aerobalance.io.hdf5_layout import BlockWriter, DiskFullError, Provenance, plain_reason
 from aerobalance.io.held_file import HeldFile, Mishap
@@ -28,16 +28,21 @@ LOOKED: Final = 0.25
 
 _TICK: Final = 0.1
 _AT_ONCE: Final = 64
+_CATCHING_UP: Final = 0.5
 _UNHEARD: Final = 65536
 
-State = Literal["waiting", "recording", "ended", "failed"]
+State = Literal["starting", "waiting", "recording", "ended", "failed"]
 
 
 class Tell(NamedTuple):
-    """What the recorder is to do: ``call`` (trigger), ``note`` or ``stop``; with a text."""
+    """What the recorder is to do: ``call`` (trigger), ``note`` or ``stop``; with a text.
+
+    `at` is when it was said, on the steady clock [s]; None for when it is heard.
+    """
 
     do: Literal["call", "note", "stop"]
     text: str = ""
+    at: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +52,7 @@ class Progress:
     Attributes
     ----------
     state
-        ``waiting`` for the trigger, ``recording``, ``ended``, or ``failed`` (nothing could be recorded).
+        ``starting``, ``waiting`` for the trigger, ``recording``, ``ended``, or ``failed`` (nothing could be recorded).
     reason
         Why it ended, or what it waits for.
     path
@@ -116,6 +121,8 @@ class Job:
         Where the samples come from.
     keep_free
         Space that is left free on the disk [bytes].
+    asked
+        When the record was asked for, on the steady clock [s]; None for once the recorder is there.
     """
 
     path: str
@@ -123,6 +130,7 @@ class Job:
     clocked: bool
     provenance: Provenance
     keep_free: int
+    asked: float | None = None
 
 
 class Take:
@@ -136,13 +144,14 @@ class Take:
 
     def __init__(self, job: Job) -> None:
         self.job = job
-        self.intake = Intake(job.plan, clocked=job.clocked)
+        self.intake = Intake(job.plan, clocked=job.clocked, asked=job.asked)
         plan = job.plan
         self.writer = BlockWriter(
             Path(job.path), plan.channels, rate=plan.rate, rows=plan.rows, provenance=job.provenance
         )
         self.held = HeldFile(Path(job.path))
-        self.progress = Progress("waiting", plan.trigger.text, job.path)
+        state: State = "starting" if isinstance(plan.trigger, AtOnce) else "waiting"
+        self.progress = Progress(state, plan.trigger.text, job.path)
         self._set(free=self._free())
         self._block_bytes = plan.rows * len(plan.channels) * 8
         self._origin = 0
@@ -157,9 +166,9 @@ class Take:
         """Write samples that wait for their block to fill."""
         return self._write(self.intake.flush())
 
-    def note(self, kind: str, text: str) -> None:
-        """Write down an event at the present tick."""
-        self._event(Event(self.intake.continuity.expected or 0, kind, text))
+    def note(self, kind: str, text: str, *, at: float | None = None) -> None:
+        """Write down an event at the present tick, or at that of a time on the steady clock [s]."""
+        self._event(Event(self.intake.continuity.tick_at(at), kind, text))
 
     def end(self, reason: str) -> None:
         """Write the rest and close the file."""
@@ -297,7 +306,7 @@ def run_recorder(job: Job, address: Address, control: Connection[Any, Any]) -> N
     told: list[str] = []
     signal.signal(signal.SIGTERM, lambda *_: told.append("the recorder was told to end"))
     try:
-        feed = Feed(address, viewer=False)
+        feed = Feed(address, viewer=False, recent=job.asked is not None)
         take = Take(job)
     except (OSError, EOFError, RuntimeError) as problem:
         text = "the source is gone" if isinstance(problem, EOFError) else plain_reason(problem)
@@ -320,7 +329,7 @@ def _record(take: Take, feed: Feed, starter: tuple[Connection[Any, Any], Sender]
         if told:
             take.end(told[0])
             return
-        if control in ready and not _obey(take, control):
+        if control in ready and not _obey(take, feed, control):
             return
         changed = False
         if time.monotonic() - looked > LOOKED:
@@ -355,20 +364,31 @@ def _drain(take: Take, feed: Feed) -> bool:
     return changed
 
 
-def _obey(take: Take, control: Connection[Any, Any]) -> bool:
+def _catch_up(take: Take, feed: Feed, at: float) -> None:
+    """Take what was sampled up to a time on the steady clock [s] and is still on its way."""
+    limit = time.monotonic() + _CATCHING_UP
+    while not take.progress.over and take.intake.continuity.last < at and time.monotonic() < limit:
+        if not feed.connection.poll(_TICK):
+            return
+        _drain(take, feed)
+
+
+def _obey(take: Take, feed: Feed, control: Connection[Any, Any]) -> bool:
     """Do what the starter says; return False when the record is over by that."""
     try:
         tell: Tell = control.recv()
     except (EOFError, OSError):
         take.end("the program that started the record is gone")
         return False
+    if tell.at is not None:
+        _catch_up(take, feed, tell.at)
     if tell.do == "stop":
         take.end(tell.text or "stopped")
         return False
     if tell.do == "call":
         take.intake.call(tell.text or "call")
     else:
-        take.note("note", tell.text)
+        take.note("note", tell.text, at=tell.at)
     return True
 
 

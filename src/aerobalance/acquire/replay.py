@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import can_read, read_blocks
 from aerobalance.io.units import conversion_for
 from aerobalance.problems import ReadError
+
+AGAIN: Final = "the recording begins again"
+"""What is said of the time before the first sample of another round."""
 
 
 class _Piece(NamedTuple):
@@ -34,7 +37,7 @@ class _Recorded(NamedTuple):
     name: str
     rate: float
     channels: tuple[SourceChannel, ...]
-    pieces: Iterator[_Piece]
+    pieces: Callable[[], Iterator[_Piece]]
 
 
 class ReplaySource(Uncontrolled):
@@ -54,6 +57,8 @@ class ReplaySource(Uncontrolled):
         Seconds of the recording in a second of the clock; infinite for as fast as possible.
     block
         Length of a block [s].
+    loop
+        Whether to begin again at the end, without a gap; the first block of each round says so.
 
     Raises
     ------
@@ -67,12 +72,21 @@ class ReplaySource(Uncontrolled):
     patient = True
 
     def __init__(
-        self, path: Path | str, *, channel_map: Path | None = None, speed: float = 1.0, block: float = 0.02
+        self,
+        path: Path | str,
+        *,
+        channel_map: Path | None = None,
+        speed: float = 1.0,
+        block: float = 0.02,
+        loop: bool = False,
     ) -> None:
         file = Path(path)
         recorded = (_ticked(file) if channel_map is None else None) or _whole(file, channel_map)
-        self.rate, self.channels, self._pieces = recorded.rate, recorded.channels, recorded.pieces
-        self.description = f"replay of {recorded.name} at {speed:g} times its speed"
+        self.rate, self.channels = recorded.rate, recorded.channels
+        self._again = recorded.pieces if loop else None
+        self._pieces = recorded.pieces()
+        self._offset = self._end = 0
+        self.description = f"replay of {recorded.name} at {speed:g} times its speed{', again and again' * loop}"
         self._size = max(1, round(block * self.rate))
         self._pacing = Pacing(self.rate, speed)
         self._piece: _Piece | None = None
@@ -92,18 +106,30 @@ class ReplaySource(Uncontrolled):
         if self._stopped:
             raise SourceEndedError("the replay was stopped")
         if self._piece is None:
-            self._piece = next(self._pieces, None)
+            self._piece = self._next()
         if self._piece is None:
             raise SourceEndedError("the replayed recording is at its end")
         tick, samples, remark = self._piece
         if self._first is None:
             self._first = tick
+        self._end = tick + len(samples)
         rows = min(self._size, samples.shape[0])
         if not self._pacing.wait(tick - self._first, rows, timeout):
             return None
         rest = samples[rows:]
         self._piece = _Piece(tick + rows, rest) if rest.shape[0] else None
         return Block(tick, samples[:rows], time.monotonic(), remark)
+
+    def _next(self) -> _Piece | None:
+        """The next piece of the recording, on the ticks of the source; None at the end."""
+        piece = next(self._pieces, None)
+        if piece is None and self._again is not None:
+            self._pieces = self._again()
+            piece = next(self._pieces, None)
+            if piece is not None:
+                self._offset = self._end - piece.tick
+                piece = piece._replace(remark="; ".join(filter(None, (AGAIN, piece.remark))))
+        return None if piece is None else piece._replace(tick=piece.tick + self._offset)
 
 
 def _whole(path: Path, channel_map: Path | None) -> _Recorded:
@@ -120,7 +146,7 @@ def _whole(path: Path, channel_map: Path | None) -> _Recorded:
                 yield _Piece(first, np.column_stack([channel.values[part] for channel in recording]))
 
     channels = tuple(SourceChannel(channel.name, channel.unit) for channel in recording)
-    return _Recorded(recording.name, recording.rate, channels, pieces())
+    return _Recorded(recording.name, recording.rate, channels, pieces)
 
 
 def _ticked(path: Path) -> _Recorded | None:
@@ -153,4 +179,4 @@ def _ticked(path: Path) -> _Recorded | None:
     channels = tuple(
         SourceChannel(channel.name, change.unit) for channel, change in zip(found.channels, changes, strict=True)
     )
-    return _Recorded(path.stem, found.rate, channels, pieces())
+    return _Recorded(path.stem, found.rate, channels, pieces)

@@ -19,6 +19,7 @@ from aerobalance.acquire.recorder import Job, Progress, Tell, run_recorder
 from aerobalance.acquire.scratch import make_folder, remove
 from aerobalance.acquire.setup import Setup, setup_text, stored_channels
 from aerobalance.acquire.spawning import start
+from aerobalance.io.hdf5_closing import close_broken_off
 from aerobalance.io.hdf5_layout import Provenance
 from aerobalance.io.held_file import refuse_held
 from aerobalance.problems import FitError
@@ -45,13 +46,15 @@ class Recorder:
         self.process: SpawnProcess = _SPAWN.Process(target=run_recorder, args=(job, address, other), daemon=True)
         start(self.process)
         other.close()
-        self.progress = Progress("waiting", "the recorder is starting", job.path)
+        self.progress = Progress("starting", "the recorder is starting", job.path)
+        self.heard = False
 
     def poll(self, timeout: float = 0.0) -> Progress:
         """Return how the record stands, after waiting for news up to `timeout` [s]."""
         try:
             while not self.progress.over and self._control.poll(timeout):
                 self.progress, timeout = self._control.recv(), 0.0
+                self.heard = True
         except (EOFError, OSError):
             self._gone()
         return self.progress
@@ -76,10 +79,10 @@ class Recorder:
         with contextlib.suppress(OSError):
             self._control.send(tell)
 
-    def stop(self, reason: str = "stopped", *, timeout: float = _ENDING) -> Progress:
-        """End the record and wait until its file is closed."""
-        self.tell(Tell("stop", reason))
-        limit = time.monotonic() + timeout
+    def stop(self, reason: str = "stopped", *, timeout: float = _ENDING, hurry: bool = False) -> Progress:
+        """End the record and wait until its file is closed; for one that is just starting, up to a minute longer."""
+        self.tell(Tell("stop", reason, time.monotonic()))
+        limit = time.monotonic() + timeout + (0.0 if self.poll().over or self.heard or hurry else _STARTING)
         while not self.progress.over and time.monotonic() < limit:
             self.poll(0.1)
         self.process.join(max(0.1, limit - time.monotonic()))
@@ -92,6 +95,8 @@ class Recorder:
     def _gone(self) -> None:
         if not self.progress.over:
             last = self.progress
+            with contextlib.suppress(OSError):  # so that other HDF5 programs can open it
+                close_broken_off(last.path)
             reason = "the recorder is gone without a word (killed, or crashed); all acknowledged blocks are kept"
             names = Progress.__slots__
             kept = {name: getattr(last, name) for name in names if name not in ("state", "reason")}
@@ -172,8 +177,10 @@ class Session:
         """Connect a viewer: it gets blocks as they come, and may be slow."""
         return Feed(self.address, viewer=True)
 
-    def record(self, path: Path, *, replace: bool = False, setup: Setup | None = None) -> Recorder:
-        """Start a recorder; it takes samples once `Recorder.ready` has returned.
+    def record(
+        self, path: Path, *, replace: bool = False, setup: Setup | None = None, asked: float | None = None
+    ) -> Recorder:
+        """Start a recorder; it takes samples once `Recorder.ready` has returned, or from when it was asked for.
 
         Parameters
         ----------
@@ -183,6 +190,8 @@ class Session:
             Whether an old file of this name may be deleted.
         setup
             Settings of this record; those of the session where left out.
+        asked
+            When the record was asked for, on the steady clock [s]; what was sampled since is in it.
 
         Raises
         ------
@@ -217,7 +226,7 @@ class Session:
             refuse_held(path)
             path.unlink(missing_ok=True)
         provenance = Provenance(self.hello.description, setup_text(setup), setup.name)
-        return Recorder(Job(str(path), plan, self.hello.clocked, provenance, keep_free), self.address)
+        return Recorder(Job(str(path), plan, self.hello.clocked, provenance, keep_free, asked), self.address)
 
     def close(self, *, timeout: float = _ENDING) -> None:
         """End the source's process and remove its socket."""

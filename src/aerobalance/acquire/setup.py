@@ -107,6 +107,7 @@ class Replay(SourceSettings):
     map: FileName | None = None
     speed: Annotated[float, Field(gt=0)] = 1.0
     block: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.02
+    loop: bool = False
 
     def open(self, folder: Path, *, inputs: Sequence[str]) -> Source:
         """Open the recording."""
@@ -115,7 +116,9 @@ class Replay(SourceSettings):
 
         del inputs
         channel_map = None if self.map is None else folder / self.map
-        return ReplaySource(folder / self.file, channel_map=channel_map, speed=self.speed, block=self.block)
+        return ReplaySource(
+            folder / self.file, channel_map=channel_map, speed=self.speed, block=self.block, loop=self.loop
+        )
 
 
 SOURCES: Final[dict[str, type[SourceSettings]]] = {

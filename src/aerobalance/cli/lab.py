@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from aerobalance.cli.account import show
+from aerobalance.cli.account import Manner, show
 from aerobalance.cli.options import (
     PROGRAM,
     Component,
@@ -21,13 +21,17 @@ from aerobalance.cli.options import (
     Modes,
     OnZero,
     Out,
+    Replace,
     Tare,
+    Verbose,
     Way,
     Zero,
     ZeroAfter,
+    capital,
     example,
     gauge_files,
 )
+from aerobalance.cli.streams import given, given_all
 from aerobalance.components import STANDARD_GRAVITY
 
 HalfRange = Annotated[
@@ -47,7 +51,10 @@ app.add_typer(identify, name="identify")
 @app.command(epilog=example("calibrate schedule.csv --model auto -o balance.json --report calibration.html"))
 def calibrate(
     schedule: Annotated[
-        Path, typer.Argument(metavar="SCHEDULE", help="Loads and gauge outputs: BALFIT csv, .vol or plain csv.")
+        Path,
+        typer.Argument(
+            metavar="SCHEDULE", callback=given, help="Loads and gauge outputs: BALFIT csv, .vol or plain csv."
+        ),
     ],
     out: Out = None,
     model: Annotated[
@@ -78,6 +85,8 @@ def calibrate(
     ] = None,
     report: Annotated[Path | None, typer.Option("--report", help="Write a page with figures and tables.")] = None,
     as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
 ) -> None:
     """Make a balance matrix from a load schedule, with its statistics."""
     from aerobalance.commands import calibration
@@ -94,9 +103,8 @@ def calibrate(
             reading_noise=calibration.reading_noise_from(reading_noise or ()),
             report=report,
         ),
-        as_json,
+        Manner(as_json, verbose, replace),
         doing="fitting the matrix",
-        plain="summary",
     )
 
 
@@ -107,26 +115,38 @@ def compare_calibrations(
     out: Out = None,
     model: Annotated[Model, typer.Option("--model", help="Terms offered where a schedule is given.")] = Model.AUTO,
     as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
 ) -> None:
     """Show what has changed between two calibrations of one balance, and whether it is more than chance."""
     from aerobalance.commands import calibration
 
-    show(lambda: calibration.compare(before, after, out, model=model.value), as_json, doing="comparing")
+    show(
+        lambda: calibration.compare(before, after, out, model=model.value),
+        Manner(as_json, verbose, replace),
+        doing="comparing",
+    )
 
 
 @app.command(epilog=example("weigh points.csv -o mass.json"))
 def weigh(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Static points, or recordings.")],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", callback=given_all, help="Static points, or recordings.")
+    ],
     out: Out = None,
     component: Annotated[
         str | None,
-        typer.Option("--component", help="Weigh with this force alone: AF, SF or NF; all loads if left out."),
+        typer.Option(
+            "--component", callback=capital, help="Weigh with this force alone: AF, SF or NF; all loads if left out."
+        ),
     ] = None,
     gravity: Gravity = STANDARD_GRAVITY,
     balance: MaybeBalance = None,
     zero: Zero = None,
     channel_map: Map = None,
     as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
 ) -> None:
     """Find mass and centre of gravity from readings at several pitch (and roll) angles."""
     from aerobalance.commands import weighing
@@ -144,7 +164,7 @@ def weigh(
             files=None if balance is None else BalanceFiles.of(balance, zero=zero),
             channel_map=channel_map,
         ),
-        as_json,
+        Manner(as_json, verbose, replace),
         doing="weighing",
     )
 
@@ -152,7 +172,10 @@ def weigh(
 @identify.command("decay", epilog=example("identify decay cut.csv --component AF --mass 177.87 -o dynamics.json"))
 def identify_decay(
     recs: Annotated[
-        list[Path], typer.Argument(metavar="REC...", help="A recording; several releases with --component all.")
+        list[Path],
+        typer.Argument(
+            metavar="REC...", callback=given_all, help="A recording; several releases with --component all."
+        ),
     ],
     mass: Annotated[
         str | None,
@@ -163,7 +186,11 @@ def identify_decay(
     out: Out = None,
     component: Annotated[
         str,
-        typer.Option("--component", help="NF, PM, SF, YM, RM or AF; all for six that ring together, from releases."),
+        typer.Option(
+            "--component",
+            callback=capital,
+            help="NF, PM, SF, YM, RM or AF; all for six that ring together, from releases.",
+        ),
     ] = "AF",
     modes: Annotated[
         str | None,
@@ -186,6 +213,8 @@ def identify_decay(
     tare: Tare = None,
     channel_map: Map = None,
     as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
 ) -> None:
     """Identify from a free decay: a load that is held and released."""
     files = gauge_files(balance, zero, model_on_zero, zero_after, tare)
@@ -203,9 +232,8 @@ def identify_decay(
                 files=files,
                 channel_map=channel_map,
             ),
-            as_json,
+            Manner(as_json, verbose, replace),
             doing="fitting the releases",
-            plain="summary",
         )
         return
     from aerobalance.commands import identify
@@ -219,7 +247,7 @@ def identify_decay(
         lambda: identify.identify_decay(
             rec, out, component=component, mass=mass, modes=modes or "1", channel_map=channel_map
         ),
-        as_json,
+        Manner(as_json, verbose, replace),
         doing="fitting the decay",
     )
 
@@ -227,7 +255,8 @@ def identify_decay(
 @identify.command("rig", epilog=example("identify rig sweep.csv --component AF --mass 0.68 -o dynamics.json"))
 def identify_rig(
     recs: Annotated[
-        list[Path], typer.Argument(metavar="REC...", help="A recording; several shakes with --component all.")
+        list[Path],
+        typer.Argument(metavar="REC...", callback=given_all, help="A recording; several shakes with --component all."),
     ],
     mass: Annotated[
         str | None,
@@ -236,12 +265,16 @@ def identify_rig(
     out: Out = None,
     component: Annotated[
         str,
-        typer.Option("--component", help="NF, PM, SF, YM, RM or AF; all for six that ring together."),
+        typer.Option(
+            "--component", callback=capital, help="NF, PM, SF, YM, RM or AF; all for six that ring together."
+        ),
     ] = "AF",
     modes: Modes = "1",
     half_range: HalfRange = None,
     channel_map: Map = None,
     as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
 ) -> None:
     """Identify from a shaken ground end: stepped sine, sweep or random."""
     if component == "all":
@@ -252,9 +285,8 @@ def identify_rig(
         ranges = identify_coupled.half_ranges(half_range or ())
         show(
             lambda: identify_shaking.identify_shaken(recs, out, mass=mass, half_range=ranges, channel_map=channel_map),
-            as_json,
+            Manner(as_json, verbose, replace),
             doing="fitting the shaken records",
-            plain="summary",
         )
         return
     from aerobalance.commands import identify
@@ -262,7 +294,7 @@ def identify_rig(
     rec = _only(recs, half_range)
     show(
         lambda: identify.identify_rig(rec, out, component=component, mass=mass, modes=modes, channel_map=channel_map),
-        as_json,
+        Manner(as_json, verbose, replace),
         doing="fitting the response",
     )
 
@@ -286,16 +318,25 @@ def _only(recs: list[Path], half_range: list[str] | None) -> Path:
 
 @identify.command("frf", epilog=example("identify frf table.csv --component AF --mass 0.68 -o dynamics.json"))
 def identify_frf(
-    table: Annotated[Path, typer.Argument(metavar="TABLE", help="Frequency, amplitude and phase with uncertainties.")],
+    table: Annotated[
+        Path,
+        typer.Argument(metavar="TABLE", callback=given, help="Frequency, amplitude and phase with uncertainties."),
+    ],
     mass: Mass,
     out: Out = None,
     component: Component = "AF",
     as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
 ) -> None:
     """Identify from a published sine calibration: the response AF/F at some frequencies."""
     from aerobalance.commands import identify
 
-    show(lambda: identify.identify_frf(table, out, component=component, mass=mass), as_json, doing="fitting the table")
+    show(
+        lambda: identify.identify_frf(table, out, component=component, mass=mass),
+        Manner(as_json, verbose, replace),
+        doing="fitting the table",
+    )
 
 
 @identify.command(
@@ -303,7 +344,10 @@ def identify_frf(
 )
 def identify_stiffness(
     table: Annotated[
-        Path, typer.Argument(metavar="K", help="Stiffness: csv table of load over displacement, or JSON with u.")
+        Path,
+        typer.Argument(
+            metavar="K", callback=given, help="Stiffness: csv table of load over displacement, or JSON with u."
+        ),
     ],
     mass: Annotated[
         Path,
@@ -319,13 +363,14 @@ def identify_stiffness(
     ] = None,
     out: Out = None,
     as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
 ) -> None:
     """Work out six components from weighed mass, inertia and a stiffness, and compare with those identified."""
     from aerobalance.commands import identify_stiffness
 
     show(
         lambda: identify_stiffness.from_stiffness(table, out, mass=mass, ratios=ratios, compare=compare),
-        as_json,
+        Manner(as_json, verbose, replace),
         doing="working out the dynamics",
-        plain="summary",
     )

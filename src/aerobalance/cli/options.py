@@ -8,24 +8,59 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from aerobalance.cli.streams import given, wanted
+
 if TYPE_CHECKING:
     from aerobalance.commands.balance_files import BalanceFiles
 
+
 PROGRAM: Final = "aerobalance"
 
+
+def capital(name: str | None) -> str | None:
+    """Give the name of a component in the capitals that it is written with."""
+    if name is None:
+        return None
+    return "all" if name.lower() == "all" else name.upper()
+
+
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object on standard output.")]
-Out = Annotated[Path | None, typer.Option("-o", "--out", help="Where to write the result.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print all of the result after the short answer.")]
+Replace = Annotated[
+    bool, typer.Option("--replace", help="Replace a file that exists even if it is no earlier result of this kind.")
+]
+Out = Annotated[
+    Path | None,
+    typer.Option("-o", "--out", callback=wanted(".json"), help="Where to write the result; - is standard output."),
+]
+PageOut = Annotated[
+    Path | None,
+    typer.Option("-o", "--out", callback=wanted(".html"), help="Where to write the page; - is standard output."),
+]
+MapOut = Annotated[
+    Path | None,
+    typer.Option("-o", "--out", callback=wanted(".toml"), help="Where to write the map; on the screen if left out."),
+]
 NeededOut = Annotated[
-    Path, typer.Option("-o", "--out", help="Where to write the result; the ending chooses the format.")
+    Path,
+    typer.Option(
+        "-o",
+        "--out",
+        callback=wanted(".csv"),
+        help="Where to write the result; the ending chooses the format, - is CSV on standard output.",
+    ),
 ]
 Modes = Annotated[str, typer.Option("--modes", help="How many modes: a number, or auto for those the data show.")]
-Component = Annotated[str, typer.Option("--component", help="Which component: NF, PM, SF, YM, RM or AF.")]
+Component = Annotated[
+    str, typer.Option("--component", callback=capital, help="Which component: NF, PM, SF, YM, RM or AF.")
+]
 Gravity = Annotated[float, typer.Option("--gravity", help="Local acceleration of gravity in m/s^2.", min=9.7, max=9.9)]
 Map = Annotated[
     Path | None, typer.Option("--map", help="Channel map (TOML) that says what a foreign file's columns are.")
 ]
 Mass = Annotated[str, typer.Option("--mass", help="Moving mass in kg: a number (taken as exact) or a mass.json.")]
-Rec = Annotated[Path, typer.Argument(metavar="REC", help="A recording.")]
+Rec = Annotated[Path, typer.Argument(metavar="REC", callback=given, help="A recording; - is standard input.")]
+ToRead = Annotated[Path, typer.Argument(metavar="FILE", callback=given, help="A recording; - is standard input.")]
 
 
 Balance = Annotated[
@@ -37,7 +72,9 @@ MaybeBalance = Annotated[
 ]
 Zero = Annotated[
     list[Path] | None,
-    typer.Option("--zero", help="Recording with no wind before the run (may be given again), or 'none'."),
+    typer.Option(
+        "--zero", metavar="<path>", help="Recording with no wind before the run (may be given again), or 'none'."
+    ),
 ]
 
 
@@ -54,11 +91,16 @@ OnZero = Annotated[
     typer.Option("--model-on-zero", help="Whether --zero was read with the model on; auto asks the natural zeros."),
 ]
 ZeroAfter = Annotated[
-    list[Path] | None, typer.Option("--zero-after", help="The same after the run: the drift is taken off.")
+    list[Path] | None,
+    typer.Option("--zero-after", metavar="<path>", help="The same after the run: the drift is taken off."),
 ]
 Tare = Annotated[
     list[Path] | None,
-    typer.Option("--tare", help="Wind-off recording, its loads taken off at the same pitch (may be given again)."),
+    typer.Option(
+        "--tare",
+        metavar="<path>",
+        help="Wind-off recording, its loads taken off at the same pitch (may be given again).",
+    ),
 ]
 
 

@@ -8,12 +8,15 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from aerobalance.cli.account import show
+from aerobalance.cli.account import Manner, show
 from aerobalance.cli.options import (
     Json,
     Map,
+    MapOut,
     NeededOut,
-    Out,
+    Replace,
+    ToRead,
+    Verbose,
     example,
 )
 
@@ -22,34 +25,48 @@ app = typer.Typer()
 
 @app.command(epilog=example("info run.csv"))
 def info(
-    file: Annotated[Path, typer.Argument(metavar="FILE")], channel_map: Map = None, as_json: Json = False
+    file: ToRead,
+    channel_map: Map = None,
+    as_json: Json = False,
+    verbose: Verbose = False,
 ) -> None:
     """Show channels, units, rate, duration, gaps and saturation of a recording."""
     from aerobalance.commands import recordings
 
-    show(lambda: recordings.info(file, channel_map=channel_map), as_json, doing="reading")
+    show(lambda: recordings.info(file, channel_map=channel_map), Manner(as_json, verbose), doing="reading")
 
 
 @app.command(epilog=example("convert run.txt --map map.toml -o run.csv"))
 def convert(
-    file: Annotated[Path, typer.Argument(metavar="IN")], out: NeededOut, channel_map: Map = None, as_json: Json = False
+    file: ToRead,
+    out: NeededOut,
+    channel_map: Map = None,
+    as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
 ) -> None:
     """Convert a recording to the format of the output's ending."""
     from aerobalance.commands import recordings
 
-    show(lambda: recordings.convert(file, out, channel_map=channel_map), as_json, doing="converting")
+    show(
+        lambda: recordings.convert(file, out, channel_map=channel_map),
+        Manner(as_json, verbose, replace),
+        doing="converting",
+    )
 
 
 @app.command("map", epilog=example("map run.txt -o map.toml"))
 def channel_map(
-    file: Annotated[Path, typer.Argument(metavar="FILE")],
-    out: Out = None,
+    file: ToRead,
+    out: MapOut = None,
     as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
 ) -> None:
     """Make a channel map, to be filled in, for a foreign file."""
     from aerobalance.commands import recordings
 
-    show(lambda: recordings.channel_map_for(file, out), as_json, doing="reading", plain="map")
+    show(lambda: recordings.channel_map_for(file, out), Manner(as_json, verbose, replace), doing="reading")
 
 
 @app.command(epilog=example("record --source simulated --seconds 10 -o run.h5"))
@@ -75,14 +92,17 @@ def record(
     seed: Annotated[int | None, typer.Option("--seed", help="Seed of the simulated noise.")] = None,
     replace: Annotated[bool, typer.Option("--replace", help="Delete an old recording of the same name.")] = False,
     as_json: Json = False,
+    verbose: Verbose = False,
 ) -> None:
     """Record a source to an HDF5 file, each block safe on the disk before the next; Ctrl-C ends it cleanly."""
     from aerobalance.commands import record as command
+    from aerobalance.io.safe_write import OUTPUTS
 
+    OUTPUTS.begin(replace=replace)
     wishes = command.Wishes(source=source, file=file, rig=rig, seconds=seconds, speed=speed, seed=seed)
     with Console(stderr=True).status("starting ...") as status:
         account = command.record(out, setup=setup, wishes=wishes, replace=replace, show=status.update)
-    show(lambda: account, as_json, doing="recording")
+    show(lambda: account, Manner(as_json, verbose), doing="recording")
 
 
 @app.command(epilog=example("publish --rig six --port 7420"))

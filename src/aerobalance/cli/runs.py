@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from aerobalance.cli.account import show
+from aerobalance.cli.account import Manner, show
 from aerobalance.cli.options import (
     Balance,
     Gravity,
@@ -19,11 +19,14 @@ from aerobalance.cli.options import (
     ModelOnZero,
     NeededOut,
     OnZero,
-    Out,
+    PageOut,
     Rec,
+    Replace,
     Tare,
+    Verbose,
     Zero,
     ZeroAfter,
+    capital,
     example,
     gauge_files,
 )
@@ -50,6 +53,8 @@ def loads(
     ] = None,
     channel_map: Map = None,
     as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
 ) -> None:
     """Turn gauge outputs into the loads that the balance feels, with their uncertainty."""
     from aerobalance.commands import loads as command
@@ -62,7 +67,7 @@ def loads(
         lambda: command.loads(
             rec, out, files=files, form=None if form is None else form.value, channel_map=channel_map
         ),
-        as_json,
+        Manner(as_json, verbose, replace),
         doing="solving for the loads",
     )
 
@@ -104,6 +109,8 @@ def force(
         Path | None, typer.Option("--report", help="Page (HTML) with load, force, spectrum and budget.")
     ] = None,
     as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
 ) -> None:
     """Work out the force that was applied, with the standard uncertainty of every sample, its budget and a check."""
     from aerobalance.commands import force as command
@@ -127,7 +134,7 @@ def force(
             check=None if monte_carlo is None else Check(monte_carlo, seed),
             report=report,
         ),
-        as_json,
+        Manner(as_json, verbose, replace),
         doing="estimating the force",
     )
 
@@ -141,7 +148,7 @@ def plan(
     ],
     rate: Annotated[float, typer.Option("--rate", help="Sampling rate in Hz.")],
     component: Annotated[
-        str | None, typer.Option("--component", help="Which component, where there are more.")
+        str | None, typer.Option("--component", callback=capital, help="Which component, where there are more.")
     ] = None,
     acceleration_noise: Annotated[
         float, typer.Option("--acceleration-noise", help="The same of the ground accelerometer, in m/s^2.")
@@ -157,6 +164,7 @@ def plan(
         list[float] | None, typer.Option("--bandwidth", help="Highest frequency of the force in Hz (repeatable).")
     ] = None,
     as_json: Json = False,
+    verbose: Verbose = False,
 ) -> None:
     """Before the test: attainable uncertainty against bandwidth, and which sensor limits it."""
     from aerobalance.commands import plan as command
@@ -176,9 +184,8 @@ def plan(
             force=forces,
             bandwidths=bandwidth or (),
         ),
-        as_json,
+        Manner(as_json, verbose),
         doing="planning",
-        plain="summary",
     )
 
 
@@ -191,7 +198,9 @@ def compare(
     ] = None,
     component: Annotated[
         str | None,
-        typer.Option("--component", help="Which component; AF if left out, or all that ring together."),
+        typer.Option(
+            "--component", callback=capital, help="Which component; AF if left out, or all that ring together."
+        ),
     ] = None,
     step: Annotated[
         Path | None,
@@ -204,7 +213,7 @@ def compare(
             help="What percentages refer to, 2000 or NF=2000 (repeatable); half of the truth's span if left out.",
         ),
     ] = None,
-    out: Out = None,
+    out: PageOut = None,
     gravity: Gravity = STANDARD_GRAVITY,
     balance: MaybeBalance = None,
     zero: Zero = None,
@@ -213,6 +222,8 @@ def compare(
     tare: Tare = None,
     channel_map: Map = None,
     as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
 ) -> None:
     """Show this estimator and its rivals side by side on one record, with their errors where the truth is given."""
     from aerobalance.commands import compare as command
@@ -234,7 +245,6 @@ def compare(
             channel_map=channel_map,
             out=out,
         ),
-        as_json,
+        Manner(as_json, verbose, replace),
         doing="running the rivals",
-        plain="summary",
     )

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -16,16 +17,21 @@ from aerobalance.calibration.fit import Calibration
 from aerobalance.calibration.fit import calibrate as fit_matrix
 from aerobalance.calibration.quality import Quality, assess
 from aerobalance.channel import Array
+from aerobalance.commands.answers import rounded, short
 from aerobalance.commands.shared import Account, check_out, doubts, table_text
 from aerobalance.forms import Geometry
 from aerobalance.io.artefacts import provenance, write_json
 from aerobalance.io.balance_file import calibration_payload, write_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix
+from aerobalance.io.kinds import PAGE
 from aerobalance.io.matrix_file import read_matrix
 from aerobalance.io.schedule import read_schedule
 from aerobalance.io.text_table import read_text
 from aerobalance.io.units import conversion
 from aerobalance.terms import Model
+
+SHOWN_INTERACTIONS: Final = 6
+"""Interactions that have changed which the short answer shows."""
 
 
 def calibrate(
@@ -41,8 +47,8 @@ def calibrate(
     report: Path | None = None,
 ) -> Account:
     """Balance matrix from a load schedule."""
-    check_out(out, path)
-    check_out(report, path)
+    check_out(out, path, kind="balance")
+    check_out(report, path, out, kind=PAGE)
     with doubts() as collected:
         schedule = read_schedule(path, capacities=capacities_from(capacities)).keeping_aside(keep_aside)
         if distances is not None:
@@ -167,7 +173,7 @@ def summary(calibration: Calibration, quality: Quality) -> str:
 
 def compare(before: Path, after: Path, out: Path | None, *, model: Model = "auto") -> Account:
     """What two calibrations of one balance differ in; schedules are calibrated first, with the same model."""
-    check_out(out, before, after)
+    check_out(out, before, after, kind="calibration comparison")
     with doubts() as collected:
         first, second = (_matrix_of(path, model) for path in (before, after))
         drift = compare_calibrations(first, second)
@@ -193,7 +199,39 @@ def compare(before: Path, after: Path, out: Path | None, *, model: Model = "auto
     }
     if out is not None:
         write_json(out, {"kind": "calibration comparison", **account, "provenance": provenance([before, after])})
-    return account
+    return {**account, "summary": comparison_text(account)}
+
+
+def comparison_text(account: Account) -> str:
+    """Short answer for people: what has changed of each component, and whether it is more than chance."""
+    rows = []
+    for name, found in account["components"].items():
+        drift, u = rounded(found["drift_percent"], found["u_percent"])
+        rows.append(
+            (
+                name,
+                short(found["sensitivity_before"]),
+                short(found["sensitivity_after"]),
+                found["unit"],
+                drift,
+                u,
+                "yes" if found["significant"] else "no",
+                short(found["largest_load_difference_percent_of_capacity"], 3),
+            )
+        )
+    table = table_text(
+        f"{account['before']} and {account['after']}: sensitivities; u is the standard uncertainty of the change",
+        ("", "before", "after", "", "change [%]", "u", "more than chance", "largest load apart [% cap.]"),
+        rows,
+    )
+    lines = []
+    for item in account["interactions_change_percent"][:SHOWN_INTERACTIONS]:
+        change, u = rounded(item["change_percent_of_output_at_capacity"], item["u"])
+        lines.append(
+            f"interaction of {item['load']} on {item['gauge']}: {change} % of the output at capacity (u = {u})"
+        )
+    more = len(account["interactions_change_percent"]) - SHOWN_INTERACTIONS
+    return "\n".join([table, *lines, *([f"and {more} interactions more"] if more > 0 else [])]) + "\n"
 
 
 def _interactions(matrix: BalanceMatrix, change: Array, u: Array) -> list[Account]:

@@ -16,6 +16,7 @@ from aerobalance.components import STANDARD_GRAVITY, si_unit
 from aerobalance.dynamics import Dynamics
 from aerobalance.fir_inverse import MeasuredResponse, response_of_record
 from aerobalance.io import read
+from aerobalance.io.kinds import PAGE
 from aerobalance.problems import FitError
 from aerobalance.recording import Recording
 from aerobalance.rivals import THIS, RivalEstimate, Settings, estimates
@@ -54,7 +55,7 @@ def compare(
     known = read_known(dynamics)
     source = Source(known, files, gravity, channel_map)
     inputs = [path, dynamics, *source.paths, *(file for file in (truth, step) if file is not None)]
-    check_out(out, *inputs)
+    check_out(out, *inputs, kind=PAGE)
     if isinstance(known, Coupled):
         from aerobalance.commands.compare_coupled import compare_coupled  # noqa: PLC0415 - it takes parts of this
 
@@ -279,8 +280,6 @@ def summary(account: Account) -> str:
     marked = [row for row in account["rivals"] if "one mode only" in row["note"]]
     notes = [f"{row['name']}: {row['note'].split('; ')[-1]}" for row in marked]
     lines += ["", *dict.fromkeys(notes), *account["verdict"]]
-    if "written" in account:
-        lines += [f"written: {account['written']}"]
     return "\n".join(lines).rstrip() + "\n"
 
 

@@ -129,6 +129,4 @@ def summary(account: Account) -> str:
     for row in rows:
         lines += [f"{row['name']}, not run on {', '.join(some)}: {why}" for why, some in row["not_run"].items()]
     lines += [f"{name}, {text}" for name, part in account["components"].items() for text in part["verdict"][:1]]
-    if "written" in account:
-        lines += [f"written: {account['written']}"]
     return "\n".join(lines).rstrip() + "\n"

@@ -16,9 +16,11 @@ from aerobalance.commands.shared import Account, check_out, doubts
 from aerobalance.commands.uncertainty import (
     Origins,
     budget_account,
+    budget_rms,
+    budget_text,
+    force_text,
     monte_carlo_account,
     scalar_account,
-    uncertainty_text,
 )
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.estimate import ForceEstimate, with_balance
@@ -26,6 +28,7 @@ from aerobalance.force import Method
 from aerobalance.hum import Hum
 from aerobalance.io import check_output, write_force
 from aerobalance.io.artefacts import digest
+from aerobalance.io.kinds import PAGE, TABLE
 from aerobalance.loads import static_uncertainty
 from aerobalance.matrix_curvature import CurvatureErrors
 from aerobalance.monte_carlo import MonteCarlo
@@ -56,8 +59,8 @@ def force(
     settings = Settings(method, bandwidth, gravity, gravity_uncertainty, hum)
     source = Source(known, files, gravity, channel_map)
     inputs = [path, dynamics, *source.paths, *([] if noise_record is None else [noise_record])]
-    check_out(out, *inputs)
-    check_out(report, *inputs, out)
+    check_out(out, *inputs, kind=TABLE)
+    check_out(report, *inputs, out, kind=PAGE)
     with doubts() as collected:
         if files is not None:
             source = source._replace(known=_through(files.balance, known, dynamics=dynamics))
@@ -77,7 +80,8 @@ def force(
 
         write_force_report(report, account, estimates, recording=recording, inputs=inputs)
         account["report"] = report.name
-    return {**account, "summary": uncertainty_text(account["components"])}
+    account["file"] = path.name
+    return {**account, "summary": force_text(account), "details": budget_text(account["components"])}
 
 
 def _through(balance: Path, known: Known, *, dynamics: Path) -> Known:
@@ -208,7 +212,7 @@ def force_account(estimate: ForceEstimate, origins: Origins) -> Account:
         "method": estimate.method,
         **scalar_account(estimate, origins.recording),
         "uncertainty_rms": float(np.sqrt(np.mean(estimate.uncertainty**2))),
-        "uncertainty_budget_rms": estimate.budget,
+        "uncertainty_budget_rms": budget_rms(estimate),
         "noise_of_reading": estimate.noise,
         "bandwidth": {"value": estimate.bandwidth, "unit": "Hz"},
         "noise_gain": estimate.noise_gain,

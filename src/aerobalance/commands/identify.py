@@ -6,6 +6,7 @@ import warnings
 from pathlib import Path
 from typing import Final, Literal
 
+from aerobalance.commands.answers import quantities, quantity_table, rounded, short
 from aerobalance.commands.shared import Account, check_out, doubts, known_component, recording_of
 from aerobalance.commands.weighing import mass_file, parse_mass
 from aerobalance.components import si_unit
@@ -40,7 +41,7 @@ def identify_decay(
 ) -> Account:
     """Stiffness and damping, and further modes, from a free decay."""
     known_component(component)
-    check_out(out, path, channel_map, mass_file(mass))
+    check_out(out, path, channel_map, mass_file(mass), kind="dynamics")
     weighed = parse_mass(mass, component)
     if weighed is None:
         raise ValueError("--mass is needed: a free decay tells stiffness and damping only in proportion to the mass")
@@ -128,7 +129,7 @@ def identify_rig(
 ) -> Account:
     """Stiffness, damping, delay and further modes (and mass where it is not given) from a shaken ground end."""
     known_component(component)
-    check_out(out, path, channel_map, mass_file(mass))
+    check_out(out, path, channel_map, mass_file(mass), kind="dynamics")
     weighed = parse_mass(mass, component)
     wanted = number_of_modes(modes)
     with doubts() as collected:
@@ -210,7 +211,7 @@ def _dwell_details(recording: Recording, dynamics: Dynamics) -> Account:
 def identify_frf(path: Path, out: Path | None, *, component: str = "AF", mass: str) -> Account:
     """Stiffness and damping from a published frequency response AF/F."""
     known_component(component)
-    check_out(out, path, mass_file(mass))
+    check_out(out, path, mass_file(mass), kind="dynamics")
     weighed = parse_mass(mass, component)
     if weighed is None:
         raise ValueError(
@@ -252,4 +253,27 @@ def _identified(
         write_dynamics(
             out, {name: dynamics}, details={name: details}, inputs=inputs, settings=settings, warnings=collected
         )
-    return {"components": {name: dynamics_payload(dynamics, details=details)}, "warnings": collected}
+    account: Account = {"components": {name: dynamics_payload(dynamics, details=details)}, "warnings": collected}
+    return {**account, "summary": summary(path, name, account["components"][name])}
+
+
+_PARAMETERS: Final = ("mass", "natural_frequency", "damping_ratio", "stiffness", "damping", "delay")
+
+
+def summary(path: Path, component: str, found: Account) -> str:
+    """Short answer for people: the parameters with their uncertainties, further modes and how well they fit."""
+    fit = found["fit"]
+    rows = quantities(found, {key: key.replace("_", " ") for key in _PARAMETERS if key in found})
+    rows += quantities(fit, {"release": "release at", "height": "height of the release"})
+    rows += quantities(fit, {"residual_standard_deviation": "residual, standard deviation"})
+    lines = [quantity_table(f"{path.name}: {component}, {fit['method']}", rows)]
+    for number, mode in enumerate(found.get("modes", [])[1:], 2):
+        frequency, u = rounded(mode["natural_frequency"], mode["u_natural_frequency"])
+        ratio, u_ratio = rounded(mode["damping_ratio"], mode["u_damping_ratio"])
+        lines.append(
+            f"mode {number}: {frequency} Hz (u = {u}), damping ratio {ratio} (u = {u_ratio}), share "
+            f"{short(mode['share'], 3)}"
+        )
+    if "chi2" in fit:
+        lines.append(f"chi2 {short(fit['chi2'], 4)} for {fit['degrees_of_freedom']} degrees of freedom")
+    return "\n".join(lines) + "\n"

@@ -74,7 +74,7 @@ def identify_decays(
     """
     wanted = number_of_modes(modes)
     used = [channel_map, mass_file(mass), *(() if files is None else files.paths)]
-    check_out(out, *paths, *used)
+    check_out(out, *paths, *used, kind="dynamics")
     weighed, weighing = weighed_mass(mass)
     with doubts() as collected:
         recordings = [recording_of(path, channel_map) for path in paths]

@@ -52,7 +52,7 @@ def identify_shaken(
     channel_map
         Channel map of the recordings.
     """
-    check_out(out, *paths, channel_map, mass_file(mass))
+    check_out(out, *paths, channel_map, mass_file(mass), kind="dynamics")
     weighed, weighing = weighed_mass(mass)
     with doubts() as collected:
         recordings = [recording_of(path, channel_map) for path in paths]

@@ -55,7 +55,7 @@ def from_stiffness(
     compare
         dynamics.json of releases or of shaking, or None.
     """
-    check_out(out, table, mass, compare)
+    check_out(out, table, mass, compare, kind="dynamics")
     with doubts() as collected:
         stiffness, u_stiffness = read_stiffness(table)
         rigid = read_rigid_mass(mass)

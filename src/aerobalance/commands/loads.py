@@ -12,15 +12,17 @@ import numpy as np
 
 from aerobalance.balance import TOLERANCE, BalanceMatrix
 from aerobalance.channel import Array
+from aerobalance.commands.answers import rounded, short
 from aerobalance.commands.balance_files import BalanceFiles, Carried, attitudes_of, stand_in, zero_of, zeros_before
 from aerobalance.commands.known import Known
-from aerobalance.commands.shared import Account, check_out, doubts, recording_of
+from aerobalance.commands.shared import Account, check_out, doubts, recording_of, table_text
 from aerobalance.components import COMPONENTS
 from aerobalance.forms import Form
 from aerobalance.gravity import PullOnZero
 from aerobalance.io import check_output, write_loads
 from aerobalance.io.balance_file import write_balance
 from aerobalance.io.balfit_matrix import write_balfit_matrix
+from aerobalance.io.kinds import TABLE
 from aerobalance.io.matrix_file import read_matrix
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_loads, with_loads
@@ -31,14 +33,16 @@ from aerobalance.weighing import LoadPoints, points_from_recordings
 
 def convert_matrix(path: Path, out: Path) -> Account:
     """Write a matrix in the other layout: balance.json as BALFIT's text, or that as balance.json."""
-    check_out(out, path)
+    check_out(out, path, kind="balance" if out.suffix.lower() == ".json" else "")
     with doubts() as collected:
         matrix = read_matrix(path)
     if out.suffix.lower() == ".json":
         write_balance(out, matrix, found={}, inputs=[path], warnings=collected)
     else:
         write_balfit_matrix(out, matrix, description=f"from {path.name}")
-    return {"file": path.name, "written": out.name, "components": list(matrix.components), "warnings": collected}
+    names = list(matrix.components)
+    said = f"{path.name}: balance matrix of {', '.join(names)}\n"
+    return {"file": path.name, "written": out.name, "components": names, "warnings": collected, "summary": said}
 
 
 def reduced(
@@ -268,12 +272,31 @@ def loads(
 ) -> Account:
     """Loads felt, from the gauge outputs of a recording."""
     check_output(out)
-    check_out(out, path, channel_map, *files.paths)
+    check_out(out, path, channel_map, *files.paths, kind=TABLE)
     with doubts() as collected:
         recording = recording_of(path, channel_map)
         felt, matrix = reduced(recording, files, form=form, channel_map=channel_map)
     write_loads(out, recording, felt)
-    return {"written": out.name, **loads_account(felt, matrix), "warnings": collected}
+    account: Account = {"file": path.name, "written": out.name, **loads_account(felt, matrix), "warnings": collected}
+    return {**account, "summary": summary(account)}
+
+
+def summary(account: Account) -> str:
+    """Short answer for people: the loads, and what there is to say of zero, range and missing samples."""
+    rows = []
+    for name, found in account["components"].items():
+        u = found["u_calibration_rms"]
+        means = (rounded(found[key], u)[0] for key in ("mean", "least", "largest", "rms_about_mean"))
+        rows.append((f"{name} [{found['unit']}]", *means, rounded(u, u)[1], short(found["noise_of_reading"], 2)))
+    title = f"{account['file']}: loads felt; u is the standard uncertainty by the calibration"
+    lines = [table_text(title, ("", "mean", "least", "largest", "rms about mean", "u", "noise"), rows)]
+    lines.append(f"zero: {account['zero']['from']}")
+    if account["missing"]:
+        lines.append(f"{account['missing']} samples are missing")
+    beyond = ", ".join(f"{name} {count}" for name, count in account["beyond_calibrated_range"].items() if count)
+    if beyond:
+        lines.append(f"samples beyond the calibrated range: {beyond}")
+    return "\n".join(lines) + "\n"
 
 
 def loads_account(felt: LoadsFelt, matrix: BalanceMatrix) -> Account:

@@ -16,7 +16,9 @@ from aerobalance.acquire.recorder import Progress
 from aerobalance.acquire.session import Recorder, Session
 from aerobalance.acquire.setup import SOURCES, Setup, load_setup, setup_from
 from aerobalance.commands.shared import Account
+from aerobalance.io.hdf5_closing import close_all_broken_off, closed_text
 from aerobalance.io.held_file import recover_all
+from aerobalance.io.safe_write import OUTPUTS
 from aerobalance.problems import DoubtWarning, FitError
 
 _TICK = 0.1
@@ -71,10 +73,13 @@ def record(
     for found in recover_all(out.parent):
         text = "its record was broken off by a kill after it had lost its name; what was written is in it"
         warnings.warn(f"{found.name} is back: {text}", DoubtWarning, stacklevel=2)
+    for name in close_all_broken_off(out.parent):  # those that are back as well
+        warnings.warn(closed_text(name), DoubtWarning, stacklevel=2)
     with _told(out) as told, Session(chosen, folder.resolve()) as session:
         recorder = session.record(out, replace=replace)
         recorder.ready()
         told.begun = True
+        OUTPUTS.note(out, replaced=False)  # from its first block on
         session.start()
         progress = _follow(recorder, session, told, show or (lambda _: None))
     if progress.mishap and not progress.unkept:
@@ -162,11 +167,14 @@ def line(progress: Progress) -> str:
     """Say in one line how a record stands."""
     if progress.state == "waiting":
         return f"waiting for the trigger ({progress.reason}); disk left {progress.free / 1e9:.1f} GB"
-    gaps = f"{progress.gaps} gap(s), {progress.lost} samples lost" if progress.gaps else "no gaps"
+    left = f"disk left {progress.free / 1e9:.1f} GB"
     mishap = f"; {progress.mishap}" if progress.mishap else ""
-    return (
-        f"{progress.seconds:.1f} s, {progress.blocks} blocks, {gaps}; disk left {progress.free / 1e9:.1f} GB{mishap}"
-    )
+    return f"{progress.seconds:.1f} s, {progress.blocks} blocks, {gaps_text(progress)}; {left}{mishap}"
+
+
+def gaps_text(progress: Progress) -> str:
+    """Say what is missing of a record."""
+    return f"{progress.gaps} gap(s), {progress.lost} samples lost" if progress.gaps else "no gaps"
 
 
 def _account(progress: Progress, told: bool, refused: list[str]) -> Account:
@@ -185,4 +193,6 @@ def _account(progress: Progress, told: bool, refused: list[str]) -> Account:
         "lost": progress.lost,
         "events": progress.events,
         "warnings": [*refused, *([progress.mishap] if progress.mishap else [])],
+        "summary": f"{out}: {progress.seconds:.6g} s, {progress.samples} samples of each channel in "
+        f"{progress.blocks} blocks, {gaps_text(progress)}; {progress.reason}\n",
     }

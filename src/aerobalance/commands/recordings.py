@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from aerobalance.channel import Channel
+from aerobalance.commands.answers import short
 from aerobalance.commands.loads import convert_matrix
-from aerobalance.commands.shared import Account, check_out, doubts, raw_recording
+from aerobalance.commands.shared import Account, check_out, doubts, raw_recording, table_text
 from aerobalance.io import (
     check_output,
     column_names,
@@ -17,8 +18,10 @@ from aerobalance.io import (
     template,
     write_recording,
 )
+from aerobalance.io.kinds import CONVERTED
 from aerobalance.io.matrix_file import is_matrix
 from aerobalance.io.safe_write import replacing
+from aerobalance.io.units import conversion_for, edge_unit
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning
 
@@ -27,30 +30,66 @@ def info(path: Path, *, channel_map: Path | None = None) -> Account:
     """Channels, units, rate, duration, gaps and saturation of a recording."""
     with doubts() as collected:
         recording = raw_recording(path, channel_map)
-    channels = {}
-    for channel in recording:
-        known = channel.values[~channel.missing]
-        enough = known.size >= 8 and float(np.ptp(known)) > 0
-        channels[channel.name] = {
-            "unit": channel.file_unit or channel.unit,
-            "si_unit": channel.unit,
-            "least": float(known.min()) if known.size else None,
-            "mean": float(known.mean()) if known.size else None,
-            "largest": float(known.max()) if known.size else None,
-            "noise": channel_noise(channel) if enough else None,
-            "missing": int(channel.missing.sum()),
-            "saturated": int(channel.saturated.sum()),
-        }
-    return {
+    account: Account = {
         "file": path.name,
         "duration": recording.duration,
         "rate": recording.rate,
         "samples": recording.samples,
         "start": recording.start,
         "gaps": [{"start": start, "length": length} for start, length in recording.gaps],
-        "channels": channels,
+        "channels": {channel.name: _channel_account(channel) for channel in recording},
         "warnings": collected,
     }
+    return {**account, "summary": summary(account)}
+
+
+def _channel_account(channel: Channel) -> Account:
+    """Plain data on a channel, in the unit of the file; under ``si`` the same in the unit that is calculated with."""
+    known = channel.values[~channel.missing]
+    enough = known.size >= 8 and float(np.ptp(known)) > 0
+    noise = channel_noise(channel) if enough else None
+    inside: Account = {
+        "least": float(known.min()) if known.size else None,
+        "mean": float(known.mean()) if known.size else None,
+        "largest": float(known.max()) if known.size else None,
+    }
+    unit = channel.file_unit or edge_unit(channel.name, channel.unit)
+    change = conversion_for(channel.name, unit) if unit != channel.unit else None
+    outside = {
+        key: value if change is None or value is None else float(change.outside(np.array([value]))[0])
+        for key, value in inside.items()
+    }
+    return {
+        "unit": unit,
+        "si_unit": channel.unit,
+        **outside,
+        "noise": noise if change is None or noise is None else noise / abs(change.factor),
+        "si": {"unit": channel.unit, **inside, "noise": noise},
+        "missing": int(channel.missing.sum()),
+        "saturated": int(channel.saturated.sum()),
+    }
+
+
+def summary(account: Account) -> str:
+    """Short answer for people: how long and how fast, and a line for each channel, in the units of the file."""
+    rows = [
+        (
+            name,
+            found["unit"],
+            *(short(found[key], 5) for key in ("mean", "least", "largest")),
+            short(found["noise"], 2),
+            str(found["missing"] or "-"),
+            str(found["saturated"] or "-"),
+        )
+        for name, found in account["channels"].items()
+    ]
+    title = f"{account['file']}: {short(account['duration'])} s at {short(account['rate'])} Hz"
+    heads = ("channel", "unit", "mean", "least", "largest", "noise", "missing", "saturated")
+    lines = [table_text(title, heads, rows)]
+    if account["gaps"]:
+        longest = max(gap["length"] for gap in account["gaps"])
+        lines.append(f"{len(account['gaps'])} gaps, the longest of {longest} samples")
+    return "\n".join(lines) + "\n"
 
 
 def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Account:
@@ -58,7 +97,7 @@ def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Accoun
     if is_matrix(path):
         return convert_matrix(path, out)
     check_output(out)
-    check_out(out, path, channel_map)
+    check_out(out, path, channel_map, kind=CONVERTED if out.suffix.lower() in hdf5_file.SUFFIXES else "")
     with doubts() as collected:
         recording = raw_recording(path, channel_map)
         kept = out.suffix.lower() in hdf5_file.SUFFIXES
@@ -71,12 +110,14 @@ def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Accoun
                 stacklevel=2,
             )
     write_recording(out, recording)
+    names = list(recording.channels)
     return {
         "file": path.name,
         "written": out.name,
         "samples": recording.samples,
-        "channels": list(recording.channels),
+        "channels": names,
         "warnings": collected,
+        "summary": f"{path.name}: {recording.samples} samples of {', '.join(names)}\n",
     }
 
 
@@ -94,4 +135,6 @@ def channel_map_for(path: Path, out: Path | None) -> Account:
     if out is not None:
         with replacing(out) as beside:
             beside.write_text(text, encoding="utf-8")
-    return {"file": path.name, "columns": list(column_names(path)), "map": text}
+    columns = list(column_names(path))
+    said = f"{path.name}: channel map of {len(columns)} columns; fill in what the channels are, then check with info\n"
+    return {"file": path.name, "columns": columns, "map": text, "summary": text if out is None else said}

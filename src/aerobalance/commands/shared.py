@@ -18,6 +18,8 @@ from aerobalance.io import (
     load_channel_map,
     read,
 )
+from aerobalance.io.kinds import EMPTY, kind_of
+from aerobalance.io.safe_write import OUTPUTS, reason_of
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.sensing import corrected
@@ -56,16 +58,38 @@ def doubts() -> Iterator[list[str]]:
             warnings.warn(text, DoubtWarning, stacklevel=4)
 
 
-def check_out(out: Path | None, *inputs: Path | None) -> None:
-    """Make sure, before any work, that the output can be written and takes the place of no input.
+def check_out(out: Path | None, *inputs: Path | None, kind: str = "") -> None:
+    """Make sure, before any work, that the output can be written, and takes the place of nothing but such a result.
+
+    Parameters
+    ----------
+    out
+        The file to write; None for none.
+    inputs
+        What is read; None where one is not given.
+    kind
+        What is written, as `aerobalance.io.kinds.kind_of` tells it; an empty string for what it cannot tell, which
+        takes the place of the same content only.
 
     Raises
     ------
     ValueError
-        The output is an input, no ordinary file, or in a folder that does not exist.
+        The output is an input, no ordinary file, something else than `kind` that exists, or in a folder that does not
+        exist.
     """
     if out is None:
         return
+    try:
+        _check_place(out, [file for file in inputs if file is not None])
+    except OSError as error:
+        raise ValueError(f"cannot write {out}: {reason_of(error)}") from None
+    if OUTPUTS.active:
+        OUTPUTS.wanted.append(out)
+    if not OUTPUTS.replace and out.exists():
+        _check_kind(out, kind)
+
+
+def _check_place(out: Path, inputs: Sequence[Path]) -> None:
     if out.is_dir():
         raise ValueError(f"{out} is a folder; the name of a file is needed")
     if out.exists() and not out.is_file():
@@ -73,8 +97,22 @@ def check_out(out: Path | None, *inputs: Path | None) -> None:
     if not out.parent.is_dir():
         raise ValueError(f"cannot write {out}: there is no folder {out.parent}")
     for file in inputs:
-        if file is not None and file.exists() and out.exists() and out.samefile(file):
+        if out == file or (file.exists() and out.exists() and out.samefile(file)):
             raise ValueError(f"{out} is an input and would be overwritten; give the output another name")
+
+
+def _check_kind(out: Path, kind: str) -> None:
+    """Refuse to replace what is no result of the kind that is written."""
+    there = kind_of(out)
+    if there in (EMPTY, kind) and there:
+        return
+    if not kind:
+        OUTPUTS.unmarked.add(out)
+        return
+    raise ValueError(
+        f"{out} exists and is {f'a {there}' if there else 'something else'}, not a {kind} of this program; give "
+        "another name, or --replace"
+    )
 
 
 def recording_of(path: Path, channel_map: Path | None = None) -> Recording:

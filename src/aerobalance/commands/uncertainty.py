@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
+from aerobalance.commands.answers import rounded, short
 from aerobalance.commands.shared import Account, table_text
 from aerobalance.components import si_unit
 from aerobalance.estimate import ForceEstimate
 from aerobalance.monte_carlo import Compared, MonteCarlo
 from aerobalance.recording import Recording
-from aerobalance.uncertainty import advice, budget, scalars, spectrum
+from aerobalance.uncertainty import Share, advice, budget, scalars, spectrum
+
+SHOWN_STEPS: Final = 5
+"""Steps that the short answer shows for a component."""
+
+NOTHING: Final = 1e-12
+"""Share of the largest contribution below which another is no more than what is lost in calculating."""
 
 NAMES = {
     "mean": "mean",
@@ -68,6 +76,23 @@ def scalar_account(estimate: ForceEstimate, recording: Recording) -> Account:
     return account
 
 
+def significant(rows: Sequence[Share]) -> list[Share]:
+    """Rows of a budget that are more than zero: in the force, or in one of the numbers that sum it up."""
+    largest = {name: max(abs(row.scalars[name]) for row in rows) for name in (rows[0].scalars if rows else ())}
+    rms = max((row.rms for row in rows), default=0.0)
+    return [
+        row
+        for row in rows
+        if row.rms > NOTHING * rms or any(abs(row.scalars[name]) > NOTHING * largest[name] for name in largest)
+    ]
+
+
+def budget_rms(estimate: ForceEstimate) -> dict[str, float]:
+    """Rms of every contribution, zero for what is only lost in calculating."""
+    least = NOTHING * max(estimate.budget.values(), default=0.0)
+    return {name: rms if rms > least else 0.0 for name, rms in estimate.budget.items()}
+
+
 def budget_account(estimate: ForceEstimate, origins: Origins) -> Account:
     """Uncertainty budget, what to improve first, and the spectrum with its uncertainty."""
     unit = si_unit(estimate.component)
@@ -80,7 +105,7 @@ def budget_account(estimate: ForceEstimate, origins: Origins) -> Account:
             "rms_of_all_if_halved": row.if_halved,
             **{f"u_{name}": value for name, value in row.scalars.items()},
         }
-        for row in budget(estimate)
+        for row in significant(budget(estimate))
     ]
     found = spectrum(estimate, rate=origins.recording.rate)
     files = {part.source: origins.of(part.source) for part in estimate.contributions}
@@ -121,30 +146,69 @@ def monte_carlo_account(found: MonteCarlo) -> Account:
     }
 
 
-def uncertainty_text(components: Mapping[str, Account]) -> str:
-    """Tables for people: the budget of every component, and Monte Carlo beside it where it was run."""
+def force_text(account: Account) -> str:
+    """Short answer for people: forces with their uncertainties, steps, Monte Carlo where it was run, and a verdict."""
+    components = account["components"]
+    rows, lines = [], []
+    for name, found in components.items():
+        numbers = (rounded(found[key], found[f"u_{key}"]) for key in ("mean", "rms_about_mean", "largest", "least"))
+        sample = rounded(found["uncertainty_rms"], found["uncertainty_rms"])[1]
+        rows.append((f"{name} [{found['unit']}]", *(text for pair in numbers for text in pair), sample))
+        lines += _steps_text(name, found)
+    texts = [
+        table_text(
+            f"{account['file']}: force applied; u is the standard uncertainty of the number before it",
+            ("", "mean", "u", "rms about mean", "u", "largest", "u", "least", "u", "u of a sample"),
+            rows,
+        ),
+        *lines,
+    ]
+    texts += [monte_carlo_text(name, found) for name, found in components.items() if "monte_carlo" in found]
+    if len(components) == 1:
+        texts += [found["improve_first"] for found in components.values() if found["improve_first"]]
+    assumed = dict.fromkeys(text for found in components.values() for text in found["assumptions"])
+    texts += [f"assumed: {text}" for text in assumed]
+    lacking = account["components_without_dynamics"]
+    texts += [f"no dynamics for {', '.join(lacking)}"] if lacking else []
+    texts += [f"verdict: {account['verdict']}"] if account.get("verdict") else []
+    return "\n".join(texts) + "\n"
+
+
+def _steps_text(name: str, found: Account) -> list[str]:
+    """Steps of the force, the largest first, with instant and height."""
+    steps = sorted(found["steps"], key=lambda step: -abs(step["height"]))
+    lines = []
+    for step in steps[:SHOWN_STEPS]:
+        height, u_height = rounded(step["height"], step["u_height"])
+        instant, u_instant = rounded(step["instant"], step["u_instant"])
+        lines.append(f"step of {name}: {height} {found['unit']} (u = {u_height}) at {instant} s (u = {u_instant})")
+    more = len(steps) - SHOWN_STEPS
+    return [*lines, f"and {more} smaller steps of {name}"] if more > 0 else lines
+
+
+def budget_text(components: Mapping[str, Account]) -> str:
+    """Tables for people: the uncertainty budget of every component."""
     texts = []
     for name, account in components.items():
-        unit = account["unit"]
-        title = f"uncertainty budget of {name} [{unit}]"
+        title = f"uncertainty budget of {name} [{account['unit']}]"
         rows = [
             [row["name"], row["from"], f"{row['rms']:.3g}", f"{100 * row['share']:.1f}", f"{row['u_mean']:.3g}"]
             for row in account["budget"]
         ]
         texts.append(table_text(title, ["contribution", "from", "rms", "% of variance", "in the mean"], rows))
-        if "monte_carlo" in account:
-            found = account["monte_carlo"]
-            title = (
-                f"Monte Carlo of {name}, {found['draws']} draws, seed {found['seed']}: standard uncertainty [{unit}]"
-            )
-            lines = {**found["contributions"], **{NAMES[key]: row for key, row in found["scalars"].items()}}
-            rows = [
-                [key, *(_cell(row[which]) for which in ("monte_carlo", "first_order", "ratio", "u_ratio"))]
-                for key, row in lines.items()
-            ]
-            texts.append(table_text(title, ["", "Monte Carlo", "first order", "ratio", "u(ratio)"], rows))
-    return "\n" + "\n\n".join(texts)
+    return "\n\n".join(texts) + "\n"
 
 
-def _cell(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
+def monte_carlo_text(name: str, account: Account) -> str:
+    """Table for people: the uncertainty by Monte Carlo beside that to first order."""
+    found = account["monte_carlo"]
+    title = (
+        f"Monte Carlo of {name}, {found['draws']} draws, seed {found['seed']}: standard uncertainty "
+        f"[{account['unit']}]"
+    )
+    lines = {**found["contributions"], **{NAMES[key]: row for key, row in found["scalars"].items()}}
+    rows = [
+        [key, *(short(row[which], 3) for which in ("monte_carlo", "first_order", "ratio", "u_ratio"))]
+        for key, row in lines.items()
+    ]
+    return table_text(title, ["", "Monte Carlo", "first order", "ratio", "u(ratio)"], rows)

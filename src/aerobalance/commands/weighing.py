@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from aerobalance.commands.answers import quantities, quantity_table, short
 from aerobalance.commands.balance_files import BalanceFiles
 from aerobalance.commands.loads import weighed_loads
 from aerobalance.commands.shared import Account, check_out, doubts, known_component
@@ -37,7 +38,7 @@ def weigh(
     """
     if component is not None:
         known_component(component)
-    check_out(out, *paths, channel_map, *(() if files is None else files.paths))
+    check_out(out, *paths, channel_map, *(() if files is None else files.paths), kind="mass")
     chosen = None if channel_map is None else load_channel_map(channel_map)
     names = None if component is None else (component,)
     with doubts() as collected:
@@ -60,7 +61,32 @@ def weigh(
         write_weighing(out, weighing, inputs=inputs, settings=settings, warnings=collected)
     elif out is not None:
         write_mass(out, {single: mass}, inputs=inputs, settings=settings, warnings=collected)
-    return {**account, "warnings": collected}
+    return {**account, "warnings": collected, "summary": summary(paths, account)}
+
+
+def summary(paths: Sequence[Path], account: Account) -> str:
+    """Short answer for people: mass, centre of gravity, offsets and tilts with their uncertainties."""
+    named = {"common_mass": "mass", "mass": "mass", "offset": "offset"}
+    rows = quantities(account, {key: word for key, word in named.items() if key in account})
+    if "component" not in account and len(account["components"]) > 1:
+        masses = {name: entry["mass"] for name, entry in account["components"].items()}
+        rows += quantities(masses, {name: f"mass by {name}" for name in masses})
+    for key, word in (("centre_of_gravity", "centre of gravity"), ("offsets", "offset"), ("misalignment", "tilt")):
+        found = account.get(key, {})
+        rows += quantities(found, {name: f"{word} {name}" for name in found})
+    lines = [quantity_table(f"{_of(paths)}: weighing", rows)]
+    for key, agreement in account.get("agreement", {}).items():
+        if agreement is not None:
+            lines.append(
+                f"{key.replace('_', ' ')} by the components: {'agree' if agreement['agree'] else 'do NOT agree'} "
+                f"(p = {short(agreement['p_value'], 2)})"
+            )
+    lines += [f"not found: {name}: {reason}" for name, reason in account.get("unidentified", {}).items()]
+    return "\n".join(lines) + "\n"
+
+
+def _of(paths: Sequence[Path]) -> str:
+    return paths[0].name if len(paths) == 1 else f"{len(paths)} files"
 
 
 def parse_mass(text: str | None, component: str) -> tuple[float, float] | None:

@@ -169,7 +169,7 @@ def _plain(item: object) -> object:
     if isinstance(item, Path):
         return item.name
     if isinstance(item, float):
-        return item if np.isfinite(item) else None
+        return item + 0.0 if np.isfinite(item) else None  # no minus before a zero
     if item is None or isinstance(item, (str, int, bool)):
         return item
     raise ValueError(f"cannot write a {type(item).__name__} as JSON")

@@ -92,13 +92,16 @@ def calibration_payload(calibration: Calibration, quality: Quality) -> dict[str,
             {
                 "point": schedule.points[item.point],
                 "series": schedule.series_names[schedule.series[item.point]],
+                "label": item.label,
                 "component": schedule.components[item.component],
                 "residual": item.residual,
                 "unit": "mV/V",
-                "studentised": item.studentised,
+                "studentised": item.deviations,
+                "studentised_text": item.size,
             }
             for item in quality.outliers
         ],
+        "left_out": list(schedule.left_out),
         "assumptions": list(schedule.assumptions),
     }
     return payload
@@ -131,11 +134,7 @@ def _component(calibration: Calibration, quality: Quality, index: int) -> dict[s
         "residual_std_percent_of_half_range": 100 * float(quality.of_half_range[index]),
         "residual_largest_percent_of_capacity": 100 * float(quality.largest[index]),
         "residual_largest_percent_of_half_range": 100
-        * float(
-            quality.largest[index] * quality.of_half_range[index] / quality.deviation[index]
-            if quality.deviation[index]
-            else 0.0
-        ),
+        * float(quality.largest[index] * schedule.capacities[index] / (np.ptp(matrix.calibrated[:, index]) / 2)),
         "press_percent_of_capacity": 100 * press,
         "r_squared": fit.r_squared,
         "degrees_of_freedom": fit.degrees_of_freedom,

@@ -52,6 +52,7 @@ class FileLayout(Strict):
     header_line: Annotated[int, Field(ge=0)] | None = None
     skip_lines: Annotated[int, Field(ge=0)] = 0
     encoding: str | None = None
+    sheet: str | None = None
 
 
 class MappedFilter(Strict):
@@ -280,6 +281,8 @@ def mapped_recording(raw: RawColumns, chosen: ChannelMap) -> Recording:
     ReadError
         A column is not there, has no unit, or has one of another kind; the time column is not steady.
     """
+    if chosen.file.sheet is not None:
+        raise ReadError(chosen.path, "file.sheet", "is for load schedules in .xlsx workbooks (aerobalance calibrate)")
     own = chosen.file.time is None and chosen.file.rate is None
     raw = _on_own_clocks(raw, chosen) if own else of_one_length(raw)
     stamps, time_unit = _stamps(raw, chosen)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,14 +16,16 @@ from numpy.typing import NDArray
 
 from aerobalance.anti_alias import AntiAlias, Kind
 from aerobalance.channel import Channel, Coupling, CrossAxis, unit_inside
+from aerobalance.io.hdf5_closing import marked_as_written
 from aerobalance.io.hdf5_layout import BLOCK, CHANNELS, EVENT, FORMAT, GAP, STATUS, StoredChannel
 from aerobalance.problems import ReadError
 
 if TYPE_CHECKING:
     import h5py
 
-_FLAGGED_VERSION: Final = 3
-_WRITING: Final = 0b101
+_MOST_CHANNELS: Final = 10_000
+_LONGEST_ATTRIBUTE: Final = 4096
+_SMALL_CHUNK: Final = 2**20
 _COUPLINGS: Final = ("kinematic", "dc", "ac")
 
 
@@ -48,10 +51,10 @@ class Contents:
         Why it ended.
     origin
         Tick at which time is zero.
-    setup
-        Text of the test set-up.
     time_unit
         Unit of the time column; an empty string where there is none.
+    marked
+        Whether the file has the mark of one that is being written.
     """
 
     channels: tuple[StoredChannel, ...]
@@ -63,8 +66,8 @@ class Contents:
     state: str
     reason: str
     origin: int
-    setup: str
     time_unit: str
+    marked: bool
 
     @property
     def timed(self) -> bool:
@@ -91,7 +94,10 @@ def opened(path: Path) -> Iterator[h5py.File]:
     import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
 
     try:
-        with h5py.File(path, "r", swmr=_being_written(path), libver="latest", locking="best-effort") as file:
+        marked = _being_written(path)
+        # Beside a writer its lock stands in nobody's way, and the library wants both opened in one way in a process.
+        locking = False if marked else "best-effort"
+        with h5py.File(path, "r", swmr=marked, libver="latest", locking=locking) as file:
             yield file
     except (ReadError, GeneratorExit):
         raise
@@ -109,32 +115,33 @@ def _being_written(path: Path) -> bool:
     to be written, which never happens in a damaged file.
     """
     with path.open("rb") as file:
-        head = file.read(12)
-    return len(head) == 12 and head[8] >= _FLAGGED_VERSION and bool(head[11] & _WRITING)
+        return marked_as_written(file.read(12))
 
 
 def contents_of(path: Path, file: h5py.File) -> Contents:
     """Read what an open file says of itself."""
-    given = file.attrs.get("format")
+    given = _attribute(path, file, "format")
     if given != FORMAT:
         raise ReadError(path, "", f"is an HDF5 file, but no recording: its attribute format must be {FORMAT!r}")
-    schema = int(file.attrs["schema_version"])
+    schema = int(_attribute(path, file, "schema_version"))
     if schema not in CHANNELS:
         raise ReadError(path, "schema_version", f"is {schema}; this program reads {' and '.join(map(str, CHANNELS))}")
     table = _table(path, file, "channels", CHANNELS[schema])
-    if zlib.crc32(table.tobytes()) != int(file.attrs["channels_crc32"]):
+    if table.size > _MOST_CHANNELS:
+        raise ReadError(path, "channels", f"are {table.size}; allowed: up to {_MOST_CHANNELS}")
+    if zlib.crc32(table.tobytes()) != int(_attribute(path, file, "channels_crc32")):
         raise ReadError(path, "channels", "does not agree with its checksum: units and signs cannot be trusted")
     channels = tuple(_channel(path, row) for row in table)
     names = [channel.name for channel in channels]
     if not names or len(set(names)) != len(names) or "" in names:
         raise ReadError(path, "channels", f"must have names of their own, not {', '.join(map(repr, names)) or 'none'}")
-    samples = file["samples"]
+    samples = _dataset(path, file, "samples")
     if samples.ndim != 2 or samples.shape[1] != len(channels) or samples.dtype != "<f8" or not samples.chunks:
         raise ReadError(
             path, "samples", f"must hold {len(channels)} columns of float64 in chunks: the file is damaged"
         )
-    unit = str(file["time"].attrs["unit"]) if "time" in file else ""
-    rate = float(file.attrs["rate"])
+    unit = _time_unit(path, file)
+    rate = float(_attribute(path, file, "rate"))
     if not unit and not 0 < rate < 1e12:
         raise ReadError(path, "rate", f"must be above zero, not {rate:g} Hz")
     status = _table(path, file, "status", STATUS)[0]
@@ -149,13 +156,70 @@ def contents_of(path: Path, file: h5py.File) -> Contents:
         state=_text(status["state"]),
         reason=_text(status["reason"]),
         origin=int(status["origin"]),
-        setup=bytes(file["setup"][...].tobytes()).decode("utf-8", "replace"),
         time_unit=unit,
+        marked=_being_written(path),
     )
 
 
-def _table(path: Path, file: h5py.File, name: str, kind: np.dtype[np.void]) -> NDArray[np.void]:
+def _dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
+    """Return a dataset whose data are in this file as they are: linked to no other, of no other, not compressed.
+
+    What is read then has the size of the file at most, whatever its header claims.
+    """
+    import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
+
+    if not _linked(file, name):
+        raise ReadError(path, name, "is missing: the file is damaged")
+    kind = file.id.links.get_info(name.encode()).type
+    if kind != h5py.h5l.TYPE_HARD:
+        where = "another file" if kind == h5py.h5l.TYPE_EXTERNAL else "elsewhere"
+        raise ReadError(path, name, f"is a link to {where}; links are not followed: the data must be in their place")
     dataset = file[name]
+    if not isinstance(dataset, h5py.Dataset):
+        raise ReadError(path, name, "is no dataset: the file is damaged")
+    if dataset.external or dataset.is_virtual:
+        raise ReadError(path, name, "takes its data from other files, which are not opened: the data must be in this")
+    if dataset.id.get_create_plist().get_nfilters():
+        raise ReadError(
+            path,
+            name,
+            "is compressed or filtered, and might be any size when unpacked; allowed: data as they are "
+            "(`h5repack -f NONE IN OUT` unpacks them)",
+        )
+    held = path.stat().st_size
+    chunk = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize if dataset.size else 0
+    if chunk > max(held, _SMALL_CHUNK):
+        raise ReadError(path, name, f"claims pieces of {chunk} bytes in a file of {held} bytes: it is damaged")
+    return dataset
+
+
+def _linked(file: h5py.File, name: str) -> bool:
+    """Say whether there is something of this name, without going where a link leads."""
+    return bool(file.id.links.exists(name.encode()))
+
+
+def _attribute(path: Path, holder: h5py.HLObject, name: str) -> Any:
+    """Read a single number or text that is attached to the file or to a dataset."""
+    if name not in holder.attrs:
+        return None if name == "format" else holder.attrs[name]
+    known = holder.attrs.get_id(name)
+    if known.shape != () or known.dtype.itemsize > _LONGEST_ATTRIBUTE:
+        raise ReadError(path, f"attribute {name}", "must be one number or a short text: the file is damaged")
+    return holder.attrs[name]
+
+
+def _time_unit(path: Path, file: h5py.File) -> str:
+    """Unit of the time column; an empty string where there is none."""
+    if not _linked(file, "time"):
+        return ""
+    time = _dataset(path, file, "time")
+    if time.dtype != "<f8" or time.ndim != 1 or not time.chunks:
+        raise ReadError(path, "time", "must hold one column of float64 in chunks: the file is damaged")
+    return str(_attribute(path, time, "unit"))
+
+
+def _table(path: Path, file: h5py.File, name: str, kind: np.dtype[np.void]) -> NDArray[np.void]:
+    dataset = _dataset(path, file, name)
     if dataset.dtype != kind or dataset.ndim != 1:
         raise ReadError(path, name, "is no table of the kind that belongs here: the file is damaged")
     if dataset.shape[0] * kind.itemsize > path.stat().st_size:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time as clock
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -15,13 +16,17 @@ from aerobalance.channel import Array
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, Sensing, split_label
 from aerobalance.io.contact_events import contact_doubt
 from aerobalance.io.hdf5_contents import Contents, contents, contents_of, opened
+from aerobalance.io.hdf5_guard import LIBVER, GuardedFile
 from aerobalance.io.hdf5_layout import (
+    BLOCK,
     CHANNEL,
-    BlockWriter,
     DiskFullError,
     Provenance,
     StoredChannel,
     checksum,
+    disk_full,
+    lay_out,
+    status_row,
 )
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_table import LARGEST, Layout
@@ -38,6 +43,9 @@ SUFFIXES: Final[Mapping[str, str]] = {".h5": "", ".hdf5": ""}
 
 LARGEST_GAP: Final = 20
 """Samples of the clock per sample of the file beyond which the recording has to be cut at its gaps."""
+
+CONVERTED: Final = "converted"
+"""Why a recording ended that was made from another file."""
 
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _ROWS: Final = 8192
@@ -122,7 +130,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
         labels = _numbers(path, found, wanted)
         ticks, readings, stamps = _samples(path, file, found, labels, doubts)
     if found.state != "ended":
-        doubts.append("the record was not ended (it is still written to, or broken off); its complete blocks are used")
+        doubts.append(_not_ended(found))
     touched = contact_doubt(found.events, rate=found.rate, origin=found.origin)
     for text in (*doubts, *([touched] if touched else [])):
         warnings.warn(f"{path.name}: {text}", DoubtWarning, stacklevel=4)
@@ -181,24 +189,48 @@ def write_columns(
     n = columns[time].size
     values = np.column_stack([columns[label] for label in others]) if others else np.empty((n, 0))
     values = np.where(np.isfinite(values), values, np.nan)
-    provenance = Provenance(f"converted; time column {time}")
-    with replacing(path) as beside:
-        beside.unlink()
-        writer = BlockWriter(
-            beside,
-            channels,
-            rate=float("nan"),
-            rows=max(1, min(n, _ROWS)),
-            provenance=provenance,
-            time_unit=split[time][1],
-        )
-        try:
-            for first in range(0, n, writer.rows):
-                part = slice(first, first + writer.rows)
-                writer.append(first, values[part], stamps=columns[time][part])
-            writer.finish("converted")
-        except DiskFullError as problem:
-            raise ValueError(f"cannot write {path}: {problem}") from problem
+    try:
+        with replacing(path) as beside:
+            _write_whole(beside, channels, values, (columns[time], split[time][1]))
+    except DiskFullError as problem:
+        raise ValueError(f"cannot write {path}: {problem}") from problem
+
+
+def _write_whole(path: Path, channels: Sequence[StoredChannel], values: Array, time: tuple[Array, str]) -> None:
+    """Write all samples, shape (n, c), and their time stamps, shape (n,) in a unit, in one go."""
+    import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
+
+    n, rows = values.shape[0], max(1, min(values.shape[0], _ROWS))
+    stamps, unit = time
+    blocks = np.zeros(-(-n // rows), BLOCK)
+    try:
+        with GuardedFile(path) as disk, h5py.File(disk, "w", libver=LIBVER) as file:
+            provenance = Provenance(f"converted; time column time [{unit}]")
+            lay_out(file, channels, rate=float("nan"), rows=rows, provenance=provenance, time_unit=unit)
+            file["samples"].resize(values.shape)
+            file["time"].resize(stamps.shape)
+            for number, first in enumerate(range(0, n, rows)):
+                part = slice(first, min(first + rows, n))
+                file["samples"][part], file["time"][part] = values[part], stamps[part]
+                blocks[number] = (first, part.stop - first, checksum(first, values[part]), clock.time())
+                file.flush()
+                if disk.failure is not None:
+                    return
+            file["blocks"].resize(blocks.shape)
+            file["blocks"][...] = blocks
+            file["status"][...] = status_row("ended", CONVERTED)
+    except OSError as error:
+        raise disk_full(error) from error
+
+
+def _not_ended(found: Contents) -> str:
+    text = "the record was not ended (it is still written to, or broken off); its complete blocks are used"
+    if not found.marked:
+        return text
+    return (
+        f"{text}. Other HDF5 programs refuse it until it is closed: after a kill the next `aerobalance record` or "
+        "`aerobalance monitor` in its folder does so, and `h5clear -s -i 0 FILE` does"
+    )
 
 
 def _block(file: h5py.File, found: Contents, number: int) -> Array | None:

@@ -21,6 +21,7 @@ integers, followed by the samples row by row; the attribute channels_crc32 is th
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import re
@@ -33,10 +34,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance import __version__
 from aerobalance.anti_alias import AntiAlias
 from aerobalance.channel import Array, Coupling, CrossAxis
+from aerobalance.io.hdf5_closing import begin_file, take_mark_off
+from aerobalance.io.hdf5_guard import LIBVER
 
 if TYPE_CHECKING:
     import h5py
@@ -165,10 +169,69 @@ def text_bytes(text: str, width: int) -> bytes:
     return text.encode("utf-8", "replace")[:width].decode("utf-8", "ignore").encode("utf-8")
 
 
+def status_row(state: str, reason: str = "") -> NDArray[np.void]:
+    """Make the table of the state, shape (1,)."""
+    ended = time.time() if state == "ended" else 0.0
+    return np.array([(state.encode(), text_bytes(reason, 512), 0, ended)], dtype=STATUS)
+
+
 def checksum(tick: int, samples: Array) -> int:
     """Return the CRC-32 of a block: its tick and rows, then its samples, shape (n, c)."""
     head = zlib.crc32(struct.pack("<qq", tick, samples.shape[0]))
     return zlib.crc32(np.ascontiguousarray(samples, dtype="<f8").data, head)
+
+
+def lay_out(
+    file: h5py.File,
+    channels: Sequence[StoredChannel],
+    *,
+    rate: float,
+    rows: int,
+    provenance: Provenance,
+    time_unit: str = "",
+) -> None:
+    """Make the datasets of a recording without samples.
+
+    Parameters
+    ----------
+    file
+        An empty file.
+    channels
+        The columns of the samples.
+    rate
+        Sampling rate [Hz]; NaN where a time column is written.
+    rows
+        Largest number of rows of a block; a chunk of the file has as many.
+    provenance
+        Where the samples come from.
+    time_unit
+        Unit of the time stamps, where every row has one of its own instead of a tick.
+    """
+    table, columns = _channel_table(channels), len(channels)
+    file.attrs.update(
+        {
+            "format": FORMAT,
+            "schema_version": SCHEMA,
+            "program": f"aerobalance {__version__}",
+            "rate": rate,
+            "name": provenance.name,
+            "source": provenance.source,
+            "started": time.time(),
+            "channels_crc32": zlib.crc32(table.tobytes()),
+        }
+    )
+    # A dataset, as an attribute takes no more than 64 KiB.
+    setup = provenance.setup.encode("utf-8") or b"\n"
+    file.create_dataset("setup", data=np.frombuffer(setup, dtype="u1"))
+    file.create_dataset("channels", data=table)
+    growing = {"dtype": "<f8", "fillvalue": np.nan}
+    file.create_dataset("samples", (0, columns), maxshape=(None, columns), chunks=(rows, columns), **growing)
+    if time_unit:
+        file.create_dataset("time", (0,), maxshape=(None,), chunks=(rows,), **growing)
+        file["time"].attrs["unit"] = time_unit
+    for name, kind, length in (("blocks", BLOCK, 256), ("gaps", GAP, 16), ("events", EVENT, 16)):
+        file.create_dataset(name, (0,), kind, maxshape=(None,), chunks=(length,))
+    file.create_dataset("status", data=status_row("recording"))
 
 
 class BlockWriter:
@@ -181,18 +244,16 @@ class BlockWriter:
     channels
         The columns of the samples.
     rate
-        Sampling rate [Hz]; NaN where a time column is written.
+        Sampling rate [Hz].
     rows
         Largest number of rows of a block; a chunk of the file has as many.
     provenance
         Where the samples come from.
-    time_unit
-        Unit of the time stamps, where every row has one of its own instead of a tick.
 
     Raises
     ------
     OSError
-        The file exists, or cannot be written.
+        The file exists, or cannot be written; nothing is left of it.
     """
 
     def __init__(
@@ -203,53 +264,27 @@ class BlockWriter:
         rate: float,
         rows: int,
         provenance: Provenance,
-        time_unit: str = "",
     ) -> None:
         import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
 
         self.path, self.rows, self.columns = path, rows, len(channels)
         self.blocks = self.samples = 0
         self._counts = {"gaps": 0, "events": 0}
-        self._file: h5py.File = h5py.File(path, "x", libver="latest")
-        file = self._file
-        table = _channel_table(channels)
-        file.attrs.update(
-            {
-                "format": FORMAT,
-                "schema_version": SCHEMA,
-                "program": f"aerobalance {__version__}",
-                "rate": rate,
-                "name": provenance.name,
-                "source": provenance.source,
-                "started": time.time(),
-                "channels_crc32": zlib.crc32(table.tobytes()),
-            }
-        )
-        # A dataset, as an attribute takes no more than 64 KiB.
-        setup = provenance.setup.encode("utf-8") or b"\n"
-        file.create_dataset("setup", data=np.frombuffer(setup, dtype="u1"))
-        file.create_dataset("channels", data=table)
-        chunk = (rows, self.columns)
-        self._samples = file.create_dataset(
-            "samples", (0, self.columns), "<f8", maxshape=(None, self.columns), chunks=chunk, fillvalue=np.nan
-        )
-        self._time = None
-        if time_unit:
-            self._time = file.create_dataset("time", (0,), "<f8", maxshape=(None,), chunks=(rows,), fillvalue=np.nan)
-            self._time.attrs["unit"] = time_unit
-        self._tables = {
-            name: file.create_dataset(name, (0,), kind, maxshape=(None,), chunks=(length,))
-            for name, kind, length in (("blocks", BLOCK, 256), ("gaps", GAP, 16), ("events", EVENT, 16))
-        }
-        self._state = np.array([(b"recording", b"", 0, 0.0)], dtype=STATUS)
-        self._status = file.create_dataset("status", data=self._state)
-        file.flush()
+        image = io.BytesIO()
+        with h5py.File(image, "w", libver=LIBVER) as empty:
+            lay_out(empty, channels, rate=rate, rows=rows, provenance=provenance)
+        self._handle = begin_file(path, image.getvalue())
+        # The lock is this writer's own (see `hdf5_closing`), and the library must not take it for another's.
+        self._file: h5py.File = h5py.File(path, "r+", libver=LIBVER, locking=False)
+        self._samples = self._file["samples"]
+        self._tables = {name: self._file[name] for name in ("blocks", "gaps", "events")}
+        self._status = self._file["status"]
+        self._state = self._status[...]
         self._place = self._status.id.get_offset()
-        self._handle = file.id.get_vfd_handle()
-        file.swmr_mode = True
+        self._file.swmr_mode = True
         os.fsync(self._handle)
 
-    def append(self, tick: int, samples: Array, *, stamps: Array | None = None) -> int:
+    def append(self, tick: int, samples: Array) -> int:
         """Write a block and return its number; it is safe then.
 
         Parameters
@@ -258,8 +293,6 @@ class BlockWriter:
             Number of its first sample on the clock of the source.
         samples
             Readings, shape (n, c), n at most `rows`.
-        stamps
-            Time of every row, shape (n,), for a file with a time column.
 
         Raises
         ------
@@ -272,14 +305,10 @@ class BlockWriter:
             self._samples.resize((first + n, self.columns))
             self._samples[first : first + n] = samples
             self._samples.flush()
-            if self._time is not None and stamps is not None:
-                self._time.resize((first + n,))
-                self._time[first : first + n] = stamps
-                self._time.flush()
             self._row("blocks", number, (tick, n, checksum(tick, samples), time.time()))
             os.fsync(self._handle)
         except (OSError, RuntimeError) as error:
-            raise _full(error) from error
+            raise disk_full(error) from error
         self.blocks += 1
         self.samples += n
         return number
@@ -305,27 +334,29 @@ class BlockWriter:
         DiskFullError
             The file can take no more; `abandon` is left.
         """
-        self._ended("ended", reason)
+        self._ended(reason)
         try:
             self._write_state()
             self._file.close()
+            os.close(self._handle)
         except (OSError, RuntimeError) as error:
-            raise _full(error) from error
+            raise disk_full(error) from error
 
     def abandon(self, reason: str) -> None:
         """Say why the record ended where nothing more can be allocated; the file is left as its last block left it.
 
         The library still holds what it could not write and would fail to close the file, so the status is written in
-        its place past the library. The process should end soon, by `os._exit`.
+        its place past the library, and the mark of a file that is written to is taken off. The process should end
+        soon, by `os._exit`.
         """
-        self._ended("ended", reason)
+        self._ended(reason)
         os.pwrite(self._handle, self._state.tobytes(), self._place)
-        os.fsync(self._handle)
+        take_mark_off(self._handle)
 
-    def _ended(self, state: str, reason: str) -> None:
-        self._state["state"] = state.encode()
-        self._state["reason"] = text_bytes(reason, 512)
-        self._state["ended"] = time.time()
+    def _ended(self, reason: str) -> None:
+        origin = self._state["origin"].copy()
+        self._state = status_row("ended", reason)
+        self._state["origin"] = origin
 
     def _write_state(self) -> None:
         self._status[...] = self._state
@@ -335,7 +366,7 @@ class BlockWriter:
         try:
             self._row(table, self._counts[table], row)
         except (OSError, RuntimeError) as error:
-            raise _full(error) from error
+            raise disk_full(error) from error
         self._counts[table] += 1
 
     def _row(self, table: str, number: int, row: tuple[Any, ...]) -> None:
@@ -345,7 +376,7 @@ class BlockWriter:
         dataset.flush()
 
 
-def _full(error: Exception) -> Exception:
+def disk_full(error: Exception) -> DiskFullError:
     """Tell a full disk from other faults: the library hides the error number in its text."""
     text = str(error).lower()
     known = getattr(error, "errno", None) in FULL or any(f"errno = {number}," in text for number in FULL)

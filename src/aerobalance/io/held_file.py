@@ -14,6 +14,8 @@ import sys
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from aerobalance.io.hdf5_closing import close_broken_off
+
 if sys.platform != "win32":
     import fcntl
 
@@ -214,6 +216,9 @@ def recover(spare: Path) -> Path | None:
         else:
             return None
     spare.unlink(missing_ok=True)
+    if found is not None:
+        with contextlib.suppress(OSError):
+            close_broken_off(found)
     return found
 
 

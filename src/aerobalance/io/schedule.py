@@ -6,7 +6,9 @@ from pathlib import Path
 
 from aerobalance.io import balfit_file, schedule_table, vol_file
 from aerobalance.io.balfit_file import write_balfit_schedule
+from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.load_columns import Capacities
+from aerobalance.io.sheet_cells import is_workbook
 from aerobalance.io.text_table import read_text
 from aerobalance.problems import ReadError
 from aerobalance.schedule import Schedule
@@ -14,8 +16,10 @@ from aerobalance.schedule import Schedule
 __all__ = ["Capacities", "read_schedule", "write_balfit_schedule"]
 
 
-def read_schedule(path: Path | str, *, capacities: Capacities | None = None) -> Schedule:
-    """Read the load schedule of a calibration: a ``.vol`` file, a BALFIT file or a plain table.
+def read_schedule(
+    path: Path | str, *, capacities: Capacities | None = None, channel_map: ChannelMap | None = None
+) -> Schedule:
+    """Read the load schedule of a calibration: a ``.vol`` file, a BALFIT file, a text table or an .xlsx workbook.
 
     The format is recognised by what the file holds, not by its name.
 
@@ -26,6 +30,8 @@ def read_schedule(path: Path | str, *, capacities: Capacities | None = None) -> 
     capacities
         Largest allowed load by component, value and unit, such as ``{"N1": (100.0, "lbf")}``; goes before what the
         file says.
+    channel_map
+        Which column of a table or workbook is what; None for a file whose header says it.
 
     Returns
     -------
@@ -45,6 +51,8 @@ def read_schedule(path: Path | str, *, capacities: Capacities | None = None) -> 
         The file is cut off, or what it says contradicts itself.
     """
     file = Path(path)
+    if channel_map is not None or is_workbook(file):
+        return schedule_table.read_table_schedule(file, capacities=capacities, channel_map=channel_map)
     text = read_text(file)
     if vol_file.can_read(text):
         return vol_file.read_vol(file, text, capacities=capacities)
@@ -53,6 +61,8 @@ def read_schedule(path: Path | str, *, capacities: Capacities | None = None) -> 
     try:
         return schedule_table.read_table_schedule(file, capacities=capacities)
     except ReadError as error:
+        if error.where != "header":
+            raise
         others = f"{vol_file.NAME} and {balfit_file.NAME}"
         what = f"{error.what}. It is read as a {schedule_table.NAME}; recognised by their first lines: {others}"
         raise ReadError(file, error.where, what) from None

@@ -142,15 +142,15 @@ def read_labels(path: Path, layout: Layout | None = None) -> list[str]:
     return _labels(path, header, body, layout.separator or separator_of(header or body[:4000].decode()))
 
 
-def read_text(path: Path) -> str:
-    """Read a text file whole: encoding recognised, byte order mark left out, every line ended by a line feed.
+def read_text(path: Path, encoding: str | None = None) -> str:
+    """Read a text file whole: byte order mark left out, every line ended by a line feed; encoding recognised if None.
 
     Raises
     ------
     ReadError
         The file is missing, empty or no text.
     """
-    return _utf8(path, None).decode()
+    return _utf8(path, encoding).decode()
 
 
 def separator_of(line: str) -> str:

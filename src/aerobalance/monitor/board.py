@@ -91,10 +91,7 @@ class Board:
         update = news.update
         self.numbers = {
             "readings": {name: reading._asdict() for name, reading in update.readings.items()},
-            "estimates": {
-                name: {"force": force, "uncertainty": u, "least": least, "largest": largest}
-                for name, (force, u, least, largest) in update.estimates.items()
-            },
+            "estimates": {name: estimate._asdict() for name, estimate in update.estimates.items()},
             "health": update.health,
             "saturated": dict(news.saturated),
             "lost": update.lost,

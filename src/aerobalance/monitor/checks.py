@@ -172,7 +172,7 @@ class Checks:
             note = f"{_NAMES[kind]} {row['verdict']}: {_words(row)}"
             self.notes.append(note)
             self._station.note(note, shown=False)
-        bad = [_words(row).replace("+-", "±") for row in rows if row["verdict"] != "passed"]
+        bad = [_words(row) for row in rows if row["verdict"] != "passed"]
         self._station.say("; ".join([text, *bad]), kind="error" if bad else "done")
 
     def _shunts(self, changes: Mapping[str, Change]) -> list[dict[str, Any]]:
@@ -228,8 +228,13 @@ def _row(checked: Checked, unit: str) -> dict[str, Any]:
     }
 
 
+def _between(middle: float, half: float) -> str:
+    return f"{middle - half:.5g} to {middle + half:.5g}"
+
+
 def _words(row: Mapping[str, Any]) -> str:
     return (
-        f"{row['channel']} changed by {row['change']:.5g} {row['unit']} +- {row['expanded']:.2g} (95 %), "
-        f"expected {row['expected']:.5g} +- {row['tolerance']:.2g}"
+        f"{row['channel']} changed by {row['change']:.5g} {row['unit']} "
+        f"({_between(row['change'], row['expanded'])} with 95 %), "
+        f"allowed is {_between(row['expected'], row['tolerance'])}"
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from aerobalance.acquire.setup import load_setup
+from aerobalance.io.hdf5_closing import close_all_broken_off, closed_text
 from aerobalance.monitor.access import Door, is_loopback
 from aerobalance.monitor.folder import Folder
 from aerobalance.monitor.setups import check_files, rig_setup
@@ -91,6 +92,8 @@ def monitor(
             f"{problem.what}, where the page reads and writes; move the file below it, or give --folder FOLDER: the "
             "names of files in the set-up are then read from there",
         ) from None
+    for name in close_all_broken_off(place):
+        warn(closed_text(name))
     port = reach.port or _free_port(reach.host)
     secure = reach.certificate is not None
     door = Door(reach.host, port, token=reach.token, secure=secure)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,10 +13,21 @@ RECORDINGS: Final = (".h5", ".hdf5", ".tdms", ".csv")
 RESULTS: Final = ("-force.csv", "-force.h5")
 """Endings of results, which are not."""
 
+MADE: Final = ("-identified.html", "-force.html", "-dynamics.json", "-force.csv", "-force.h5")
+"""Endings of all files that are made of a recording, after its name."""
+
 MOST: Final = 500
 """Recordings that are listed at most: the newest."""
 
-_NAME: Final = re.compile(r"[\w(][\w .,()+=-]{0,98}[\w)]|\w", re.ASCII)
+LONGEST: Final = 200
+"""Longest name of a record [bytes]; results have names that are longer."""
+
+_NAME: Final = re.compile(r"[\w(][\w .,()+=°-]{0,98}[\w)]|\w")
+
+
+def _plain(name: str) -> bool:
+    """Whether a name is one for a file here: letters of any script, composed or not, and a few signs."""
+    return _NAME.fullmatch(unicodedata.normalize("NFC", name)) is not None
 
 
 class Folder:
@@ -38,9 +50,9 @@ class Folder:
         ValueError
             The name is not plain, or leads out of the folder.
         """
-        if not _NAME.fullmatch(name) or ".." in name:
+        if not _plain(name) or ".." in name:
             raise ValueError(
-                f"{name[:80]!r} is no name for a file here: letters, digits, spaces and . , ( ) + = - _ are allowed"
+                f"{name[:80]!r} is no name for a file here: letters, digits, spaces and . , ( ) + = - _ ° are allowed"
             )
         path = self.path / name
         self.check(path)
@@ -93,7 +105,9 @@ class Folder:
         ValueError
             The name is not plain, or is taken.
         """
-        name = name.strip()
+        name = unicodedata.normalize("NFC", name.strip())
+        if len(name.encode("utf-8", "replace")) > LONGEST:
+            raise ValueError(f"the name is longer than {LONGEST} bytes; give a shorter one")
         wanted = name if name.lower().endswith((".h5", ".hdf5")) else f"{name}.h5"
         path = self.file(wanted)
         if path.exists():
@@ -104,7 +118,7 @@ class Folder:
         """List recordings, the newest first: name, size [bytes], time of the last change [s]."""
         found: list[dict[str, Any]] = []
         for path in self.path.iterdir():
-            if path.suffix.lower() not in RECORDINGS or path.name.endswith(RESULTS) or not _NAME.fullmatch(path.name):
+            if path.suffix.lower() not in RECORDINGS or path.name.endswith(RESULTS) or not _plain(path.name):
                 continue
             try:
                 self.check(path)
@@ -116,13 +130,14 @@ class Folder:
         return sorted(found, key=lambda item: -float(item["changed"]))[:MOST]
 
     def with_results(self) -> list[dict[str, Any]]:
-        """List recordings, with the reports on them and whether dynamics were identified from them."""
+        """List recordings, with the files that were made of them and whether dynamics were identified from them."""
         listed = self.recordings()
         for item in listed:
             stem = Path(item["name"]).stem
-            reports = (f"{stem}-identified.html", f"{stem}-force.html")
-            item["reports"] = [name for name in reports if self._has(name)]
-            item["identified"] = self._has(f"{stem}-dynamics.json")
+            found = [name for ending in MADE if self._has(name := f"{stem}{ending}")]
+            item["reports"] = [name for name in found if name.endswith(".html")]
+            item["files"] = [name for name in found if not name.endswith(".html")]
+            item["identified"] = f"{stem}-dynamics.json" in found
         return listed
 
     def _has(self, name: str) -> bool:

@@ -31,6 +31,7 @@ LABELS: Final[Mapping[str, tuple[str, str, str]]] = {
     "source.balance": ("Balance of the rig", "", "rig six: its matrix, for gauge outputs in mV/V"),
     "source.circuit": ("Contact circuit", "", "between model and support"),
     "source.noise": ("Noise", "", "times the printed one"),
+    "source.loop": ("Again and again", "", "begins anew at its end"),
     "source.file": ("Recording", "", "file below the project folder"),
     "source.map": ("Channel map", "", "for a recording of another program"),
     "source.address": ("Address", "", "of the openDAQ device, such as daq.nd://192.168.0.5"),
@@ -168,8 +169,8 @@ def _field(path: str, schema: Mapping[str, Any], key: str, named: Mapping[str, A
     inner = next((kind["additionalProperties"] for kind in kinds if "additionalProperties" in kind), None)
     if inner is not None:
         return field | {"type": "table", "fields": _all(path, named[inner["$ref"].rpartition("/")[2]], named)}
-    choices = next((kind["enum"] for kind in kinds if "enum" in kind), None)
     types = {kind.get("type") for kind in kinds}
+    choices = next((kind["enum"] for kind in kinds if "enum" in kind), [False, True] if "boolean" in types else None)
     parts = [part for kind in kinds for part in (*kind.get("prefixItems", ()), kind.get("items")) if part]
     several = bool(parts) and all(part.get("type") == "number" for part in parts)
     other = bool(types & {"array", "object"}) or any("$ref" in kind for kind in kinds)

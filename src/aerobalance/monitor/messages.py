@@ -18,7 +18,11 @@ LINES: Final = 512
 
 
 class Reading(NamedTuple):
-    """A channel over the time of `NUMBERS`: mean, least, largest; `state` is ``ok``, ``high`` or ``over``."""
+    """A channel over the time of `NUMBERS`; `state` is ``ok``, ``high`` or ``over``.
+
+    `mean` is that of the last `seconds`, which are fewer where a `step` came before them; `least` and `largest` are
+    those of all the time.
+    """
 
     mean: float
     least: float
@@ -26,6 +30,19 @@ class Reading(NamedTuple):
     percent: float | None
     limit: float | None
     state: str
+    seconds: float = 0.0
+    step: float = 0.0
+
+
+class Estimate(NamedTuple):
+    """A force over the time of `NUMBERS`; the mean as in `Reading`, and the standard uncertainty of a sample."""
+
+    force: float
+    uncertainty: float
+    least: float
+    largest: float
+    seconds: float
+    step: float
 
 
 @dataclass(slots=True)
@@ -45,7 +62,7 @@ class Update:
     readings
         Numbers by channel; empty where they are not due.
     estimates
-        Force, uncertainty, least and largest, by component; empty where they are not due.
+        Forces by component; empty where they are not due.
     health
         State of health by component, as plain data.
     spectra
@@ -65,7 +82,7 @@ class Update:
     raw: list[Bins] = field(default_factory=list)
     forces: dict[str, list[Bins]] = field(default_factory=dict)
     readings: dict[str, Reading] = field(default_factory=dict)
-    estimates: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
+    estimates: dict[str, Estimate] = field(default_factory=dict)
     health: dict[str, dict[str, object]] = field(default_factory=dict)
     spectra: dict[str, tuple[float, NDArray[np.float32]]] = field(default_factory=dict)
     remarks: list[tuple[int, str, str]] = field(default_factory=list)

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import threading
+import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -24,9 +25,11 @@ from starlette.websockets import WebSocket
 from aerobalance.acquire.rig_values import RigName
 from aerobalance.acquire.setup import setup_from
 from aerobalance.io.held_file import is_held
+from aerobalance.io.messages import first_fault
 from aerobalance.monitor.access import REPORT_POLICY, Door, Guard
 from aerobalance.monitor.board import Board, plain
 from aerobalance.monitor.checks import Kind
+from aerobalance.monitor.folder import RECORDINGS
 from aerobalance.monitor.form import form_of
 from aerobalance.monitor.messages import News, Watching
 from aerobalance.monitor.setups import check_files, rig_setup
@@ -44,6 +47,9 @@ LARGEST_BODY: Final = 1_000_000
 MOST_VIEWERS: Final = 16
 """Viewers at once."""
 
+LATEST_PRESS: Final = 10.0
+"""Time that a press of a button may be on its way [s]."""
+
 Short = Annotated[str, Field(max_length=100)]
 Text = Annotated[str, Field(max_length=10_000)]
 
@@ -56,6 +62,13 @@ class _Record(_Body):
     name: Short
     notes: Text = ""
     seconds: Annotated[float, Field(gt=0, le=1e7, allow_inf_nan=False)] | None = None
+    pressed: Annotated[float, Field(allow_inf_nan=False)] | None = None
+
+    @property
+    def asked(self) -> float:
+        """When the button was pressed, on the steady clock [s]; the page says it by this computer's clock [ms]."""
+        ago = 0.0 if self.pressed is None else time.time() - self.pressed / 1e3
+        return time.monotonic() - min(max(ago, 0.0), LATEST_PRESS)
 
 
 class _Mark(_Body):
@@ -142,11 +155,12 @@ class Page:
             door,
         )
         self._actions: Mapping[str, tuple[type[_Body], Callable[[Any], Any]]] = {
-            "record": (_Record, lambda it: self.station.record(it.name, notes=it.notes, seconds=it.seconds)),
+            "record": (_Record, self._record),
             "stop": (_Stop, lambda _: self.station.stop()),
             "trigger": (_Empty, lambda _: self.station.call()),
             "mark": (_Mark, lambda it: self.station.mark(it.text)),
             "zero": (_Empty, lambda _: self.station.zero()),
+            "acknowledge": (_Empty, lambda _: self.station.acknowledge()),
             "clear_zero": (_Empty, lambda _: self.station.clear_zero()),
             "test": (_Check, lambda it: self.station.checks.press(it.kind)),
             "give_up": (_Empty, lambda _: self.station.checks.give_up()),
@@ -261,7 +275,7 @@ class Page:
             path = self.station.folder.file(request.path_params["name"])
         except ValueError as problem:
             return JSONResponse({"error": str(problem)}, 404)
-        if path.suffix.lower() not in (".h5", ".csv", ".json", ".toml", ".html") or not path.is_file():
+        if path.suffix.lower() not in (*RECORDINGS, ".json", ".toml", ".html") or not path.is_file():
             return JSONResponse({"error": "there is no such file"}, 404)
         return await asyncio.to_thread(_download, path)
 
@@ -280,8 +294,11 @@ class Page:
         except ClientDisconnect:
             return Response(status_code=400)  # to nobody
         except (_TooLargeError, ValidationError, ReadError, FitError, ValueError, OSError) as problem:
-            return _refusal(problem)
+            return _refusal(problem, model)
         return JSONResponse({"done": True, "number": found if isinstance(found, int) else None})
+
+    def _record(self, wish: _Record) -> None:
+        self.station.record(wish.name, notes=wish.notes, seconds=wish.seconds, asked=wish.asked)
 
     def _job(self, wish: _Job) -> int:
         settings = {key: value for key in ("component", "mass", "dynamics") if (value := getattr(wish, key))}
@@ -348,12 +365,11 @@ async def _body(request: Request) -> bytes:
     return b"".join(parts) or b"{}"
 
 
-def _refusal(problem: Exception) -> Response:
+def _refusal(problem: Exception, model: type[_Body]) -> Response:
     """Say what was wrong with a request, and with which field."""
     if isinstance(problem, ValidationError):
-        fault = problem.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in fault["loc"])
-        text = f"{where}: {fault['msg']}" if where else fault["msg"]
+        where, what = first_fault(problem, model)
+        text = f"{where}: {what}" if where else "the request is no JSON"
         return JSONResponse({"error": text, "where": where}, 422)
     if isinstance(problem, ReadError):
         return JSONResponse({"error": problem.what, "where": problem.where}, 422)

@@ -17,6 +17,7 @@ def state_of(station: Station) -> dict[str, Any]:
         "source": _source(station),
         "record": _record(station),
         "zeros": dict(station.zeros),
+        "alarms": station.alarms.shown,
         "messages": list(station.messages),
         "tasks": [
             {key: value for key, value in task.items() if key != "account"} for task in station.tasks.listed.values()
@@ -26,6 +27,7 @@ def state_of(station: Station) -> dict[str, Any]:
             "name": station.setup.name,
             "file": None if station.setup_file is None else station.setup_file.name,
             "dynamics": station.setup.files.dynamics,
+            "seconds": station.setup.record.seconds,
         },
         "sweep": station.sweep,
         "check": station.checks.shown,

@@ -16,6 +16,7 @@ from aerobalance.acquire.recorder import Progress, Tell
 from aerobalance.acquire.session import Recorder, Session
 from aerobalance.acquire.setup import Setup, save_setup, setup_text
 from aerobalance.io.held_file import recover_all
+from aerobalance.monitor.alarms import Alarms
 from aerobalance.monitor.checks import Checks
 from aerobalance.monitor.folder import Folder
 from aerobalance.monitor.messages import Answer, Means, News, SetZeros, TakeZeros, Watch, Watching, Zeros
@@ -27,6 +28,12 @@ from aerobalance.problems import FitError, ReadError
 
 POLLED: Final = 0.1
 """Time between looks at source and recorder [s]."""
+
+STARTING: Final = 60.0
+"""Time that a recorder has to start [s]."""
+
+UNWATCHED: Final = 20.0
+"""Time after which a source begins although the charts do not follow it yet [s]."""
 
 PATIENCE: Final = 0.2
 """Time that ending waits for what is under way [s]."""
@@ -83,6 +90,7 @@ class Station:
         self.zeros: dict[str, float] = {}
         self.controls: dict[str, float] = {}
         self.watching: Watching | None = None
+        self._held_since, self._unwatched = 0.0, False
         self.messages: deque[dict[str, Any]] = deque(maxlen=MESSAGES)
         self._message_numbers = itertools.count(1)
         self.marker: Callable[[str, str], None] = lambda *_: None
@@ -92,6 +100,7 @@ class Station:
             text = "its record was broken off by a kill after it had lost its name; what was written is in it"
             self.say(f"{found.name} is back: {text}", kind="error")
         self.checks = Checks(self)
+        self.alarms = Alarms(changed)
         self.engine = Engine(self._answer)
         self.tasks = Tasks(self)
         threading.Thread(target=self._watch_over, daemon=True).start()
@@ -118,6 +127,7 @@ class Station:
             self.source = Source("starting", "the source is starting", number)
             self.zeros, self.recorder, self.progress, self.watching = {}, None, None, None
             self.checks.forget()
+            self.alarms.leave()
             self.changed()
             try:
                 self.session = Session(setup, self.folder.path)
@@ -129,8 +139,7 @@ class Station:
             watch = Watch(number, self.session.address, setup_text(setup), str(self.folder.path), {})
             self.engine.remember(watch)
             self.engine.order(watch)
-            self.session.start()
-            self.source = Source("running", self.session.hello.description, number)
+            self._held_since, self._unwatched = time.monotonic(), False
             self.changed()
 
     def control(self, name: str, value: float) -> None:
@@ -161,31 +170,57 @@ class Station:
         """Whether a record is under way."""
         return self.recorder is not None and self.progress is not None and not self.progress.over
 
-    def record(self, name: str, *, notes: str, seconds: float | None) -> None:
-        """Begin a record.
+    def record(self, name: str, *, notes: str, seconds: float | None, asked: float | None = None) -> None:
+        """Begin a record; what was sampled since it was asked for is in it, however long its process takes to start.
+
+        Parameters
+        ----------
+        name
+            Name of the file.
+        notes
+            What the operator wrote.
+        seconds
+            Length [s]; None for that of the set-up.
+        asked
+            When it was asked for, on the steady clock [s]; None for now.
 
         Raises
         ------
         FitError, ValueError
             It cannot be begun; the message says why.
         """
+        asked = time.monotonic() if asked is None else asked
         with self._lock:
             session = self.running()
             if self.recording:
                 raise ValueError("a record is under way already")
             path = self.folder.new_recording(name)
             setup = setup_of_record(self.setup, session.hello.channels, zeros=self.zeros, notes=notes, seconds=seconds)
-            recorder = session.record(path, setup=setup)
-            try:
-                self.progress = recorder.ready()
-            except ValueError:
-                recorder.stop(timeout=0.5)
-                raise
-            self.recorder = recorder
+            recorder = session.record(path, setup=setup, asked=asked)
+            self.recorder, self.progress = recorder, recorder.progress
             self._mark(f"record {path.name} begins", kind="start")
             for note in self.checks.notes:
-                recorder.tell(Tell("note", note))
-            self.changed()
+                recorder.tell(Tell("note", note, asked))
+        self._await(recorder)
+
+    def _await(self, recorder: Recorder) -> None:
+        """Wait until a recorder takes samples; others may look at the state, or stop it, meanwhile.
+
+        Raises
+        ------
+        ValueError
+            It cannot record.
+        """
+        limit = time.monotonic() + STARTING
+        while not recorder.heard and not recorder.progress.over:
+            if time.monotonic() > limit:
+                recorder.stop(timeout=0.5, hurry=True)
+                raise ValueError(f"the recorder did not start within {STARTING:g} s")
+            time.sleep(POLLED / 4)
+            with self._lock:
+                self._look_at_record()
+        if recorder.progress.state == "failed":
+            raise ValueError(recorder.progress.reason)
 
     def stop(self) -> Progress | None:
         """End the record; its file is closed when this returns."""
@@ -206,7 +241,7 @@ class Station:
             if shown:
                 self._mark(text)
             if self.recorder is not None and self.recording:
-                self.recorder.tell(Tell("note", text))
+                self.recorder.tell(Tell("note", text, time.monotonic()))
 
     def call(self) -> None:
         """Begin the record now, whatever its trigger waits for."""
@@ -214,6 +249,10 @@ class Station:
             if self.recorder is None or not self.recording:
                 raise ValueError("no record is waiting for its trigger")
             self.recorder.tell(Tell("call", "button"))
+
+    def acknowledge(self) -> None:
+        """Take note that the operator has seen the alarms."""
+        self.alarms.acknowledge()
 
     def begin_sweep(self) -> None:
         """Begin a stepped-sine run.
@@ -270,7 +309,8 @@ class Station:
                 watch = Watch(self.source.number, self.session.address, setup_text(self.setup), folder, zeros)
                 self.engine.remember(watch)
             self.engine.order(SetZeros(zeros))
-        listed = ", ".join(f"{name} {value:.4g}" for name, value in zeros.items())
+        units = {} if self.watching is None else dict(zip(self.watching.names, self.watching.units, strict=True))
+        listed = ", ".join(f"{name} {value:.4g} {units.get(name, '')}".strip() for name, value in zeros.items())
         self._mark(f"zero: {listed}" if zeros else "zero taken back", kind="zero")
 
     # ---- set-up
@@ -320,12 +360,15 @@ class Station:
                 self.changed()
         elif isinstance(answer, News):
             self.checks.watch(answer.update.remarks)
+            if answer.number == self.source.number:
+                self.alarms.watch(answer.update, self.watching)
             self._heard(answer)
         elif isinstance(answer, Means):
             self.checks.heard(answer)
         elif isinstance(answer, Zeros):
             self._set_zeros(dict(answer.zeros))
         elif answer.number in (-1, self.source.number):
+            self._unwatched |= answer.number != -1  # an engine that is started again will follow
             if answer.number != -1 and answer.text.startswith("the source ended"):
                 return  # the source's own word says it better
             self.say(answer.text, kind="error")
@@ -336,7 +379,17 @@ class Station:
             with contextlib.suppress(OSError), self._lock:
                 self._look()
 
+    def _let_flow(self, session: Session) -> None:
+        """Let a source begin once the charts follow it, so that a short replay is seen whole."""
+        late = time.monotonic() - self._held_since > UNWATCHED
+        if self.source.state == "starting" and (self.watching is not None or self._unwatched or late):
+            session.start()
+            self.source = Source("running", session.hello.description, self.source.number)
+            self.changed()
+
     def _look(self) -> None:
+        if self.session is not None:
+            self._let_flow(self.session)
         if self.session is not None:
             for said in self.session.news():
                 if said.kind == "ended":
@@ -347,16 +400,21 @@ class Station:
                     self.checks.done(said.text)
                     self._mark(said.text, kind="control")
                     if self.recorder is not None and self.recording:
-                        self.recorder.tell(Tell("note", said.text))
+                        self.recorder.tell(Tell("note", said.text, time.monotonic()))
                 elif said.kind == "refused":
                     self.say(said.text, kind="error")
                 elif said.kind == "failed":
                     self.source = Source("ended", said.text, self.source.number)
                     self.say(said.text, kind="error")
+        self._look_at_record()
+
+    def _look_at_record(self) -> None:
         if self.recorder is not None and self.recording:
             before = self.progress
             self.progress = self.recorder.poll()
-            if self.progress.over:
+            if self.progress.state == "failed":
+                self.changed()  # who asked for it is told
+            elif self.progress.over:
                 self._ended(self.progress)
             elif self.progress != before:
                 if before is not None and self.progress.mishap != before.mishap:
@@ -396,7 +454,8 @@ class Station:
         held = self._lock.acquire(timeout=PATIENCE)
         try:
             if self.recorder is not None and self.recording:
-                self.recorder.stop("the page was ended", timeout=max(0.1, 0.75 * (limit - time.monotonic())))
+                left = max(0.1, 0.75 * (limit - time.monotonic()))
+                self.recorder.stop("the page was ended", timeout=left, hurry=True)
             if self.session is not None:
                 self.session.close(timeout=max(0.1, limit - time.monotonic()))
         finally:

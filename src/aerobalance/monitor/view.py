@@ -24,7 +24,8 @@ from aerobalance.io.units import Conversion, conversion_for
 from aerobalance.load_envelope import LoadEnvelope
 from aerobalance.monitor.coupled_line import CoupledStream
 from aerobalance.monitor.force_line import Columns, ForceLine, Line, Stream
-from aerobalance.monitor.messages import LINES, Reading, Update
+from aerobalance.monitor.messages import LINES, Estimate, Reading, Update
+from aerobalance.monitor.steady import newest_steady
 from aerobalance.motion import AXES
 from aerobalance.strips import Extremes
 from aerobalance.waterfall import RunningSpectrum
@@ -275,10 +276,7 @@ class View:
         for name, line in self.lines.items():
             parts, self._estimates[name] = self._estimates[name], []
             if parts:
-                pair = np.concatenate(parts)
-                force = pair[:, 0]
-                ends = (float(force.min()), float(force.max()))
-                self.update.estimates[name] = (float(force.mean()), float(pair[:, 1].mean()), *ends)
+                self.update.estimates[name] = _estimate(np.concatenate(parts), line.interval)
             self.update.health[name] = _health(line)
         self._since_spectra += 1
         if self._since_spectra * NUMBERS >= SPECTRA:
@@ -290,7 +288,8 @@ class View:
         if not known.size:
             return Reading(math.nan, math.nan, math.nan, None, None, "none")
         self._saturated[name] += int(Channel("reading", known, "1").saturated.sum()) if known.size > 8 else 0
-        mean, least, largest = float(known.mean()), float(known.min()), float(known.max())
+        least, largest = float(known.min()), float(known.max())
+        mean, samples, step = newest_steady(known) if name in COMPONENTS else (float(known.mean()), known.size, 0.0)
         half = self.panel.half_ranges.get(name)
         low, high = self.panel.limits.get(name, (-half, half) if half else (-math.inf, math.inf))
         percent = None if half is None else 100 * max(-least, largest) / half
@@ -298,7 +297,8 @@ class View:
         shares.append(least / low if low < 0 else math.inf if least < low else 0.0)
         share = max(shares)
         state = "over" if share >= 1 else "high" if share >= WARNING else "ok"
-        return Reading(mean, least, largest, percent, share if math.isfinite(high - low) else None, state)
+        limit = share if math.isfinite(high - low) else None
+        return Reading(mean, least, largest, percent, limit, state, samples / self.panel.rate, step)
 
     @property
     def saturated(self) -> Mapping[str, int]:
@@ -311,6 +311,16 @@ class View:
                 lines = spectrum.amplitudes()
                 shown = lines.reshape(LINES, -1, 2).max(axis=1).astype(np.float32)
                 self.update.spectra[name] = (float(spectrum.frequency[-1]), shown)
+
+
+def _estimate(pair: Array, interval: float) -> Estimate:
+    """Draw up force and standard uncertainty, shape (n, 2), over the time of `NUMBERS`."""
+    known = pair[np.isfinite(pair).all(axis=1)]
+    if not len(known):
+        return Estimate(math.nan, math.nan, math.nan, math.nan, 0.0, 0.0)
+    force, uncertainty = known[:, 0], float(known[:, 1].mean())
+    mean, samples, step = newest_steady(force, uncertainty=uncertainty)
+    return Estimate(mean, uncertainty, float(force.min()), float(force.max()), samples * interval, step)
 
 
 def _means(values: Array) -> Array:

@@ -1,4 +1,4 @@
-// Charts on canvases. A column of pixels shows the least and the largest value of all bins that fall into it.
+// Strip charts on canvases. A column of pixels shows the least and the largest value of all bins that fall into it.
 
 export class Ring {
   constructor(size, columns) {
@@ -24,6 +24,13 @@ export class Ring {
     this.first = Math.max(this.first, this.end - this.size);
   }
 
+  // As it is now: what comes later does not change it.
+  copy() {
+    const made = Object.assign(Object.create(Ring.prototype), this);
+    made.data = this.data.slice();
+    return made;
+  }
+
   // Least and largest value of bins [from, to) of a column into out; false where there is none.
   range(from, to, column, out) {
     let least = Infinity,
@@ -43,12 +50,12 @@ export class Ring {
 }
 
 // Canvases take no light-dark(): as properties of a registered kind the page's colours are read as what they come to.
-for (const name of ["band", "bad", "force", "grid", "muted", "raw", "third"])
+for (const name of ["band", "bad", "force", "grid", "ink", "muted", "raw", "third"])
   CSS.registerProperty({ name: `--${name}`, syntax: "<color>", inherits: true, initialValue: "gray" });
 
 export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
-function fit(canvas) {
+export function fit(canvas) {
   const ratio = window.devicePixelRatio || 1,
     width = canvas.clientWidth,
     height = canvas.clientHeight;
@@ -66,7 +73,7 @@ export function wipe(canvas) {
   fit(canvas);
 }
 
-function nice(span, count) {
+export function nice(span, count) {
   const raw = span / Math.max(count, 1),
     power = 10 ** Math.floor(Math.log10(raw || 1)),
     part = raw / power;
@@ -87,6 +94,21 @@ export function number(value, digits = 4) {
   return text.replace("-", "−");
 }
 
+// Values of a scale's lines, two at least, and how many decimals they need.
+export function ticks(low, high, count) {
+  let step = nice(high - low, count);
+  const values = () => {
+    const found = [];
+    for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(k * step);
+    return found;
+  };
+  while (values().length < 2) step = nice(step / 2.1, 1);
+  return { values: values(), places: Math.max(0, Math.min(5, -Math.floor(Math.log10(step) + 1e-9))) };
+}
+
+export const label = (value, places) =>
+  Math.abs(value) >= 1e5 ? value.toExponential(1).replace("-", "−") : fixed(value, places);
+
 // As many decimals as the spread of the readings bears.
 export function rounded(value, spread) {
   return spread > 0 ? fixed(value, Math.max(0, Math.min(6, 2 - Math.floor(Math.log10(spread))))) : number(value);
@@ -97,16 +119,19 @@ export function fixed(value, places) {
   return (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "−");
 }
 
+const SLACK = 700; // time that a scale stays although much of it is empty [ms]
+
 // Follows the values shown: grows at once, shrinks when much of it has been empty for a while.
 export class Scale {
   constructor() {
     this.low = NaN;
     this.high = NaN;
     this.since = 0;
+    this.locked = false;
   }
 
   follow(least, largest, now) {
-    if (!(least <= largest)) return;
+    if (!(least <= largest) || (this.locked && this.low < this.high)) return;
     const span = largest > least ? largest - least : Math.abs(largest) * 0.02 || 1,
       pad = 0.08 * span;
     const low = least - pad,
@@ -117,7 +142,7 @@ export class Scale {
       this.since = now;
     }
     if (high - low > 0.6 * (this.high - this.low)) this.since = now;
-    if (now - this.since > 1500) {
+    if (now - this.since > SLACK) {
       this.low = low - pad;
       this.high = high + pad;
       this.since = now;
@@ -190,22 +215,69 @@ export function extent({ ring, column }, begin, end) {
   return ring.range(Math.floor(begin), end, column, pair) ? pair : null;
 }
 
+// Where the plot lies on the canvas of a strip chart.
+export const plotOf = (canvas, axes) => {
+  const left = axes ? 62 : 56;
+  return { left, top: 6, width: canvas.clientWidth - left - 8, height: canvas.clientHeight - 6 - (axes ? 38 : 4) };
+};
+
+// Times below the plot: from the newest sample (or the end of what is held) back, and by the clock.
+function timeAxis(paper, view, { end, zero, rate, seconds, clock }) {
+  const every = nice(seconds, view.width / 96),
+    last = (end - zero) / rate,
+    below = view.top + view.height;
+  paper.textAlign = "center";
+  paper.fillStyle = colour("muted");
+  for (let k = Math.floor(last / every + 1e-9); k * every >= last - seconds - 1e-9; k--) {
+    const at = k * every,
+      x = view.left + view.width * (1 - (last - at) / seconds),
+      text = k ? `−${Number(Math.abs(at).toPrecision(6))} s` : "now",
+      shown = Math.min(x, view.left + view.width - 22);
+    paper.fillText(text, shown, below + 12);
+    const time = clock(zero + at * rate);
+    if (time) paper.fillText(time, shown, below + 27);
+  }
+}
+
+function valueAxis(paper, view, scale, axes) {
+  const { low, high } = scale,
+    found = ticks(low, high, view.height / (axes ? 45 : 26));
+  paper.textAlign = "right";
+  for (const value of found.values) {
+    const y = view.top + view.height * (1 - (value - low) / (high - low));
+    paper.strokeStyle = colour("grid");
+    paper.beginPath();
+    paper.moveTo(view.left, y);
+    paper.lineTo(view.left + view.width, y);
+    paper.stroke();
+    paper.fillStyle = colour("muted");
+    paper.fillText(label(value, found.places), view.left - 6, Math.max(y, 7));
+  }
+}
+
+// The cursor, and what is about to be zoomed into: both as parts of the width.
+function overlay(paper, view, { cursor, selection }) {
+  if (selection) {
+    paper.fillStyle = colour("band");
+    const [from, to] = selection;
+    paper.fillRect(view.left + from * view.width, view.top, (to - from) * view.width, view.height);
+  }
+  if (cursor === null || cursor === undefined) return;
+  paper.strokeStyle = colour("ink");
+  paper.beginPath();
+  paper.moveTo(view.left + cursor * view.width, view.top);
+  paper.lineTo(view.left + cursor * view.width, view.top + view.height);
+  paper.stroke();
+}
+
 // Draw one strip chart. lines: [{ring, column, colour, width, band}]
 export function strip(canvas, scale, options) {
   const { lines, end, rate, seconds, now, marks = [], limits = [], axes = true, unit = "" } = options;
-  const { paper, width: whole, height: tall } = fit(canvas);
+  const { paper, width: whole } = fit(canvas);
   if (whole < 10) return;
-  const left = axes ? 62 : 44,
-    bottom = axes ? 22 : 4,
-    top = 6;
-  const view = {
-    left,
-    top,
-    width: whole - left - 8,
-    height: tall - top - bottom,
-    begin: end - seconds * rate,
-    bins: seconds * rate,
-  };
+  const plot = plotOf(canvas, axes),
+    { left } = plot,
+    view = { ...plot, begin: end - seconds * rate, bins: seconds * rate };
   const ends = lines.flatMap((line) => extent(line, view.begin, end) ?? []);
   scale.follow(Math.min(...ends), Math.max(...ends), now);
   if (!(scale.low < scale.high)) return;
@@ -214,39 +286,9 @@ export function strip(canvas, scale, options) {
   paper.font = "12px system-ui, sans-serif";
   paper.lineWidth = 1;
   paper.textBaseline = "middle";
-  paper.textAlign = "right";
-  const step = nice(high - low, axes ? view.height / 45 : 2),
-    places = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
-  for (let value = Math.ceil(low / step) * step; value <= high; value += step) {
-    paper.strokeStyle = colour("grid");
-    paper.beginPath();
-    paper.moveTo(left, y(value));
-    paper.lineTo(left + view.width, y(value));
-    paper.stroke();
-    paper.fillStyle = colour("muted");
-    paper.fillText(
-      Math.abs(value) >= 1e5
-        ? value.toExponential(0)
-        : value
-            .toFixed(Math.min(places, 5))
-            .replace("-", "−")
-            .replace(/^−(0(\.0*)?)$/, "$1"),
-      left - 6,
-      y(value),
-    );
-  }
+  valueAxis(paper, view, scale, axes);
   if (axes) {
-    const every = nice(seconds, view.width / 90);
-    paper.textAlign = "center";
-    paper.fillStyle = colour("muted");
-    for (let back = 0; back <= seconds + 1e-9; back += every) {
-      const x = left + view.width * (1 - back / seconds);
-      paper.fillText(
-        back ? `−${Number(back.toPrecision(6))} s` : "now",
-        Math.min(x, left + view.width - 12),
-        tall - 9,
-      );
-    }
+    timeAxis(paper, view, options);
     paper.textAlign = "left";
     paper.fillText(unit ? `[${unit}]` : "", 2, 12);
   }
@@ -303,146 +345,6 @@ export function strip(canvas, scale, options) {
       }
     }
   }
+  overlay(paper, view, options);
   paper.restore();
-}
-
-const VIRIDIS = [
-  [68, 1, 84],
-  [72, 40, 120],
-  [62, 74, 137],
-  [49, 104, 142],
-  [38, 130, 142],
-  [31, 158, 137],
-  [53, 183, 121],
-  [109, 205, 89],
-  [180, 222, 44],
-  [253, 231, 37],
-];
-
-function viridis(part) {
-  const place = Math.max(0, Math.min(0.9999, part)) * (VIRIDIS.length - 1),
-    k = Math.floor(place),
-    rest = place - k;
-  return VIRIDIS[k].map((value, i) => value + (VIRIDIS[k + 1][i] - value) * rest);
-}
-
-function decades(rows) {
-  let low = Infinity,
-    high = -Infinity;
-  for (const row of rows)
-    for (const value of row) {
-      if (value > 0) {
-        if (value < low) low = value;
-        if (value > high) high = value;
-      }
-    }
-  if (!(low < high)) return null;
-  return { low: Math.max(Math.log10(low), Math.log10(high) - 5), high: Math.log10(high) + 0.1 };
-}
-
-export function spectrum(canvas, row, lines, largest, marks, unit) {
-  const { paper, width: whole, height: tall } = fit(canvas);
-  if (!row || whole < 10) return;
-  const left = 62,
-    bottom = 22,
-    top = 6,
-    width = whole - left - 8,
-    height = tall - top - bottom,
-    range = decades([row.subarray(0, 2 * lines)]);
-  if (!range) return;
-  const y = (value) =>
-    top + height * (1 - (Math.log10(Math.max(value, 1e-30)) - range.low) / (range.high - range.low));
-  paper.font = "12px system-ui, sans-serif";
-  paper.textBaseline = "middle";
-  paper.textAlign = "right";
-  paper.lineWidth = 1;
-  for (let power = Math.ceil(range.low); power <= range.high; power++) {
-    paper.strokeStyle = colour("grid");
-    paper.beginPath();
-    paper.moveTo(left, y(10 ** power));
-    paper.lineTo(left + width, y(10 ** power));
-    paper.stroke();
-    paper.fillStyle = colour("muted");
-    paper.fillText(
-      power < -3 || power > 4 ? `1e${power}`.replace("-", "−") : String(10 ** power),
-      left - 6,
-      y(10 ** power),
-    );
-  }
-  paper.textAlign = "center";
-  const every = nice(largest, width / 80);
-  for (let at = 0; at <= largest; at += every) {
-    paper.fillStyle = colour("muted");
-    paper.fillText(
-      `${Number(at.toPrecision(6))}${at ? "" : " Hz"}`,
-      Math.min(left + (width * at) / largest + (at ? 0 : 8), whole - 24),
-      tall - 9,
-    );
-  }
-  paper.textAlign = "left";
-  paper.fillText(`[${unit}]`, 2, 12);
-  paper.save();
-  paper.beginPath();
-  paper.rect(left, top, width, height);
-  paper.clip();
-  for (const at of marks) {
-    paper.strokeStyle = colour("third");
-    paper.setLineDash([2, 3]);
-    paper.beginPath();
-    paper.moveTo(left + (width * at) / largest, top);
-    paper.lineTo(left + (width * at) / largest, top + height);
-    paper.stroke();
-  }
-  paper.setLineDash([]);
-  for (const [column, name, wide] of [
-    [0, "raw", 1.2],
-    [1, "force", 1.8],
-  ]) {
-    paper.strokeStyle = colour(name);
-    paper.lineWidth = wide;
-    paper.beginPath();
-    for (let k = 0; k < lines; k++) {
-      const x = left + (width * (k + 0.5)) / lines;
-      if (k) paper.lineTo(x, y(row[2 * k + column]));
-      else paper.moveTo(x, y(row[2 * k + column]));
-    }
-    paper.stroke();
-  }
-  paper.restore();
-}
-
-export function waterfall(canvas, rows, lines, column) {
-  const { paper, width: whole, height: tall } = fit(canvas);
-  const left = 62,
-    width = whole - left - 8;
-  if (!rows.length || width < 10) return;
-  const range = decades(rows.slice(-20).map((row) => row.filter((_, k) => k % 2 === column)));
-  if (!range) return;
-  const low = Math.max(range.low, range.high - 4),
-    picture = new ImageData(lines, 120);
-  for (let r = 0; r < Math.min(rows.length, 120); r++) {
-    const row = rows[rows.length - 1 - r];
-    for (let k = 0; k < lines; k++) {
-      const [red, green, blue] = viridis(
-          (Math.log10(Math.max(row[2 * k + column], 1e-30)) - low) / (range.high - low),
-        ),
-        at = 4 * (r * lines + k);
-      picture.data[at] = red;
-      picture.data[at + 1] = green;
-      picture.data[at + 2] = blue;
-      picture.data[at + 3] = 255;
-    }
-  }
-  const store = (waterfall.store ??= new OffscreenCanvas(lines, 120));
-  if (store.width !== lines) store.width = lines;
-  store.getContext("2d").putImageData(picture, 0, 0);
-  paper.imageSmoothingEnabled = true;
-  paper.drawImage(store, left, 0, width, tall);
-  paper.font = "12px system-ui, sans-serif";
-  paper.fillStyle = colour("muted");
-  paper.textAlign = "right";
-  paper.textBaseline = "top";
-  paper.fillText("now", left - 6, 0);
-  paper.textBaseline = "bottom";
-  paper.fillText("−1 min", left - 6, tall);
 }

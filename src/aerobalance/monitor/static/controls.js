@@ -1,8 +1,8 @@
 // How source and record stand, and what can be done with them: rig, checks, zero, record.
 
-import { number } from "./charts.js";
+import { number, rounded } from "./charts.js";
 import { $, button, element, press, tell, typed } from "./dom.js";
-import { counters, page } from "./shown.js";
+import { counters, page, written } from "./shown.js";
 
 const SOURCES = { starting: "… starting", running: "● live", ended: "■ ended", failed: "■ failed" };
 const FIELDS = {
@@ -19,6 +19,10 @@ const BUTTONS = {
 const SWITCHED = ["shunt"]; // by its check
 const VERDICTS = { passed: ["✓ passed", "yes"], failed: ["■ failed", "no"], undecided: ["▲ not decided", "warn"] };
 
+const BUSY = ["starting", "waiting", "recording"];
+const LONGEST = 1e7; // of a record [s]
+const ANSWERED = 2000; // time from the answer to the state that shows what it was [ms]
+
 const heard = new Set();
 
 function pill(id, text, kind, title = text) {
@@ -29,37 +33,64 @@ function pill(id, text, kind, title = text) {
   at.title = title;
 }
 
-export function showState() {
-  const { source, record, zeros, setup, check, messages, folder } = page.state;
-  const recording = record.state === "recording",
-    busy = recording || record.state === "waiting",
-    running = source.state === "running";
-  Object.assign(counters, { source: source.state, record: record.state, check: check.text ?? null });
+// How the source and the record stand; nothing is claimed of them while the server is out of reach.
+function showPills(source, record, stage) {
+  if (page.lost) {
+    pill("source-state", page.state ? "■ no connection" : "… connecting", page.state ? "bad" : "");
+    pill("record-state", "", "");
+    return;
+  }
   const why = source.state === "ended" || source.state === "failed" ? `: ${source.text}` : "";
   pill(
     "source-state",
     (SOURCES[source.state] || "") + why,
-    running ? "good" : source.state === "starting" ? "" : "bad",
+    source.state === "running" ? "good" : source.state === "starting" ? "" : "bad",
     source.text,
   );
-  pill(
-    "record-state",
-    busy ? (recording ? `● REC ${record.seconds.toFixed(1)} s` : "◌ waiting for the trigger") : "",
-    recording ? "rec" : "",
-  );
+  const words = {
+    starting: "● REC starting",
+    waiting: "◌ waiting for the trigger",
+    recording: `● REC ${record.seconds?.toFixed(1)} s`,
+  };
+  pill("record-state", words[stage] ?? "", stage === "waiting" ? "" : "rec");
+}
+
+// What was asked for is under way from the press on, until the state says how it went.
+function stageOf(record) {
+  const { pressed } = page;
+  if (pressed && (BUSY.includes(record.state) || record.file === pressed.file || performance.now() > pressed.until))
+    page.pressed = null;
+  return page.pressed ? "starting" : record.state;
+}
+
+export function showState() {
+  if (!page.state) {
+    showPills({}, {}, "none");
+    return;
+  }
+  const { source, record, zeros, setup, check, messages, folder } = page.state;
+  const stage = stageOf(record),
+    recording = stage === "recording",
+    busy = BUSY.includes(stage),
+    running = source.state === "running" && !page.lost;
+  Object.assign(counters, { source: source.state, record: stage, check: check.text ?? null });
+  showPills(source, record, stage);
   $("test").textContent = setup.name + (setup.file ? ` (${setup.file})` : "");
   $("folder").textContent = folder;
-  document.title = `${recording ? "● " : ""}aerobalance: ${setup.name || "monitor"}`;
+  document.title = `${page.lost ? "■ " : recording ? "● " : ""}aerobalance: ${setup.name || "monitor"}`;
   if (document.activeElement !== $("rig")) $("rig").value = source.rig || "";
-  for (const id of ["rig", "open-setup"]) $(id).disabled = busy;
+  for (const id of ["rig", "open-setup"]) $(id).disabled = busy || page.lost;
   $("zero").disabled = busy || !running;
-  const taken = Object.entries(zeros).map(([name, value]) => `${name} ${number(value)}`);
-  $("clear-zero").disabled = busy || !taken.length;
+  const taken = Object.entries(zeros).map(([name, value]) => `${name} ${number(value)} ${zeroUnit(name)}`.trim());
+  $("clear-zero").disabled = busy || !taken.length || page.lost;
   $("zero-state").textContent = taken.length ? `zero: ${taken.join(", ")}` : "no zero taken";
   $("record").disabled = busy || !running;
-  $("stop").disabled = !busy;
-  $("trigger").hidden = record.state !== "waiting";
-  $("record-line").textContent = wordsOf(record, busy);
+  $("record").textContent = stage === "starting" ? "Starting…" : "Record";
+  $("record-seconds").placeholder = setup.seconds ? `${number(setup.seconds)}` : "until Stop";
+  for (const id of ["stop", "stop-now"]) $(id).disabled = !busy || page.lost;
+  $("stop-now").hidden = !busy || page.lost;
+  $("trigger").hidden = stage !== "waiting";
+  $("record-line").textContent = page.lost ? "" : wordsOf(record, stage);
   $("record-line").className = record.full || record.touched ? "warn" : "hint";
   showControls(source, running);
   showChecks(check, running);
@@ -71,11 +102,20 @@ export function showState() {
   }
 }
 
-function wordsOf(record, busy) {
+function zeroUnit(name) {
+  const place = page.panel?.names.indexOf(name) ?? -1;
+  return place < 0 ? "" : written(page.panel.units[place]);
+}
+
+function wordsOf(record, stage) {
+  if (stage === "starting") {
+    const file = page.pressed?.file ?? record.file;
+    return `${file}: starting; what is sampled since the press is in it`;
+  }
   if (record.state === "none") return "";
   const gaps = record.gaps ? `${record.gaps} gap(s), ${record.lost} samples lost` : "no gaps",
     touched = record.touched ? `; touched ${record.touched} time(s)` : "";
-  if (busy)
+  if (BUSY.includes(stage))
     return `${record.file}: ${record.seconds.toFixed(1)} s, ${record.blocks} blocks on the disk, ${gaps}${touched}; ${number(record.free / 1e9, 3)} GB left`;
   return `${record.file}: ${record.reason}; ${record.seconds.toFixed(2)} s, ${gaps}${touched}`;
 }
@@ -126,7 +166,11 @@ function field(name, value, running) {
   });
   const set = (event) => {
     event.preventDefault();
-    press("control", { name, value: typed(input.value) });
+    const value = typed(input.value);
+    if (!input.value.trim() || !Number.isFinite(value)) {
+      tell(`${FIELDS[name] || name}: “${input.value}” is no number`, "error");
+      input.focus();
+    } else press("control", { name, value });
   };
   return element(
     "form",
@@ -154,8 +198,10 @@ function showChecks(check, running) {
   $("check-result").replaceChildren(...(check.rows?.length ? [resultOf(check)] : []));
 }
 
+const between = (middle, half) => `${rounded(middle - half, half)} to ${rounded(middle + half, half)}`;
+
 function resultOf(check) {
-  const head = ["", "Change", "Expected"].map((text, k) => element("th", { class: k ? "n" : "" }, text));
+  const head = ["", "Change (95 %)", "Allowed"].map((text, k) => element("th", { class: k ? "n" : "" }, text));
   const body = check.rows.map((row) => {
     const [words, kind] = VERDICTS[row.verdict],
       unit = row.unit.replace("*", "·");
@@ -163,8 +209,8 @@ function resultOf(check) {
       "tr",
       {},
       element("td", { class: kind, title: words }, `${words.slice(0, 1)} ${row.channel} [${unit}]`),
-      element("td", { class: "n" }, `${number(row.change)} ± ${number(row.expanded, 2)}`),
-      element("td", { class: "n" }, `${number(row.expected)} ± ${number(row.tolerance, 2)}`),
+      element("td", { class: "n" }, between(row.change, row.expanded)),
+      element("td", { class: "n" }, between(row.expected, row.tolerance)),
     );
   });
   return element(
@@ -174,7 +220,38 @@ function resultOf(check) {
   );
 }
 
-export function wireControls() {
+// The length that is typed: null for none, and undefined, with a sentence beside it, for what is none.
+function lengthTyped() {
+  const input = $("record-seconds"),
+    text = input.value.trim(),
+    seconds = typed(text),
+    good = text === "" || (seconds > 0 && seconds <= LONGEST);
+  input.setAttribute("aria-invalid", String(!good));
+  input.classList.toggle("invalid", !good);
+  $("length-error").hidden = good;
+  if (good) return text === "" ? null : seconds;
+  $("length-error").textContent =
+    `“${text}” is no length: give a number of seconds above zero, such as 30 or 2,5; leave it empty to record until Stop.`;
+  input.focus();
+  return undefined;
+}
+
+async function begin(serverTime) {
+  if ($("record").disabled) return;
+  const seconds = lengthTyped(),
+    name = $("record-name").value.trim().normalize("NFC");
+  if (seconds === undefined) return;
+  const at = serverTime(),
+    file = /\.(h5|hdf5)$/i.test(name) ? name : `${name}.h5`;
+  page.pressed = { file, until: Infinity };
+  counters.pressed = at;
+  showState();
+  const found = await press("record", { name, notes: $("record-notes").value, seconds, pressed: at });
+  if (page.pressed) page.pressed.until = found.error ? 0 : performance.now() + ANSWERED;
+  showState();
+}
+
+export function wireControls(serverTime) {
   $("rig").addEventListener("change", async () => {
     if ($("rig").value) await press("rig", { rig: $("rig").value });
     $("rig").blur();
@@ -190,13 +267,9 @@ export function wireControls() {
   });
   $("record-form").addEventListener("submit", (event) => {
     event.preventDefault();
-    const seconds = $("record-seconds").value.trim();
-    press("record", {
-      name: $("record-name").value,
-      notes: $("record-notes").value,
-      seconds: seconds ? typed(seconds) : null,
-    });
+    begin(serverTime);
   });
-  $("stop").addEventListener("click", () => press("stop"));
+  $("record-seconds").addEventListener("input", () => $("length-error").hidden || lengthTyped() === undefined);
+  for (const id of ["stop", "stop-now"]) $(id).addEventListener("click", () => press("stop"));
   $("trigger").addEventListener("click", () => press("trigger"));
 }

@@ -1,30 +1,25 @@
 // The operator's page: its connection to the server, and what is set for the page alone.
 
+import { listAlarms, showAlarms, wireAlarms } from "./alarms.js";
 import { showState, wireControls } from "./controls.js";
 import { $, button } from "./dom.js";
+import { showPause, wireLook } from "./look.js";
 import { beginNumbers, showNumbers } from "./numbers.js";
 import { showTasks, wireRecordings } from "./recordings.js";
 import { openSetup } from "./setup.js";
 import { counters, page } from "./shown.js";
-import {
-  beginCharts,
-  chooseWindow,
-  draw,
-  drawSpectra,
-  forgetSpectra,
-  pause,
-  redraw,
-  takeBins,
-  takeSpectra,
-  view,
-} from "./strips.js";
+import { beginCharts, draw, drawSpectra, forgetSpectra, redraw, takeBins, takeSpectra, view } from "./strips.js";
 
 const KEPT = 2000; // ages of samples that percentiles are drawn from
 const OVER = 5000; // time that updates are counted over [ms]
+const SILENT = 4000; // time after which a server that says nothing is out of reach [ms]; it answers a ping each second
+const STALE = 2000; // age from which on the newest sample of a source that runs is told [ms]
 
 let socket = null,
   offset = 0,
-  bestTrip = Infinity;
+  bestTrip = Infinity,
+  heardAt = -Infinity,
+  newestMs = null;
 const times = [],
   newest = [],
   oldest = [];
@@ -39,29 +34,66 @@ function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
   socket.binaryType = "arraybuffer";
   socket.onopen = () => {
-    $("lost-connection").hidden = true;
+    heardAt = performance.now();
     page.panel = null;
     bestTrip = Infinity;
     send({ level: view.level, component: page.component });
     for (let k = 0; k < 5; k++) setTimeout(ping, 300 * k);
   };
   socket.onclose = () => {
-    $("lost-connection").hidden = false;
+    heardAt = -Infinity;
+    watch();
     setTimeout(connect, 1000);
   };
-  socket.onmessage = ({ data }) => (typeof data === "string" ? heard(JSON.parse(data)) : frame(data));
+  socket.onmessage = ({ data }) => {
+    heardAt = performance.now();
+    if (typeof data === "string") heard(JSON.parse(data));
+    else frame(data);
+  };
+}
+
+const ageText = (ms) => {
+  const seconds = Math.max(0, ms) / 1e3;
+  if (seconds < 60) return `${seconds.toFixed(0)} s`;
+  return seconds < 3600
+    ? `${Math.floor(seconds / 60)} min ${Math.floor(seconds % 60)} s`
+    : `${(seconds / 3600).toFixed(1)} h`;
+};
+
+// Say how old what is shown is, and grey it where it is not of now.
+function watch() {
+  const lost = performance.now() - heardAt > SILENT || !page.state,
+    age = newestMs === null ? null : clock() + offset - newestMs,
+    stale = lost || (page.state?.source.state === "running" && age > STALE);
+  const changed = lost !== page.lost;
+  page.lost = counters.lost = lost;
+  counters.age = age;
+  document.body.classList.toggle("lost", lost && newestMs !== null);
+  document.body.classList.toggle("stale", stale && newestMs !== null);
+  $("lost-connection").hidden = !lost || !page.state;
+  $("data-age").hidden = !stale || age === null;
+  const text = age === null ? "" : `data are ${ageText(age)} old`;
+  if ($("data-age").textContent !== text) $("data-age").textContent = text;
+  if (changed || page.pressed) {
+    showState();
+    showAlarms();
+  }
 }
 
 function heard(message) {
   if (message.type === "state") {
     page.state = message;
+    watch();
     showState();
+    showAlarms();
+    if (!$("alarms").hidden) listAlarms();
     showTasks();
   } else if (message.type === "panel") begin(message);
   else if (message.type === "numbers") {
     page.numbers = message;
     page.marks = message.marks;
     showNumbers();
+    showAlarms();
   } else if (message.type === "pong") {
     const now = clock(),
       trip = now - message.ping;
@@ -81,7 +113,9 @@ function begin(panel) {
   $("components").replaceChildren(
     ...tabs.map((name) => button(name, () => choose(name), { "aria-pressed": String(name === page.component) })),
   );
+  newestMs = null;
   beginCharts();
+  showPause();
   beginNumbers();
   send({ level: view.level, component: page.component });
 }
@@ -104,6 +138,7 @@ function frame(buffer) {
   takeBins(bytes, buffer);
   const fresh = bytes.getFloat64(16, true),
     old = bytes.getFloat64(24, true);
+  newestMs = fresh;
   requestAnimationFrame(() => {
     draw();
     const now = clock();
@@ -136,9 +171,10 @@ setInterval(() => {
   };
 }, 500);
 setInterval(() => {
-  bestTrip *= 1.2;
+  bestTrip *= 1.04;
   ping();
-}, 5000);
+}, 1000);
+setInterval(watch, 250);
 
 // ---- what is set for the page alone
 
@@ -165,18 +201,12 @@ try {
   /* none kept */
 }
 
-$("window").addEventListener("change", () => {
-  if (chooseWindow(Number($("window").value))) send({ level: view.level });
-});
-$("pause").addEventListener("click", () => {
-  pause(!view.paused);
-  $("pause").setAttribute("aria-pressed", String(view.paused));
-  $("pause").textContent = view.paused ? "Go on" : "Pause";
-});
 $("waterfall-of").addEventListener("change", drawSpectra);
 $("open-setup").addEventListener("click", openSetup);
 addEventListener("resize", redraw);
 document.addEventListener("visibilitychange", redraw);
-wireControls();
+wireControls(() => (bestTrip === Infinity ? null : clock() + offset));
+wireAlarms();
+wireLook(send);
 wireRecordings();
 connect();

@@ -58,7 +58,7 @@ async function listRecordings() {
     tell(answer.error, "error");
     return;
   }
-  const head = ["Name", "Size", "Changed", ""].map((text, k) => element("th", { class: k === 1 ? "n" : "" }, text));
+  const head = ["Name", "Size", "Changed", "", "Made of it"].map((text, k) => element("th", { class: k === 1 ? "n" : "" }, text));
   const table = element(
     "table",
     {},
@@ -84,8 +84,21 @@ function rowOf(item) {
   ].map(([text, verb]) => button(text, () => run(verb, item.name)));
   const live = item.identified ? [button("Use its dynamics live", () => press("use", { recording: item.name }))] : [];
   const reports = item.reports.map((name) =>
-    button(name.endsWith("-force.html") ? "Force report" : "Identification report", () => showReport(name)),
+    element(
+      "li",
+      {},
+      element(
+        "a",
+        { href: reportAt(name), target: "_blank", rel: "noopener" },
+        name.endsWith("-force.html") ? "Force report" : "Identification report",
+      ),
+      " ",
+      button("Show here", () => showReport(name), { class: "quiet", "aria-label": `Show ${name} here` }),
+      " ",
+      download(name, "Save"),
+    ),
   );
+  const files = item.files.map((name) => element("li", {}, download(name, name)));
   const size = item.size > 1e6 ? `${number(item.size / 1e6, 3)} MB` : `${number(item.size / 1e3, 3)} kB`;
   return element(
     "tr",
@@ -94,13 +107,19 @@ function rowOf(item) {
       "td",
       {},
       choice(item.name),
-      element("a", { href: `/file/${encodeURIComponent(item.name)}`, download: item.name }, item.name),
+      download(item.name, item.name),
     ),
     element("td", { class: "n" }, size),
     element("td", {}, new Date(item.changed * 1e3).toLocaleString()),
-    element("td", {}, element("div", { class: "row" }, ...verbs, ...live, ...reports)),
+    element("td", {}, element("div", { class: "row" }, ...verbs, ...live)),
+    element("td", {}, element("ul", { class: "files" }, ...reports, ...files)),
   );
 }
+
+const reportAt = (name) => `/report/${encodeURIComponent(name)}`;
+
+const download = (name, text) =>
+  element("a", { href: `/file/${encodeURIComponent(name)}`, download: name, "aria-label": `Save ${name}` }, text);
 
 function choice(name) {
   const box = element("input", { type: "checkbox", class: "choose", "aria-label": `choose ${name}` });
@@ -243,13 +262,15 @@ function showModes(task, account) {
 function showReport(name) {
   open(name);
   $("report").hidden = false;
-  $("report").src = `/report/${encodeURIComponent(name)}?${Date.now()}`;
+  $("report").src = `${reportAt(name)}?${Date.now()}`;
+  $("report-tab").hidden = false;
+  $("report-tab").href = reportAt(name);
   $("result").scrollIntoView({ block: "start" });
 }
 
 function open(title) {
   $("result").hidden = false;
-  $("report").hidden = true;
+  $("report").hidden = $("report-tab").hidden = true;
   $("result-table").replaceChildren();
   $("result-title").textContent = title;
 }

@@ -2,6 +2,7 @@
 
 import { $, act, button, element, typed } from "./dom.js";
 
+const NAMES = { true: "yes", false: "no" };
 const TABLES = {
   channels: [
     "Channels",
@@ -36,7 +37,8 @@ function inputOf(field, attributes, value) {
     const input = element(
       "select",
       attributes,
-      ...[...none, ...field.choices].map((choice) => element("option", { value: String(choice) }, String(choice))),
+      ...[...none, ...field.choices].map((choice) => element("option", { value: String(choice) }, NAMES[choice] ?? String(choice)),
+      ),
     );
     input.value = String(value ?? field.default ?? "");
     return input;
@@ -160,7 +162,7 @@ function at(tree, path) {
 
 // What does not read as its type is sent as it is: the server says what is wrong with it.
 function valueOf({ field, value: text }) {
-  if (field?.type === "choice") return typeof field.choices[0] === "number" ? Number(text) : text;
+  if (field?.type === "choice") return field.choices.find((choice) => String(choice) === text) ?? text;
   if (field?.type === "number") return Number.isFinite(typed(text)) ? typed(text) : text;
   if (field?.type === "numbers") {
     const parts = text

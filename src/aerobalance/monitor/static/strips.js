@@ -1,26 +1,38 @@
 // Strip charts, spectra and the waterfall: what has come from the server, drawn.
 
-import { Ring, Scale, extent, rounded, spectrum, strip, waterfall, wipe } from "./charts.js";
+import { Ring, Scale, extent, fixed, number, rounded, strip, wipe } from "./charts.js";
 import { $, element } from "./dom.js";
-import { counters, factorOf, page, unitOf } from "./shown.js";
+import { clockTime, counters, factorOf, page, unitOf } from "./shown.js";
+import { colourScale, spectrum, waterfall } from "./spectra.js";
 
 const STEP = 10; // bins of a level in one of the next
 const PERIODS = 5; // natural frequencies that a spectrum shows
 const ROWS = 120; // spectra in the waterfall
+const HELD = [15, 3, 2]; // how often what the server keeps of a level is kept here: one minute, five, twenty
+const FINEST = 20; // bins that a window shows at least
+const STAMPED = 500; // time from one pair of tick and clock to the next [ms]
 
-export const view = { level: 1, seconds: 10, paused: false };
+// What is looked at. Live: `end` is null. Else what was there at the pause is held, and `end` is a tick of it.
+export const view = { level: 1, seconds: 10, end: null, cursor: null, selection: null, locked: false };
 
 let rings = [],
+  held = null,
+  heldTick = 0,
   scales = new Map(),
+  stamps = [],
   rows = [],
   largest = 0,
   newestTick = 0,
-  frozen = 0,
-  dirty = false;
+  dirty = false,
+  due = false;
 
 export function beginCharts() {
   makeRings();
+  held = view.end = view.cursor = view.selection = null;
+  view.seconds = Number($("window").value);
   scales.clear();
+  stamps = [];
+  newestTick = 0;
   const forces = page.panel.components.length > 0;
   for (const id of ["no-force", "no-spectrum"]) $(id).hidden = forces;
   $("spectra-shown").hidden = !forces;
@@ -33,6 +45,7 @@ export function beginCharts() {
           "p",
           {},
           element("b", {}, name),
+          element("span", { id: `at-${place}`, class: "u" }),
           element("span", { id: `value-${place}` }),
           element("span", { class: "u" }, unitOf(place)),
         ),
@@ -44,30 +57,93 @@ export function beginCharts() {
 }
 
 function makeRings() {
-  const { kept, names, components } = page.panel;
-  rings = [new Ring(kept[view.level], names.length), ...components.map(() => new Ring(kept[view.level], 2))];
+  const { kept, names, components } = page.panel,
+    size = kept[view.level] * HELD[view.level];
+  rings = [new Ring(size, names.length), ...components.map(() => new Ring(size, 2))];
 }
 
+// Say how long a window is shown; whether other bins are needed for it. Where it is looked back, what is held is shown.
 export function chooseWindow(seconds) {
+  if (held) {
+    look(view.end, seconds);
+    return false;
+  }
   view.seconds = seconds;
   const wish = seconds <= 2 ? 0 : seconds <= 60 ? 1 : 2,
     other = wish !== view.level;
-  scales.clear();
+  if (!view.locked) scales.clear();
   view.level = wish;
   if (other && page.panel) makeRings();
   redraw();
   return other;
 }
 
-export function forgetSpectra() {
-  rows = [];
-  for (const id of ["spectrum", "waterfall"]) wipe($(id));
+export const looksBack = () => held !== null;
+
+// Hold what is there now, to be looked into.
+export function hold() {
+  if (held || !page.panel) return;
+  held = rings.map((ring) => ring.copy());
+  heldTick = view.end = newestTick;
+}
+
+export function live() {
+  held = view.end = view.selection = null;
   redraw();
 }
 
-export function pause(paused) {
-  view.paused = paused;
-  if (page.panel) frozen = newestBin();
+// Show another part of what is held: up to a tick, and how long.
+export function look(end, seconds) {
+  hold();
+  if (!held) return;
+  const { rate } = page.panel,
+    first = held[0].first * ticksOfBin(),
+    longest = Math.max((heldTick - first) / rate, (FINEST * ticksOfBin()) / rate);
+  view.seconds = Math.min(Math.max(seconds, (FINEST * ticksOfBin()) / rate), longest);
+  view.end = Math.min(Math.max(end, first + view.seconds * rate), heldTick);
+  redraw();
+}
+
+// Zoom by a factor about a part of the width, or scroll by a part of it.
+export function zoom(factor, about = 0.5) {
+  hold();
+  if (!held) return;
+  const span = view.seconds * page.panel.rate,
+    at = view.end - (1 - about) * span;
+  look(at + (1 - about) * span * factor, view.seconds * factor);
+}
+
+export function scroll(part) {
+  hold();
+  if (held) look(view.end + part * view.seconds * page.panel.rate, view.seconds);
+}
+
+export function select([from, to]) {
+  hold();
+  if (!held) return;
+  const span = view.seconds * page.panel.rate;
+  look(view.end - (1 - to) * span, view.seconds * (to - from));
+}
+
+export function lock(locked) {
+  view.locked = locked;
+  for (const [name, scale] of scales) scale.locked = locked && name.startsWith("main ");
+}
+
+export function forgetSpectra() {
+  rows = [];
+  for (const id of ["spectrum", "waterfall", "colour-scale"]) wipe($(id));
+  redraw();
+}
+
+export function later() {
+  dirty = true;
+  if (due) return;
+  due = true;
+  requestAnimationFrame(() => {
+    due = false;
+    draw();
+  });
 }
 
 export function redraw() {
@@ -77,7 +153,29 @@ export function redraw() {
 }
 
 const ticksOfBin = () => page.panel.width * STEP ** view.level;
-const newestBin = () => newestTick / ticksOfBin();
+
+// When a sample came, by the server's clock [ms]; null where that is not known.
+export function timeAt(tick) {
+  if (!stamps.length) return null;
+  let low = 0,
+    high = stamps.length - 1;
+  while (low < high) {
+    const middle = (low + high + 1) >> 1;
+    if (stamps[middle].tick <= tick) low = middle;
+    else high = middle - 1;
+  }
+  const from = stamps[low],
+    to = stamps[low + 1];
+  if (!to || tick < from.tick) return from.ms + ((tick - from.tick) / page.panel.rate) * 1e3;
+  return from.ms + ((to.ms - from.ms) * (tick - from.tick)) / (to.tick - from.tick);
+}
+
+function stamp(tick, ms) {
+  const last = stamps.at(-1);
+  if (last && ms - last.ms < STAMPED) return;
+  stamps.push({ tick, ms });
+  if (stamps.length > 5000) stamps.shift();
+}
 
 // A frame of spectra; false where it is of another source or component.
 export function takeSpectra(frame, buffer) {
@@ -110,7 +208,8 @@ export function takeBins(frame, buffer) {
     at += 16 + count * columns * 8;
   }
   newestTick = frame.getFloat64(32, true);
-  dirty = true;
+  stamp(newestTick, frame.getFloat64(16, true));
+  if (!held) dirty = true;
 }
 
 function inDegrees(values) {
@@ -125,7 +224,10 @@ function inDegrees(values) {
 }
 
 function scaleOf(name) {
-  if (!scales.has(name)) scales.set(name, new Scale());
+  if (!scales.has(name)) {
+    scales.set(name, new Scale());
+    lock(view.locked);
+  }
   return scales.get(name);
 }
 
@@ -149,32 +251,95 @@ function showExtents(lines, begin, end, unit) {
   });
 }
 
+// What is read at the cursor: the bins of a pixel, least and largest value where these differ.
+function showCursor(lines, { end, rate, seconds, width, newest, unit }) {
+  const at = view.cursor;
+  counters.cursor = null;
+  $("cursor-line").hidden = at === null;
+  if (at === null) {
+    page.panel.names.forEach((_, place) => ($(`at-${place}`).textContent = ""));
+    return;
+  }
+  const bin = end - (1 - at) * seconds * rate,
+    bins = Math.max(1, (seconds * rate) / width),
+    ms = timeAt(bin * ticksOfBin()),
+    back = (newest - bin) / rate;
+  const read = (line, spread) => {
+    const found = extent(line, Math.round(bin), Math.round(bin) + Math.ceil(bins));
+    if (!found) return null;
+    const [least, most] = found.map((value) => rounded(value, spread));
+    return { least: found[0], largest: found[1], text: least === most ? least : `${least} to ${most}` };
+  };
+  const spreads = lines.map((line) => {
+    const found = extent(line, end - seconds * rate, end);
+    return found ? found[1] - found[0] : 0;
+  });
+  const [felt, force] = lines.map((line, k) => read(line, spreads[k]));
+  const band = lines[1] && extent({ ...lines[1], column: 1 }, Math.round(bin), Math.round(bin) + Math.ceil(bins));
+  const parts = [`${ms === null ? "" : clockTime(ms, 3)} (−${number(Math.max(0, back), 3)} s)`];
+  parts.push(felt ? `load felt ${felt.text} ${unit}` : "no reading");
+  if (force) parts.push(`force ${force.text}${band ? ` ± ${fixed(band[1], placesOf(band[1]))}` : ""} ${unit}`);
+  else if (lines[1]) parts.push("force not yet worked out");
+  const text = parts.join("; ");
+  if ($("cursor-line").textContent !== text) $("cursor-line").textContent = text;
+  counters.cursor = { ms, back, felt, force };
+  page.panel.names.forEach((_, column) => {
+    const found = read({ ring: lines[0].ring, column }, 0);
+    $(`at-${column}`).textContent = found ? `at the cursor ${number(found.least)}` : "";
+  });
+}
+
+const placesOf = (u) => Math.max(0, Math.min(4, 1 - Math.floor(Math.log10(u || 1))));
+
+function showWindow(begin, end, newest, rate) {
+  const line = $("look-line");
+  line.hidden = !held;
+  if (!held) return;
+  const [from, to, paused] = [begin, end, newest].map((bin) => timeAt(bin * ticksOfBin()));
+  if (from === null) return;
+  const places = end - begin < 5 * rate ? 2 : 1;
+  line.textContent = `Paused at ${clockTime(paused)}: ${clockTime(from, places)} to ${clockTime(to, places)} is shown`;
+}
+
 export function draw() {
   const { panel } = page;
   if (!panel || !dirty || document.hidden) return;
   dirty = false;
-  const rate = panel.rate / ticksOfBin(),
+  const shown = held ?? rings,
+    rate = panel.rate / ticksOfBin(),
     now = performance.now(),
-    end = view.paused ? frozen : newestBin(),
-    begin = end - view.seconds * rate;
+    newest = (held ? heldTick : newestTick) / ticksOfBin(),
+    end = (view.end ?? newestTick) / ticksOfBin(),
+    { seconds } = view,
+    begin = end - seconds * rate;
   const marks = page.marks
     .map(({ tick, kind, text }) => ({ bin: tick / ticksOfBin(), kind, text }))
     .filter((mark) => mark.bin > begin && mark.bin <= end);
-  const all = { end, rate, seconds: view.seconds, now, marks };
+  const places = seconds < 2 ? 2 : seconds < 10 ? 1 : 0,
+    clock = (bin) => {
+      const ms = timeAt(bin * ticksOfBin());
+      return ms === null ? "" : clockTime(ms, places);
+    };
+  const { cursor, selection } = view,
+    all = { end, rate, seconds, now, marks, zero: newest, clock, cursor, selection };
   const name = page.component || panel.names[0],
     place = panel.names.indexOf(name),
     force = panel.components.indexOf(page.component) + 1;
-  const lines = [{ ring: rings[0], column: place, colour: "raw", width: 1 }];
-  if (force > 0) lines.push({ ring: rings[force], column: 0, colour: "force", width: 2.2, band: true });
-  strip($("main-chart"), scaleOf(`main ${name}`), { ...all, lines, limits: limitsOf(name), unit: unitOf(place) });
+  const lines = [{ ring: shown[0], column: place, colour: "raw", width: 1 }];
+  if (force > 0) lines.push({ ring: shown[force], column: 0, colour: "force", width: 2.2, band: true });
+  const scale = scaleOf(`main ${name}`);
+  strip($("main-chart"), scale, { ...all, lines, limits: limitsOf(name), unit: unitOf(place) });
+  counters.scale = { low: scale.low, high: scale.high };
   showExtents(lines, begin, end, unitOf(place));
+  showWindow(begin, end, newest, rate);
+  showCursor(lines, { ...all, newest, width: $("main-chart").clientWidth - 70, unit: unitOf(place) });
   panel.names.forEach((channel, column) => {
     const canvas = $(`channel-${column}`),
       box = canvas.getBoundingClientRect();
     if (box.bottom < 0 || box.top > innerHeight) return;
     strip(canvas, scaleOf(channel), {
       ...all,
-      lines: [{ ring: rings[0], column, colour: "raw", width: 1 }],
+      lines: [{ ring: shown[0], column, colour: "raw", width: 1 }],
       axes: false,
       limits: limitsOf(channel),
     });
@@ -183,7 +348,7 @@ export function draw() {
 
 export function drawSpectra() {
   const { panel, component } = page;
-  if (!panel || view.paused || !rows.length) return;
+  if (!panel || held || !rows.length) return;
   const lines = rows[0].length / 2,
     natural = panel.frequencies[component];
   const shown = natural ? Math.min(lines, Math.ceil((lines * PERIODS * natural) / largest)) : lines;
@@ -195,5 +360,6 @@ export function drawSpectra() {
     natural ? [natural] : [],
     unitOf(panel.names.indexOf(component)),
   );
-  waterfall($("waterfall"), rows, shown, Number($("waterfall-of").value));
+  const range = waterfall($("waterfall"), rows, shown, Number($("waterfall-of").value));
+  colourScale($("colour-scale"), range, unitOf(panel.names.indexOf(component)));
 }

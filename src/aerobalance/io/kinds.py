@@ -1,0 +1,70 @@
+"""What kind of result a file holds, told by its content."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from aerobalance.io import hdf5_file
+from aerobalance.io.hdf5_contents import contents
+from aerobalance.problems import ReadError
+
+PAGE: Final = "page"
+TABLE: Final = "table with uncertainties"
+CONVERTED: Final = "converted recording"
+EMPTY: Final = "empty"
+
+_KIND: Final = re.compile(r'\s*\{\s*"kind"\s*:\s*"([^"]*)"')
+_GENERATOR: Final = re.compile(r'<meta\s+name="generator"\s+content="aerobalance')
+
+
+def kind_of(path: Path) -> str:
+    """Kind of result that a file holds.
+
+    Parameters
+    ----------
+    path
+        A file that exists.
+
+    Returns
+    -------
+    str
+        The ``kind`` of a JSON artefact; `PAGE` for a report of this program, `TABLE` for loads or forces with their
+        standard uncertainties, `CONVERTED` for a recording in HDF5 that was converted from another file; `EMPTY`; an
+        empty string for everything else.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(65536)
+    except OSError:
+        return ""
+    if not head:
+        return EMPTY
+    if hdf5_file.can_read(head, path):
+        return _of_hdf5(path)
+    text = head.decode("utf-8", errors="replace")  # which is what the program writes
+    artefact = _KIND.match(text)
+    if artefact is not None:
+        return artefact[1]
+    if _GENERATOR.search(text):
+        return PAGE
+    line = text.split("\n", 1)[0].rstrip("\r")
+    separator = max(",;\t", key=line.count)
+    return TABLE if _has_uncertainties([label.partition(" [")[0] for label in line.split(separator)]) else ""
+
+
+def _of_hdf5(path: Path) -> str:
+    with contextlib.suppress(ReadError):
+        found = contents(path)
+        if found.reason == hdf5_file.CONVERTED:
+            names = ["time", *(channel.name for channel in found.channels)]
+            return TABLE if _has_uncertainties(names) else CONVERTED
+    return ""
+
+
+def _has_uncertainties(names: Sequence[str]) -> bool:
+    """Whether the columns are time, a quantity and its standard uncertainty, as `loads` and `force` write them."""
+    return len(names) > 2 and names[0] == "time" and names[2] == f"u_{names[1]}"
