@@ -30,9 +30,11 @@ from seeds import new_seed
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="children are found in /proc")
 
 PROGRAM = """
+{first}
 from pathlib import Path
 from aerobalance.monitor.command import Reach, monitor
-monitor(folder=Path({folder!r}), reach=Reach(port=0), browser=False, say=lambda text: print(text, flush=True))
+monitor(folder=Path({folder!r}), reach=Reach(port=0), browser=False, last=True,
+        say=lambda text: print(text, flush=True))
 """
 
 
@@ -57,16 +59,18 @@ def alive(pid):
 class Program:
     """A page in a process of its own."""
 
-    def __init__(self, folder):
-        code = PROGRAM.format(folder=str(folder))
+    def __init__(self, folder, *, wait=True, first=""):
+        code = PROGRAM.format(folder=str(folder), first=first)
         self.folder = folder
         self.process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
         line = self.process.stdout.readline()
         self.base = line.split()[4].rstrip("/;")
         self.known = []
+        self._estimates = wait
 
     def __enter__(self):
-        self.wait(lambda state: state["numbers"].get("estimates"))
+        ready = (lambda state: state["numbers"].get("estimates")) if self._estimates else (lambda state: True)
+        self.wait(lambda state: state["source"]["state"] == "running" and ready(state))
         self.known = children(self.process.pid)
         return self
 

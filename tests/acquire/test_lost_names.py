@@ -104,7 +104,7 @@ def test_name_that_is_taken_away_twice(tmp_path) -> None:
             Path(recorder.progress.path).unlink()
             follow(recorder, lambda progress, number=number: progress.mishap.count("deleted") == number)
         progress = recorder.stop("enough")
-    assert os.listdir(tmp_path) == [Path(progress.path).name]
+    assert list(tmp_path.iterdir()) == [Path(progress.path)]
     check(progress)
 
 
@@ -237,7 +237,7 @@ def test_folder_that_is_read_only_is_told_in_plain_words(tmp_path) -> None:
     tmp_path.chmod(0o500)
     with Session(parse_setup(SETUP), tmp_path) as session:
         recorder = session.record(tmp_path / "run.h5")
-        with pytest.raises(ValueError, match="permission denied$"):
+        with pytest.raises(ValueError, match="permission denied"):
             recorder.ready()
 
 
@@ -260,7 +260,7 @@ def test_record_whose_name_is_gone_when_its_recorder_is_killed_is_found_again(tm
             progress = recorder.poll(0.1)
         (tmp_path / "run.h5").unlink()
         assert recover_all(tmp_path) == [tmp_path / "run.h5"]
-        assert os.listdir(tmp_path) == ["run.h5"]
+        assert list(tmp_path.iterdir()) == [tmp_path / "run.h5"]
         check(progress)
         # where the name is still there, only the second one goes
         recorder = session.record(tmp_path / "two.h5")
@@ -268,4 +268,4 @@ def test_record_whose_name_is_gone_when_its_recorder_is_killed_is_found_again(tm
         recorder.process.kill()
         recorder.process.join()
         assert recover_all(tmp_path) == []
-        assert sorted(os.listdir(tmp_path)) == ["run.h5", "two.h5"]
+        assert sorted(tmp_path.iterdir()) == [tmp_path / "run.h5", tmp_path / "two.h5"]

@@ -28,7 +28,7 @@ PROGRAM = """
 from pathlib import Path
 from aerobalance.monitor.command import Reach, monitor
 setup = {setup!r}
-monitor(setup and Path(setup), folder=Path({folder!r}), reach=Reach(port=0), browser=False,
+monitor(setup and Path(setup), folder=Path({folder!r}), reach=Reach(port=0), browser=False, last=True,
         say=lambda text: print(text, flush=True))
 """
 

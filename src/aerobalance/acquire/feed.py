@@ -18,6 +18,7 @@ from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
+from aerobalance.acquire.scratch import remove, stay
 from aerobalance.acquire.source import Block, Source, SourceChannel, SourceEndedError
 from aerobalance.problems import FitError, ReadError
 
@@ -286,6 +287,8 @@ def run_source(setup: str, folder: str, address: Address, control: Connection[An
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the whole group; the starter decides what it means
     from aerobalance.acquire.setup import open_source, parse_setup  # noqa: PLC0415 - a recorder needs none of it
 
+    place = Path(address.socket).parent
+    stay(place)
     stopped: list[str] = []
     signal.signal(signal.SIGTERM, lambda *_: stopped.append("the process of the source was told to end"))
     try:
@@ -307,8 +310,7 @@ def run_source(setup: str, folder: str, address: Address, control: Connection[An
     server.finish(reason, hurry=bool(stopped) or reason == _STOPPED)
     say(Said("ended", reason))
     # Where the starter was killed, nobody else removes the folder of the socket.
-    with contextlib.suppress(OSError):
-        Path(address.socket).parent.rmdir()
+    remove(place)
     # Last, as the library of a device may end the process when its device is let go of.
     with contextlib.suppress(Exception):
         source.stop()

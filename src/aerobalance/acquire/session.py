@@ -7,7 +7,6 @@ import multiprocessing
 import os
 import secrets
 import shutil
-import tempfile
 import time
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
@@ -17,6 +16,7 @@ from typing import Any, Final
 from aerobalance.acquire.feed import Address, Feed, Hello, Order, Said, run_source
 from aerobalance.acquire.planned import plan_of
 from aerobalance.acquire.recorder import Job, Progress, Tell, run_recorder
+from aerobalance.acquire.scratch import make_folder, remove
 from aerobalance.acquire.setup import Setup, setup_text, stored_channels
 from aerobalance.acquire.spawning import start
 from aerobalance.io.hdf5_closing import close_broken_off
@@ -26,6 +26,7 @@ from aerobalance.problems import FitError
 
 _STARTING: Final = 60.0
 _ENDING: Final = 1.5
+_KILLED: Final = 0.2
 _SPAWN: Final = multiprocessing.get_context("spawn")
 
 
@@ -87,7 +88,7 @@ class Recorder:
         self.process.join(max(0.1, limit - time.monotonic()))
         if self.process.is_alive():
             self.process.kill()
-            self.process.join(1.0)
+            self.process.join(_KILLED)
             self._gone()
         return self.progress
 
@@ -121,7 +122,7 @@ class Session:
     def __init__(self, setup: Setup, folder: Path) -> None:
         self.setup = setup
         self._files = folder
-        self._folder = Path(tempfile.mkdtemp(prefix="aerobalance-"))
+        self._folder = make_folder()
         self.address = Address(str(self._folder / "source"), secrets.token_bytes(32))
         self._control: Connection[Any, Any]
         self._control, other = _SPAWN.Pipe()
@@ -227,16 +228,16 @@ class Session:
         provenance = Provenance(self.hello.description, setup_text(setup), setup.name)
         return Recorder(Job(str(path), plan, self.hello.clocked, provenance, keep_free, asked), self.address)
 
-    def close(self) -> None:
+    def close(self, *, timeout: float = _ENDING) -> None:
         """End the source's process and remove its socket."""
         self._order(Order("stop"))
-        self.process.join(_ENDING)
+        self.process.join(timeout)
         if self.process.is_alive():
             self.process.kill()
-            self.process.join(1.0)
+            self.process.join(_KILLED)
         self._alive = False
         self._control.close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        remove(self._folder)
 
     def _order(self, order: Order) -> None:
         with contextlib.suppress(OSError):

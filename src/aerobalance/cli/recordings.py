@@ -133,11 +133,12 @@ def monitor(
     ] = 8765,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page in the browser.")] = False,
     host: Annotated[
-        str, typer.Option("--host", help="Address to listen on; other than this computer's own it needs --token.")
+        str, typer.Option("--host", help="Address to listen on; other than this computer's own it needs a token.")
     ] = "127.0.0.1",
     token: Annotated[
-        str | None, typer.Option("--token", help="What viewers have to know, 16 characters or more.")
+        str | None, typer.Option("--token", help="What viewers have to know; better in a file or AEROBALANCE_TOKEN.")
     ] = None,
+    token_file: Annotated[Path | None, typer.Option("--token-file", help="File with the token.")] = None,
     certificate: Annotated[Path | None, typer.Option("--certificate", help="Certificate for TLS.")] = None,
     key: Annotated[Path | None, typer.Option("--key", help="Key of the certificate.")] = None,
     folder: Annotated[
@@ -146,13 +147,21 @@ def monitor(
     ] = None,
 ) -> None:
     """Open the operator's page: live load and force, records and their reports; Ctrl-C ends it."""
-    from aerobalance.monitor import command
+    import os
 
+    from aerobalance.monitor import command
+    from aerobalance.monitor.logins import find_token
+
+    def warn(text: str) -> None:
+        typer.echo(f"warning: {text}", err=True)
+
+    found = find_token(token, token_file, os.environ, warn)
     command.monitor(
         setup,
-        reach=command.Reach(host, port, token, certificate, key),
+        reach=command.Reach(host, port, found, certificate, key),
         folder=folder,
         browser=not no_browser,
+        last=True,
         say=typer.echo,
-        warn=lambda text: typer.echo(f"warning: {text}", err=True),
+        warn=warn,
     )

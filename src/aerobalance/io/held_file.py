@@ -14,6 +14,8 @@ import sys
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from aerobalance.io.hdf5_closing import close_broken_off
+
 if sys.platform != "win32":
     import fcntl
 
@@ -60,7 +62,7 @@ class HeldFile:
         self.path = path.absolute()
         self._first = self.path
         self._spare = self.path.with_name(f".{path.name[:_LONGEST]}{SPARE}")
-        self._handle = _locked(self.path)
+        self._handle = hold(self.path)
         self._size = 0
         if sys.platform != "win32":  # there, an open file can be neither deleted nor replaced
             self._link()
@@ -87,7 +89,7 @@ class HeldFile:
         what = "was replaced by another file" if there else "was deleted"
         found = self._new_name() if self._is(self._spare) else None
         if found is not None:
-            handle = _locked(found)  # by its new name, so that it can be followed from there
+            handle = hold(found)  # by its new name, so that it can be followed from there
             os.close(self._handle)
             self._handle, self.path = handle, found
         return Mishap(f"{old} {what} while it was written", found)
@@ -149,8 +151,8 @@ class HeldFile:
         return None
 
 
-def _locked(path: Path) -> int:
-    """Open a file and lock it against being replaced, where the file system has locks."""
+def hold(path: Path) -> int:
+    """Return the handle of a file that is locked for others to see, where the file system has locks, until closed."""
     handle = os.open(path, os.O_RDONLY)
     if sys.platform != "win32":
         with contextlib.suppress(OSError):
@@ -214,6 +216,9 @@ def recover(spare: Path) -> Path | None:
         else:
             return None
     spare.unlink(missing_ok=True)
+    if found is not None:
+        with contextlib.suppress(OSError):
+            close_broken_off(found)
     return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hmac
 from collections.abc import MutableMapping
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
@@ -12,10 +11,7 @@ from urllib.parse import parse_qs
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-COOKIE: Final = "aerobalance_token"
-
-SHORTEST_TOKEN: Final = 16
-"""Characters that a token has at least."""
+from aerobalance.monitor.logins import SHORTEST_TOKEN, VARIABLE, Logins, check_token
 
 POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; frame-src 'self'; "
@@ -65,11 +61,11 @@ class Door:
     def __post_init__(self) -> None:
         if self.token is None and not is_loopback(self.host):
             raise ValueError(
-                f"--host {self.host} is reached from other computers: give --token SECRET, at least "
-                f"{SHORTEST_TOKEN} characters, which viewers have to know"
+                f"--host {self.host} is reached from other computers: give --token-file FILE or the variable "
+                f"{VARIABLE} with a secret of at least {SHORTEST_TOKEN} characters, which viewers have to know"
             )
-        if self.token is not None and (len(self.token) < SHORTEST_TOKEN or not self.token.isascii()):
-            raise ValueError(f"--token must have at least {SHORTEST_TOKEN} plain characters")
+        if self.token is not None:
+            check_token(self.token)
 
     def host_allowed(self, host: str) -> bool:
         """Whether a request is for this server: a page elsewhere may have had its name point here."""
@@ -85,10 +81,6 @@ class Door:
     def origin_allowed(self, origin: str, host: str) -> bool:
         """Whether a request comes from this server's own page."""
         return origin == f"{'https' if self.secure else 'http'}://{host}"
-
-    def token_allowed(self, token: str) -> bool:
-        """Whether a token is the right one, without telling by time how far it is."""
-        return self.token is None or hmac.compare_digest(token.encode(), self.token.encode())
 
 
 def _split(host: str) -> tuple[str, int | None]:
@@ -120,6 +112,7 @@ class Guard:
 
     def __init__(self, app: ASGIApp, door: Door) -> None:
         self._app, self._door = app, door
+        self.logins = Logins(door.token, door.port)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Check a request and pass it on."""
@@ -134,7 +127,7 @@ class Guard:
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": text})
         elif status == 303:
-            cookie = f"{COOKIE}={self._door.token}; HttpOnly; SameSite=Strict; Path=/"
+            cookie = f"{self.logins.name}={self.logins.cookie}; HttpOnly; SameSite=Strict; Path=/"
             cookie += "; Secure" if self._door.secure else ""
             await _answer(send, 303, "", [(b"location", b"/"), (b"set-cookie", cookie.encode())])
         else:
@@ -154,18 +147,32 @@ class Guard:
             and (scope["path"] != "/")
         ):
             return 403, "this is not asked by the page of this server"
-        if door.token is not None:
-            given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
-            if given and safe and door.token_allowed(given):
+        return self._check_token(scope, headers, asked=safe)
+
+    def _check_token(self, scope: Scope, headers: dict[str, str], *, asked: bool) -> tuple[int, str]:
+        """Status and reason of a refusal of who does not know the token; 303 for who has just shown it."""
+        logins = self.logins
+        if not logins.asked:
+            return 0, ""
+        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
+        token, once = (query.get(name, [""])[0] for name in ("token", "once"))
+        address = (scope.get("client") or ("",))[0]
+        if asked and once and logins.redeem(once):
+            return 303, ""
+        if asked and token:
+            wait = logins.waits(address)
+            if wait:
+                return 429, f"too many wrong tokens came from {address}; wait {wait:.0f} s"
+            if logins.right(token, address):
                 return 303, ""
-            if not door.token_allowed(_cookie(headers.get("cookie", ""))):
-                return 401, "open the page once with its token: http(s)://HOST:PORT/?token=SECRET"
+        if not logins.known(_cookie(headers.get("cookie", ""), logins.name)):
+            return 401, "open the page once with its token: http(s)://HOST:PORT/?token=SECRET"
         return 0, ""
 
 
-def _cookie(header: str) -> str:
+def _cookie(header: str, name: str) -> str:
     try:
-        found = SimpleCookie(header).get(COOKIE)
+        found = SimpleCookie(header).get(name)
     except CookieError:
         return ""
     return "" if found is None else found.value

@@ -15,7 +15,8 @@ from aerobalance.acquire.setup import load_setup
 from aerobalance.io.hdf5_closing import close_all_broken_off, closed_text
 from aerobalance.monitor.access import Door, is_loopback
 from aerobalance.monitor.folder import Folder
-from aerobalance.monitor.setups import rig_setup
+from aerobalance.monitor.setups import check_files, rig_setup
+from aerobalance.problems import ReadError
 
 DEFAULT_PORT: Final = 8765
 """Port where none is given."""
@@ -48,6 +49,7 @@ def monitor(
     reach: Reach | None = None,
     folder: Path | None = None,
     browser: bool = True,
+    last: bool = False,
     say: Callable[[str], None] = lambda _: None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> None:
@@ -64,6 +66,8 @@ def monitor(
         else the present one, if None.
     browser
         Whether to open the page in the browser.
+    last
+        Whether the program has nothing else to do: it ends with the page, by `os._exit`.
     say, warn
         Take a line for the operator.
 
@@ -79,6 +83,15 @@ def monitor(
     place = folder or (Path() if setup is None else setup.parent)
     if not place.is_dir() or not os.access(place, os.W_OK):
         raise ValueError(f"the project folder {place} is not there or cannot be written to")
+    try:
+        check_files(chosen, Folder(place))
+    except ReadError as problem:
+        raise ReadError(
+            setup or "set-up",
+            problem.where,
+            f"{problem.what}, where the page reads and writes; move the file below it, or give --folder FOLDER: the "
+            "names of files in the set-up are then read from there",
+        ) from None
     for name in close_all_broken_off(place):
         warn(closed_text(name))
     port = reach.port or _free_port(reach.host)
@@ -90,20 +103,30 @@ def monitor(
             "without TLS (--certificate and --key) the token and all that is shown can be read on the network; "
             "use it on a network that you trust, or through a tunnel"
         )
-    from aerobalance.monitor.server import Page, serve  # noqa: PLC0415 - the call is checked before it is loaded
+    from aerobalance.monitor.server import Page  # noqa: PLC0415 - the call is checked before it is loaded
+    from aerobalance.monitor.serving import check_certificate, serve  # noqa: PLC0415
     from aerobalance.monitor.station import Beginning  # noqa: PLC0415
 
+    certificate = None if reach.certificate is None or reach.key is None else (reach.certificate, reach.key)
+    if certificate is not None:
+        check_certificate(*certificate)
     page = Page(Beginning(chosen, Folder(place), setup), door=door)
-    name = "localhost" if is_loopback(reach.host) and ":" in reach.host else reach.host
-    address = f"{'https' if secure else 'http'}://{name}:{port}/"
+    address = _address(door, reach.host)
 
     def ready() -> None:
         say(f"the page is at {address}; Ctrl-C ends it")
         if browser:
-            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+            own = _address(door, "127.0.0.1") if reach.host == "0.0.0.0" else address
+            mine = f"{own}?once={page.app.logins.once()}" if page.app.logins.asked else own
+            threading.Thread(target=webbrowser.open, args=(mine,), daemon=True).start()
 
-    certificate = None if reach.certificate is None or reach.key is None else (reach.certificate, reach.key)
-    serve(page, door, certificate=certificate, ready=ready)
+    serve(page, door, certificate=certificate, ready=ready, last=last)
+
+
+def _address(door: Door, host: str) -> str:
+    """Address of the page for a browser."""
+    name = host if ":" not in host else "localhost" if is_loopback(host) or host == "::" else f"[{host}]"
+    return f"{'https' if door.secure else 'http'}://{name}:{door.port}/"
 
 
 def _check_free(host: str, port: int) -> None:

@@ -73,6 +73,17 @@ class Folder:
         if not inside:
             raise ValueError(f"{str(path)[:200]} is not below the project folder {self.path.name}")
 
+    def named(self, path: Path | str) -> Path:
+        """Return a file that a set-up names, or that is named for a recording.
+
+        Raises
+        ------
+        ValueError
+            It is outside the folder, by links too.
+        """
+        self.check(Path(path))
+        return self.path / path
+
     def recording(self, name: str) -> Path:
         """Return a recording that is there.
 
@@ -123,8 +134,15 @@ class Folder:
         listed = self.recordings()
         for item in listed:
             stem = Path(item["name"]).stem
-            found = [name for ending in MADE if (self.path / (name := f"{stem}{ending}")).is_file()]
+            found = [name for ending in MADE if self._has(name := f"{stem}{ending}")]
             item["reports"] = [name for name in found if name.endswith(".html")]
             item["files"] = [name for name in found if not name.endswith(".html")]
             item["identified"] = f"{stem}-dynamics.json" in found
         return listed
+
+    def _has(self, name: str) -> bool:
+        """Whether a file is there, and is in the folder indeed."""
+        try:
+            return self.named(name).is_file()
+        except ValueError:
+            return False

@@ -5,26 +5,26 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import multiprocessing
-import signal
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final
+from urllib.parse import quote
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from aerobalance.acquire.rig_values import RigName
 from aerobalance.acquire.setup import setup_from
+from aerobalance.io.held_file import is_held
 from aerobalance.io.messages import first_fault
 from aerobalance.monitor.access import REPORT_POLICY, Door, Guard
 from aerobalance.monitor.board import Board, plain
@@ -110,6 +110,10 @@ class _Empty(_Body):
     pass
 
 
+class _Stop(_Body):
+    pass
+
+
 class Page:
     """The page's server without its network: the board, the station, and the application.
 
@@ -131,7 +135,8 @@ class Page:
         self._begin = begin
         self.station: Station
         self.ending = asyncio.Event()
-        self.app: ASGIApp = Guard(
+        self._hands = ThreadPoolExecutor(2)
+        self.app = Guard(
             Starlette(
                 routes=[
                     Route("/", self._index),
@@ -151,7 +156,7 @@ class Page:
         )
         self._actions: Mapping[str, tuple[type[_Body], Callable[[Any], Any]]] = {
             "record": (_Record, self._record),
-            "stop": (_Empty, lambda _: self.station.stop()),
+            "stop": (_Stop, lambda _: self.station.stop()),
             "trigger": (_Empty, lambda _: self.station.call()),
             "mark": (_Mark, lambda it: self.station.mark(it.text)),
             "zero": (_Empty, lambda _: self.station.zero()),
@@ -185,6 +190,13 @@ class Page:
             self.ending.set()
             await self.board.tell()
             await asyncio.to_thread(self.station.close)
+            self._hands.shutdown(wait=False)
+
+    def close(self) -> None:
+        """End what is behind the page, where it has begun."""
+        station = getattr(self, "station", None)
+        if station is not None:
+            station.close()
 
     def _call(self, what: Callable[[], None]) -> None:
         """Have something done in the server's loop, from any thread."""
@@ -265,7 +277,7 @@ class Page:
             return JSONResponse({"error": str(problem)}, 404)
         if path.suffix.lower() not in (*RECORDINGS, ".json", ".toml", ".html") or not path.is_file():
             return JSONResponse({"error": "there is no such file"}, 404)
-        return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+        return await asyncio.to_thread(_download, path)
 
     # ---- actions
 
@@ -276,7 +288,9 @@ class Page:
         model, act = action
         try:
             body = model.model_validate_json(await _body(request))
-            found = await asyncio.to_thread(act, body)
+            # a record can be stopped whatever else is asked for and not done yet
+            hands = self._hands if model is _Stop else None
+            found = await asyncio.get_running_loop().run_in_executor(hands, act, body)
         except ClientDisconnect:
             return Response(status_code=400)  # to nobody
         except (_TooLargeError, ValidationError, ReadError, FitError, ValueError, OSError) as problem:
@@ -318,6 +332,24 @@ class Page:
                 await socket.close(1001)
 
 
+def _download(path: Path) -> Response:
+    """A file to be kept; what a record that is being written holds at this moment, as a whole file."""
+    if not is_held(path):
+        return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+    from aerobalance.io.hdf5_snapshot import Snapshot  # noqa: PLC0415 - the library of HDF5 comes with it
+
+    try:
+        snapshot = Snapshot(path)
+    except (ReadError, OSError) as problem:
+        return JSONResponse({"error": getattr(problem, "what", str(problem))}, 409)
+    quoted = quote(path.name)
+    headers = {
+        "content-length": str(snapshot.size),
+        "content-disposition": f"attachment; filename*=utf-8''{quoted}",
+    }
+    return StreamingResponse(snapshot.parts(), media_type="application/octet-stream", headers=headers)
+
+
 class _TooLargeError(Exception):
     """A request has a body that is too large."""
 
@@ -342,80 +374,3 @@ def _refusal(problem: Exception, model: type[_Body]) -> Response:
     if isinstance(problem, ReadError):
         return JSONResponse({"error": problem.what, "where": problem.where}, 422)
     return JSONResponse({"error": str(problem)}, 413 if isinstance(problem, _TooLargeError) else 409)
-
-
-def serve(page: Page, door: Door, *, certificate: tuple[Path, Path] | None, ready: Callable[[], None]) -> None:
-    """Serve until SIGTERM or Ctrl-C; all processes have ended when this returns.
-
-    Parameters
-    ----------
-    page
-        What is served.
-    door
-        Where.
-    certificate
-        Certificate and key for TLS, or None.
-    ready
-        Called when the server listens.
-    """
-    import uvicorn  # noqa: PLC0415 - only the real server needs it
-
-    tls: dict[str, Any] = {}
-    if certificate is not None:
-        tls = {"ssl_certfile": str(certificate[0]), "ssl_keyfile": str(certificate[1])}
-
-    class _Server(uvicorn.Server):
-        @contextlib.contextmanager
-        def capture_signals(self):  # type: ignore[no-untyped-def]
-            yield
-
-        async def startup(self, sockets=None):  # type: ignore[no-untyped-def]
-            await super().startup(sockets)
-            if self.started:
-                ready()
-
-    config = uvicorn.Config(
-        page.app,
-        host=door.host,
-        port=door.port,
-        log_level="critical",
-        access_log=False,
-        server_header=False,
-        date_header=False,
-        ws="websockets-sansio",
-        ws_max_size=65536,
-        ws_per_message_deflate=False,
-        ws_ping_interval=None,
-        limit_concurrency=200,
-        timeout_keep_alive=5,
-        timeout_graceful_shutdown=1,
-        **tls,
-    )
-    server = _Server(config)
-
-    def close() -> None:  # there is a station only once the server has begun
-        page.station.close()
-
-    closing = threading.Thread(target=close)
-
-    async def run() -> None:
-        loop = asyncio.get_running_loop()
-
-        def end() -> None:
-            page.ending.set()
-            server.should_exit = True
-            if not closing.ident:
-                closing.start()
-
-        for number in (signal.SIGINT, signal.SIGTERM):
-            try:
-                loop.add_signal_handler(number, end)
-            except NotImplementedError:  # Windows
-                signal.signal(number, lambda *_: loop.call_soon_threadsafe(end))
-        await server.serve()
-
-    asyncio.run(run())
-    if closing.ident:
-        closing.join(1.5)
-    for process in multiprocessing.active_children():
-        process.kill()

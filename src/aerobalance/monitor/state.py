@@ -49,6 +49,19 @@ def _record(station: Station) -> dict[str, Any]:
     progress = station.progress
     if progress is None:
         return {"state": "none"}
-    names = ("state", "reason", "blocks", "samples", "seconds", "gaps", "lost", "events", "touched", "free", "full")
-    names += ("mishap", "unkept")
+    names = (
+        "state",
+        "reason",
+        "blocks",
+        "samples",
+        "seconds",
+        "gaps",
+        "lost",
+        "events",
+        "touched",
+        "free",
+        "full",
+        "mishap",
+        "unkept",
+    )
     return {name: getattr(progress, name) for name in names} | {"file": Path(progress.path).name}

@@ -35,8 +35,11 @@ STARTING: Final = 60.0
 UNWATCHED: Final = 20.0
 """Time after which a source begins although the charts do not follow it yet [s]."""
 
-PATIENCE: Final = 0.5
+PATIENCE: Final = 0.2
 """Time that ending waits for what is under way [s]."""
+
+ENDING: Final = 1.2
+"""Time that ending takes at most [s]."""
 
 MESSAGES: Final = 50
 """Messages that are kept."""
@@ -439,19 +442,22 @@ class Station:
         """List the recordings of the folder, with the results that are there."""
         return self.folder.with_results()
 
-    def close(self) -> None:
-        """End everything, the record first: its file is closed."""
+    def close(self, *, timeout: float = ENDING) -> None:
+        """End everything within a time [s], the record first: its file is closed."""
         if self._closed:
             return
         self._closed = True
+        limit = time.monotonic() + timeout
         self.tasks.close()
         self.engine.close()
-        # a source that is just starting holds the lock, and has nothing yet that could be lost
-        if self._lock.acquire(timeout=PATIENCE):
-            try:
-                if self.recorder is not None and self.recording:
-                    self.recorder.stop("the page was ended", timeout=1.0, hurry=True)
-                if self.session is not None:
-                    self.session.close()
-            finally:
+        # whatever holds the lock (a source that is just starting) has nothing yet that could be lost
+        held = self._lock.acquire(timeout=PATIENCE)
+        try:
+            if self.recorder is not None and self.recording:
+                left = max(0.1, 0.75 * (limit - time.monotonic()))
+                self.recorder.stop("the page was ended", timeout=left, hurry=True)
+            if self.session is not None:
+                self.session.close(timeout=max(0.1, limit - time.monotonic()))
+        finally:
+            if held:
                 self._lock.release()

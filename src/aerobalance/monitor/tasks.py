@@ -70,9 +70,9 @@ class Tasks:
         elif verb == "force":
             chosen["dynamics"] = str(self._dynamics_for(path))
         if verb == "force" and files.balance is not None and path.suffix in (".h5", ".hdf5"):
-            chosen["balance"] = str(station.folder.path / files.balance)
+            chosen["balance"] = str(station.folder.named(files.balance))
         if verb == "together" and files.mass is not None:
-            chosen["mass"] = str(station.folder.path / files.mass)
+            chosen["mass"] = str(station.folder.named(files.mass))
         task = self._jobs.add(verb, [str(one) for one in paths], chosen)
         with self._lock:
             entry = {"number": task.number, "verb": verb, "recording": path.name, "state": "waiting"}
@@ -92,12 +92,13 @@ class Tasks:
 
     def _dynamics_for(self, path: Path) -> Path:
         """The dynamics identified from the recording itself, or else those of the set-up."""
+        folder = self._station.folder
         own = path.with_name(f"{path.stem}-dynamics.json")
         if own.is_file():
-            return own
+            return folder.named(own)
         given = self._station.setup.files.dynamics
         if given is not None:
-            return self._station.folder.path / given
+            return folder.named(given)
         raise ValueError(f"identify {path.name} first, or name dynamics in the set-up: the force needs them")
 
     def _heard(self, task: Task, outcome: Outcome | None) -> None:
