@@ -44,12 +44,20 @@ def convert(
 def channel_map(
     file: Annotated[Path, typer.Argument(metavar="FILE")],
     out: Out = None,
+    header_line: Annotated[
+        int | None,
+        typer.Option(
+            "--header-line", help="Line of a text file's header, where it is not found; 0 if there is none.", min=0
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Make a channel map, to be filled in, for a foreign file."""
     from aerobalance.commands import recordings
 
-    show(lambda: recordings.channel_map_for(file, out), as_json, doing="reading", plain="map")
+    show(
+        lambda: recordings.channel_map_for(file, out, header_line=header_line), as_json, doing="reading", plain="map"
+    )
 
 
 @app.command(epilog=example("record --source simulated --seconds 10 -o run.h5"))

@@ -87,11 +87,11 @@ def _described(channel: Channel) -> bool:
     return any(getattr(channel, slot) != getattr(bare, slot) for slot in slots)
 
 
-def channel_map_for(path: Path, out: Path | None) -> Account:
-    """Make a channel map to fill in for a foreign file."""
+def channel_map_for(path: Path, out: Path | None, *, header_line: int | None = None) -> Account:
+    """Make a channel map to fill in for a foreign file; its header is in `header_line`, or found."""
     check_out(out, path)
-    text = template(path) + "\n"
+    text = template(path, header_line=header_line) + "\n"
     if out is not None:
         with replacing(out) as beside:
             beside.write_text(text, encoding="utf-8")
-    return {"file": path.name, "columns": list(column_names(path)), "map": text}
+    return {"file": path.name, "columns": list(column_names(path, header_line=header_line)), "map": text}
