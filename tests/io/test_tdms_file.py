@@ -504,7 +504,7 @@ def test_the_template_lists_group_channel_and_rate_and_completes_to_a_map(tmp_pa
     for number, name in ((1, "rN1"), (2, "excitation")):
         made = made.replace(f"# [channels.column_{number}]", f"[channels.{name}]")
     made = made.replace('# column = "Strain', 'column = "Strain')
-    made = made.replace('# unit = "N"', 'unit = "V"', 2)
+    made = made.replace('# unit = "?"', 'unit = "V"', 2)
     found = mapped(path, made)
     assert list(found.channels) == ["rN1", "excitation", "pitch"]
     assert (found.rate, found.samples) == (1000.0, 400)

@@ -59,6 +59,12 @@ def convert(
 def channel_map(
     file: ToRead,
     out: MapOut = None,
+    header_line: Annotated[
+        int | None,
+        typer.Option(
+            "--header-line", help="Line of a text file's header, where it is not found; 0 if there is none.", min=0
+        ),
+    ] = None,
     as_json: Json = False,
     verbose: Verbose = False,
     replace: Replace = False,
@@ -66,7 +72,11 @@ def channel_map(
     """Make a channel map, to be filled in, for a foreign file."""
     from aerobalance.commands import recordings
 
-    show(lambda: recordings.channel_map_for(file, out), Manner(as_json, verbose, replace), doing="reading")
+    show(
+        lambda: recordings.channel_map_for(file, out, header_line=header_line),
+        Manner(as_json, verbose, replace),
+        doing="reading",
+    )
 
 
 @app.command(epilog=example("record --source simulated --seconds 10 -o run.h5"))

@@ -128,13 +128,13 @@ def _described(channel: Channel) -> bool:
     return any(getattr(channel, slot) != getattr(bare, slot) for slot in slots)
 
 
-def channel_map_for(path: Path, out: Path | None) -> Account:
-    """Make a channel map to fill in for a foreign file."""
+def channel_map_for(path: Path, out: Path | None, *, header_line: int | None = None) -> Account:
+    """Make a channel map to fill in for a foreign file; its header is in `header_line`, or found."""
     check_out(out, path)
-    text = template(path) + "\n"
+    text = template(path, header_line=header_line) + "\n"
     if out is not None:
         with replacing(out) as beside:
             beside.write_text(text, encoding="utf-8")
-    columns = list(column_names(path))
+    columns = list(column_names(path, header_line=header_line))
     said = f"{path.name}: channel map of {len(columns)} columns; fill in what the channels are, then check with info\n"
     return {"file": path.name, "columns": columns, "map": text, "summary": text if out is None else said}

@@ -15,7 +15,7 @@ import numpy as np
 
 from aerobalance.channel import Array, Channel
 from aerobalance.components import is_gauge, si_unit
-from aerobalance.io import csv_file, hdf5_file, tdms_file
+from aerobalance.io import csv_file, hdf5_file, lvm_file, tdms_file
 from aerobalance.io.channel_map import ChannelMap, load_channel_map, mapped_recording
 from aerobalance.io.clocks import of_one_length, on_one_clock
 from aerobalance.io.columns import Heading, RawColumns
@@ -23,7 +23,8 @@ from aerobalance.io.csv_file import read_table
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.map_template import map_text
 from aerobalance.io.table import Column, Table, recording_from, table_from
-from aerobalance.io.text_table import Layout
+from aerobalance.io.text_layout import Layout
+from aerobalance.io.text_table import describe_text
 from aerobalance.io.units import conversion, conversion_for, edge_unit
 from aerobalance.problems import ReadError
 from aerobalance.recording import Force, Recording
@@ -43,6 +44,7 @@ __all__ = [
     "load_channel_map",
     "read",
     "read_table",
+    "states_times",
     "template",
     "write_force",
     "write_loads",
@@ -78,7 +80,7 @@ class Format(Protocol):
         """Write columns under their headers, with what is known of them where the format has a place for it."""
 
 
-FORMATS: Final[tuple[Format, ...]] = (tdms_file, hdf5_file, csv_file)
+FORMATS: Final[tuple[Format, ...]] = (tdms_file, hdf5_file, lvm_file, csv_file)
 """The formats, in the order in which they are asked; text comes last, as it takes what the others leave."""
 
 _SIGNATURES: Final = (
@@ -95,7 +97,6 @@ _SIGNATURES: Final = (
     (b"\xff\xd8\xff", "a picture"),
     (b"    -1\n", "a universal file (UFF)"),
     (b"    -1\r\n", "a universal file (UFF)"),
-    (b"LabVIEW Measurement", "a LabVIEW measurement file (LVM)"),
     (b"{", "a JSON file"),
 )
 
@@ -133,12 +134,17 @@ def read(path: Path | str, *, channel_map: ChannelMap | None = None) -> Recordin
         columns = on_one_clock(columns) if clocked else of_one_length(columns)
         table = table_from(columns, missing_allowed=True)
         return recording_from(table, rate=columns.rate, ticks=columns.ticks)
-    raw = chosen.read_columns(file, channel_map.layout, wanted=channel_map.wanted)
+    layout = channel_map.layout
+    if chosen is lvm_file and layout.header_line is not None:
+        chosen = csv_file  # who gives the header line wants the plain text behind the headers
+    raw = chosen.read_columns(file, layout, wanted=channel_map.wanted)
     return mapped_recording(raw, channel_map)
 
 
-def column_names(path: Path | str) -> tuple[str, ...]:
+def column_names(path: Path | str, *, header_line: int | None = None) -> tuple[str, ...]:
     """Read the names of a file's columns: without units for a text file, ``group/channel`` for TDMS.
+
+    With `header_line` the file is read as text, its header in that line (0 for none).
 
     Raises
     ------
@@ -146,8 +152,8 @@ def column_names(path: Path | str) -> tuple[str, ...]:
         The file is of no known format, or has no header.
     """
     file = Path(path)
-    text = is_text(file)
-    found = _format(file).headings(file)
+    text = header_line is not None or is_text(file)
+    found = csv_file.headings(file, Layout(header_line=header_line)) if text else _format(file).headings(file)
     return tuple(heading.name if text else heading.label for heading in found if heading.label)
 
 
@@ -162,18 +168,8 @@ def is_text(path: Path | str) -> bool:
     return _format(Path(path)) is csv_file
 
 
-def template(path: Path | str) -> str:
-    """Write a channel map for a foreign file, made from its header, to be completed by hand.
-
-    Parameters
-    ----------
-    path
-        The foreign file.
-
-    Returns
-    -------
-    str
-        TOML with comments; every column that is not the time is a commented table.
+def states_times(path: Path | str) -> bool:
+    """Say whether a file has a column of times, which makes a recording of it; one that is no text is a recording.
 
     Raises
     ------
@@ -181,7 +177,38 @@ def template(path: Path | str) -> str:
         The file is of no known format, or has no header.
     """
     file = Path(path)
-    return map_text(file, _format(file).headings(file), text=is_text(file))
+    found = _format(file)
+    return found is not csv_file or any(heading.name == "time" or heading.time for heading in found.headings(file))
+
+
+def template(path: Path | str, *, header_line: int | None = None) -> str:
+    """Write a channel map for a foreign file, made from its header, to be completed by hand.
+
+    Parameters
+    ----------
+    path
+        The foreign file.
+    header_line
+        Line of the header of a text file, counted from 1, 0 for a file without; recognised where left out.
+
+    Returns
+    -------
+    str
+        TOML with comments: the clock and the layout as found, and a table for every column, commented where a person
+        has to say what it is.
+
+    Raises
+    ------
+    ReadError
+        The file is of no known format, or has no header.
+    """
+    file = Path(path)
+    if header_line is None:
+        found = _format(file)
+        if found is not csv_file:
+            return map_text(file, found.headings(file))
+    layout = Layout(header_line=header_line)
+    return map_text(file, csv_file.headings(file, layout), found=describe_text(file, layout))
 
 
 def _format(path: Path) -> Format:

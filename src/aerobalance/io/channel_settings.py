@@ -40,6 +40,13 @@ class ChannelSettings(Strict):
     place_uncertainty: NotBelow = 0.0
     axis: tuple[Number, Number, Number] | None = None
 
+    @field_validator("scale")
+    @classmethod
+    def _not_zero(cls, given: float) -> float:
+        if given == 0:
+            raise ValueError("must not be zero: every reading would become the same number; leave the channel out")
+        return given
+
     @field_validator("place", "axis", mode="before")
     @classmethod
     def _three_numbers(cls, given: object, info: ValidationInfo) -> object:

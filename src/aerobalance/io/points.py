@@ -10,7 +10,7 @@ import numpy as np
 
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, is_gauge
-from aerobalance.io import column_names, is_text, read, read_table
+from aerobalance.io import read, read_table, states_times
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.table import Table
 from aerobalance.problems import FitError, ReadError
@@ -148,6 +148,6 @@ def _from_table(table: Table, names: Names) -> LoadPoints:
 def _is_recording(path: Path) -> bool:
     """Whether a file has a time column; a format that is no text is a recording."""
     try:
-        return not is_text(path) or "time" in column_names(path)
+        return states_times(path)
     except ReadError:
         return True

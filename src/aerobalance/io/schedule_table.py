@@ -24,7 +24,8 @@ from aerobalance.io.load_columns import (
 from aerobalance.io.schedule_columns import ScheduleColumn, columns_by_map, columns_by_name, header_by_map, pairs_in
 from aerobalance.io.schedule_names import FALSE, TRUE
 from aerobalance.io.sheet_cells import Row, Sheet, sheets_of
-from aerobalance.io.text_table import MISSING, Layout, number_in
+from aerobalance.io.text_cells import MISSING, number_in
+from aerobalance.io.text_table import Layout
 from aerobalance.io.units import conversion, readable
 from aerobalance.problems import ReadError
 from aerobalance.schedule import Schedule

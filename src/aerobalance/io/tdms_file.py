@@ -16,7 +16,8 @@ import numpy as np
 from aerobalance.channel import QUANTITIES, Array
 from aerobalance.components import is_gauge
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
-from aerobalance.io.text_table import LARGEST, Layout
+from aerobalance.io.text_cells import LARGEST
+from aerobalance.io.text_layout import Layout
 from aerobalance.io.units import conversion, readable
 from aerobalance.problems import DoubtWarning, ReadError
 
