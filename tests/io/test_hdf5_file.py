@@ -5,6 +5,7 @@ import subprocess
 import sys
 import warnings
 import zlib
+from pathlib import Path
 
 import h5py
 import numpy as np
