@@ -278,7 +278,8 @@ def test_weighed_mass_goes_into_the_decay_with_its_uncertainty(here, capsys, see
 @pytest.mark.parametrize(("unit", "factor"), [("N", 1.0), ("lbf", 4.4482216152605), ("kN", 1000.0)])
 def test_force_keeps_time_name_and_unit(unit, factor, here, capsys):
     time = np.arange(COUNT) / RATE
-    Path("r.csv").write_text(table(f"time [ms],AF [{unit}]", time * 1000, decay(time) / factor))
+    load = 50 * np.sin(2 * np.pi * 20 * time)  # without the release of the others, which is looked into at length
+    Path("r.csv").write_text(table(f"time [ms],AF [{unit}]", time * 1000, load / factor))
     for option in ("--method paper", "--bandwidth 200"):
         code, out, err = call(capsys, f"force r.csv --dynamics dynamics.json {option} -o f.csv --json")
         assert (code, err) == (0, "")
