@@ -92,6 +92,6 @@ def _sentence(used: Sequence[Stamped], late: Mapping[int, float]) -> str:
     apart = max(late[channel.number] for channel in used) - first
     return (
         f"the start times of {names} are up to {apart * 1e3:.3g} ms after those of the other channels of the group "
-        f"{used[0].group!r}, though rate and number of samples are the same: the computer's clock ticked over while they "
-        "were written. The channels are taken as sampled together; tasks that were not belong into two groups"
+        f"{used[0].group!r}, though rate and number of samples are the same: the computer's clock ticked over while "
+        "they were written. The channels are taken as sampled together; tasks that were not belong into two groups"
     )
