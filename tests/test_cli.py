@@ -77,7 +77,7 @@ def refused(capsys, line, *, code, says):
     for content in [None, "as it was"] if guarded else [None]:
         if content is not None:
             out.write_text(content)
-        got, text, err = call(capsys, line)
+        got, text, err = call(capsys, line if content is None else f"{line} --replace")
         assert (got, text) == (code, ""), err
         assert len([row for row in err.splitlines() if row.startswith("error: ")]) == 1, err
         assert all(row.startswith(("error: ", "warning: ")) for row in err.splitlines()), err

@@ -26,7 +26,7 @@ from aerobalance.commands.coupled_tables import (
 from aerobalance.commands.identify import number_of_modes
 from aerobalance.commands.loads import from_gauges
 from aerobalance.commands.shared import Account, amounts, check_out, doubts, recording_of, table_text
-from aerobalance.commands.weighing import mass_file
+from aerobalance.commands.weighing import mass_file, mass_number
 from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.identification.coupled_identification import CoupledIdentification, CoupledResult
 from aerobalance.identification.releases import identify_releases
@@ -235,21 +235,18 @@ def weighed_mass(mass: str | None) -> tuple[tuple[float, float] | None, Weighing
     """
     if mass is None:
         return None, None
+    value = mass_number(mass)
+    if value is not None:
+        return (value, 0.0), None
     try:
-        value = float(mass)
-    except ValueError:
-        try:
-            weighing = read_weighing(Path(mass))
-        except ReadError:
-            masses = {name: found for name, found in read_mass(Path(mass)).items() if name not in MOMENTS}
-            if not masses:
-                raise ValueError(f"{mass} holds no mass of a force component") from None
-            found = min(masses.values(), key=lambda one: one.u)
-            return (found.mass, found.u), None
-        return (weighing.mass, weighing.u_mass), weighing
-    if not 0 < value < np.inf:
-        raise ValueError(f"--mass must be a positive number or a mass.json, not {mass}")
-    return (value, 0.0), None
+        weighing = read_weighing(Path(mass))
+    except ReadError:
+        masses = {name: found for name, found in read_mass(Path(mass)).items() if name not in MOMENTS}
+        if not masses:
+            raise ValueError(f"{mass} holds no mass of a force component") from None
+        found = min(masses.values(), key=lambda one: one.u)
+        return (found.mass, found.u), None
+    return (weighing.mass, weighing.u_mass), weighing
 
 
 def _details(found: CoupledIdentification, weighing: Weighing | None) -> Account:

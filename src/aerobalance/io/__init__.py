@@ -350,9 +350,17 @@ def write_force(path: Path | str, recording: Recording, force: Force) -> None:
         inside = si_unit(name)
         unit = (recording.channels[name].file_unit if name in recording else "") or inside
         change = conversion(unit, expected=inside)
-        columns[f"{name} [{unit}]"] = change.outside(force.values[recording.rows, index])
-        columns[f"u_{name} [{unit}]"] = change.outside(force.uncertainty[recording.rows, index])
+        values = change.outside(force.values[recording.rows, index])
+        u = change.outside(force.uncertainty[recording.rows, index])
+        columns |= _result(file, f"{name} [{unit}]", values, u, least=u)
     _writer(file).write_columns(file, columns)
+
+
+def _result(file: Path, label: str, values: Array, u: Array, *, least: Array) -> dict[str, Array]:
+    """Give a result and its standard uncertainty as columns: in a text with the digits that mean something."""
+    digits = csv_file.digits_for(least) if _writer(file) is csv_file else None
+    kept = (values, u) if digits is None else (csv_file.rounded(values, digits), csv_file.rounded(u, digits))
+    return {label: kept[0], f"u_{label}": kept[1]}
 
 
 def write_loads(path: Path | str, recording: Recording, felt: LoadsFelt) -> None:
@@ -379,8 +387,8 @@ def write_loads(path: Path | str, recording: Recording, felt: LoadsFelt) -> None
     columns = _time_column(recording)
     uncertainty = felt.uncertainty
     for index, (name, unit) in enumerate(zip(felt.components, felt.units, strict=True)):
-        columns[f"{name} [{unit}]"] = felt.values[recording.rows, index]
-        columns[f"u_{name} [{unit}]"] = uncertainty[recording.rows, index]
+        values, u = felt.values[recording.rows, index], uncertainty[recording.rows, index]
+        columns |= _result(file, f"{name} [{unit}]", values, u, least=np.append(u, felt.noise[index]))
     for channel in recording:
         if not is_gauge(channel.name) and channel.name != "excitation" and channel.name not in felt.components:
             columns.update(_column(channel, recording))

@@ -179,6 +179,27 @@ def read_table(path: Path | str, *, required: Sequence[str] = (), missing_allowe
     return table_from(raw, required=required, missing_allowed=missing_allowed)
 
 
+def digits_for(least: Array) -> int | None:
+    """Give the decimals at which rounding is below 1/2000 of what a result is not known to; None for all of them.
+
+    Parameters
+    ----------
+    least
+        Standard uncertainties, or noise, of which the smallest counts.
+    """
+    known = least[np.isfinite(least) & (least > 0)]
+    if not known.size:
+        return None
+    return max(0, int(np.ceil(-np.log10(1e-3 * float(known.min())))))
+
+
+def rounded(values: Array, digits: int) -> Array:
+    """Round to so many decimals, without a minus before zeros; what is too large to have them stays as it is."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        kept = np.round(values, digits) + 0.0
+    return np.where(np.isfinite(kept), kept, values) if digits < 300 else values
+
+
 def write_columns(path: Path, columns: Mapping[str, Array], described: object = None) -> None:
     """Write columns under their headers; missing samples become empty cells, numbers read back exactly.
 
