@@ -53,7 +53,9 @@ def calibrate(
     schedule: Annotated[
         Path,
         typer.Argument(
-            metavar="SCHEDULE", callback=given, help="Loads and gauge outputs: BALFIT csv, .vol or plain csv."
+            metavar="SCHEDULE",
+            callback=given,
+            help="Loads and gauge outputs: BALFIT csv, .vol, a text table or .xlsx.",
         ),
     ],
     out: Out = None,
@@ -83,6 +85,16 @@ def calibrate(
             "One number, or rNF=0.0001 for each bridge (repeatable).",
         ),
     ] = None,
+    leave_out: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--leave-out", metavar="'SERIES POINT'", help="Leave a point, or a whole series, out (may be given again)."
+        ),
+    ] = None,
+    channel_map: Annotated[
+        Path | None,
+        typer.Option("--map", help="Channel map (TOML) that says what the columns of a table or spreadsheet are."),
+    ] = None,
     report: Annotated[Path | None, typer.Option("--report", help="Write a page with figures and tables.")] = None,
     as_json: Json = False,
     verbose: Verbose = False,
@@ -101,6 +113,8 @@ def calibrate(
             capacities=capacity or (),
             distances=distances,
             reading_noise=calibration.reading_noise_from(reading_noise or ()),
+            leave_out=leave_out or (),
+            channel_map=channel_map,
             report=report,
         ),
         Manner(as_json, verbose, replace),
@@ -204,7 +218,8 @@ def identify_decay(
         Path | None,
         typer.Option(
             "--balance",
-            help="With all: balance.json, for gauge outputs; what its calibration leaves in A and D is then known.",
+            help="balance.json, for gauge outputs (rAF ...) instead of loads; with all, what its calibration leaves "
+            "in A and D is then known.",
         ),
     ] = None,
     zero: Zero = None,
@@ -239,13 +254,11 @@ def identify_decay(
     from aerobalance.commands import identify
 
     rec = _only(recs, half_range)
-    if files is not None:
-        raise ValueError("--balance goes with --component all; turn gauge outputs into loads with aerobalance loads")
     if mass is None:
         raise ValueError("Missing option '--mass': a release tells mass over stiffness only")
     show(
         lambda: identify.identify_decay(
-            rec, out, component=component, mass=mass, modes=modes or "1", channel_map=channel_map
+            rec, out, component=component, mass=mass, modes=modes or "1", files=files, channel_map=channel_map
         ),
         Manner(as_json, verbose, replace),
         doing="fitting the decay",
