@@ -122,7 +122,7 @@ def calibrate(
     )
 
 
-@app.command("compare-calibrations", epilog=example("compare-calibrations 2022.json 2025.json"))
+@app.command("compare-calibrations", epilog=example("compare-calibrations schedule_2022.csv schedule.csv"))
 def compare_calibrations(
     before: Annotated[Path, typer.Argument(metavar="BEFORE", help="balance.json, or a load schedule.")],
     after: Annotated[Path, typer.Argument(metavar="AFTER", help="The later one of the same balance.")],
@@ -265,7 +265,7 @@ def identify_decay(
     )
 
 
-@identify.command("rig", epilog=example("identify rig sweep.csv --component AF --mass 0.68 -o dynamics.json"))
+@identify.command("rig", epilog=example("identify rig sweep.csv --component AF --mass 0.68 -o dynamics_rig.json"))
 def identify_rig(
     recs: Annotated[
         list[Path],
@@ -329,7 +329,7 @@ def _only(recs: list[Path], half_range: list[str] | None) -> Path:
     return recs[0]
 
 
-@identify.command("frf", epilog=example("identify frf table.csv --component AF --mass 0.68 -o dynamics.json"))
+@identify.command("frf", epilog=example("identify frf response.csv --component AF --mass 0.68 -o dynamics_frf.json"))
 def identify_frf(
     table: Annotated[
         Path,
@@ -353,7 +353,8 @@ def identify_frf(
 
 
 @identify.command(
-    "stiffness", epilog=example("identify stiffness K.csv --mass mass.json --ratios 0.01 -o dynamics.json")
+    "stiffness",
+    epilog=example("identify stiffness stiffness.csv --mass rigid_mass.toml --ratios 0.01 -o dynamics_six.json"),
 )
 def identify_stiffness(
     table: Annotated[

@@ -36,7 +36,7 @@ def info(
     show(lambda: recordings.info(file, channel_map=channel_map), Manner(as_json, verbose), doing="reading")
 
 
-@app.command(epilog=example("convert run.txt --map map.toml -o run.csv"))
+@app.command(epilog=example("convert run.txt --map map.toml -o run.h5"))
 def convert(
     file: ToRead,
     out: NeededOut,
@@ -55,7 +55,7 @@ def convert(
     )
 
 
-@app.command("map", epilog=example("map run.txt -o map.toml"))
+@app.command("map", epilog=example("map run.txt -o new_map.toml"))
 def channel_map(
     file: ToRead,
     out: MapOut = None,
@@ -79,7 +79,7 @@ def channel_map(
     )
 
 
-@app.command(epilog=example("record --source simulated --seconds 10 -o run.h5"))
+@app.command(epilog=example("record --source simulated --seconds 10 -o recorded.h5"))
 def record(
     out: NeededOut,
     source: Annotated[

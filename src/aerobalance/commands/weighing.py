@@ -139,7 +139,9 @@ def mass_number(text: str, *, unit: str = "kg") -> float | None:
     except ValueError:
         value = float("nan")
     if not 0 < value < np.inf:
-        raise ValueError(f"--mass must be a positive number ('42.1', '42.1 kg', '93 lb') or a mass.json, not {text}")
+        raise ValueError(
+            f"--mass must be a positive number or a mass.json, not {text}; a number is like 42.1, '42.1 kg' or '93 lb'"
+        )
     return value
 
 
