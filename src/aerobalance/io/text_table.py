@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from aerobalance.channel import Array
 from aerobalance.io.columns import RawColumn, RawColumns, split_label
+from aerobalance.io.text_limits import check_columns, check_first_line, check_lines, check_quotes
 from aerobalance.problems import ReadError
 
 MISSING: Final = (
@@ -185,13 +186,17 @@ def _number_pattern(decimal: str) -> re.Pattern[str]:
 
 def _bytes(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        with path.open("rb") as stream:
+            check_first_line(path, stream)
+            raw = stream.read()
     except FileNotFoundError:
         raise ReadError(path, "", "there is no such file") from None
     except IsADirectoryError:
         raise ReadError(path, "", "is a folder; a file is needed") from None
     except OSError as error:
         raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+    check_lines(path, raw)
+    return raw
 
 
 def _utf8(path: Path, encoding: str | None) -> bytes:
@@ -267,8 +272,11 @@ def _labels(path: Path, header: str | None, body: bytes, separator: str) -> list
     if header is None:
         end = body.find(b"\n")
         first = body[: end if end >= 0 else None].decode()
-        return [str(i + 1) for i in range(len(split_line(first, separator)))]
+        cells = split_line(first, separator)
+        check_columns(path, cells)
+        return [str(i + 1) for i in range(len(cells))]
     labels = [cell.strip() for cell in split_line(header, separator)]
+    check_columns(path, labels)
     if all(re.fullmatch(r"[+-]?[\d.,]+([eE][+-]?\d+)?", cell) for cell in labels if cell) and any(labels):
         raise ReadError(
             path,
@@ -299,6 +307,7 @@ def _cells(path: Path, body: bytes, grid: _Grid) -> Array:
         return np.empty((0, len(grid.chosen)))
     blank = grid.separator == " "
     if not blank:
+        check_quotes(path, body, separator=grid.separator, first=grid.first)
         _check_shape(path, body, grid)
     try:
         frame = pd.read_csv(
