@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from aerobalance.channel import Array
 from aerobalance.io.text_cells import LARGEST, MISSING, number_pattern, split_line
 from aerobalance.io.text_layout import TextLayout
+from aerobalance.io.text_limits import check_quotes
 from aerobalance.problems import ReadError
 
 Lines = Sequence[int] | NDArray[np.intp]
@@ -99,6 +100,8 @@ def read_cells(
 
     if not body or body.isspace():
         return {i: np.empty(0) for i in grid.chosen}, {}, range(0)
+    if grid.separator != " ":
+        check_quotes(path, body, separator=grid.separator, first=grid.first)
     body = _without_last_separators(body)
     most = _check_shape(path, body, grid)
     kept = [i for i in grid.chosen if i < most]

@@ -17,6 +17,7 @@ from aerobalance.io.columns import RawColumn, RawColumns, split_label
 from aerobalance.io.text_cells import MISSING, number_in, separator_of, split_line
 from aerobalance.io.text_clock import seconds_of
 from aerobalance.io.text_layout import Layout, TextLayout, recognise
+from aerobalance.io.text_limits import check_first_line, check_lines
 from aerobalance.io.text_rows import Grid, Lines, no_number, read_cells
 from aerobalance.io.units import expected_unit
 from aerobalance.problems import DoubtWarning, ReadError
@@ -154,13 +155,17 @@ def read_text(path: Path, encoding: str | None = None) -> str:
 
 def _bytes(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        with path.open("rb") as stream:
+            check_first_line(path, stream)
+            raw = stream.read()
     except FileNotFoundError:
         raise ReadError(path, "", "there is no such file") from None
     except IsADirectoryError:
         raise ReadError(path, "", "is a folder; a file is needed") from None
     except OSError as error:
         raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+    check_lines(path, raw)
+    return raw
 
 
 def decoded(path: Path, encoding: str | None) -> tuple[bytes, str]:
