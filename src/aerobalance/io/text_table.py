@@ -6,6 +6,7 @@ import codecs
 import csv
 import io
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from aerobalance.channel import Array
 from aerobalance.io.columns import RawColumn, RawColumns, split_label
-from aerobalance.problems import ReadError
+from aerobalance.problems import DoubtWarning, ReadError
 
 MISSING: Final = (
     *("", "nan", "na", "n/a", "#n/a", "null", "none", "<na>", "-nan"),
@@ -31,6 +32,15 @@ _SPELT: Final = tuple(
 
 LARGEST: Final = 1e100
 """Cells beyond this are no measurement, and their squares no number."""
+
+
+def beyond_all_measure(count: int, where: str) -> str:
+    """Say that cells or samples hold numbers beyond `LARGEST`, infinity included, and what becomes of them."""
+    return (
+        f"{count} number(s) beyond {LARGEST:.0e} either way, which no reading is, the first in {where}: "
+        "they count as missing"
+    )
+
 
 SEPARATORS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 """Column separators that may be named in a channel map."""
@@ -320,11 +330,9 @@ def _cells(path: Path, body: bytes, grid: _Grid) -> Array:
     if large.size:
         row, column = large[0]
         line, number = _lines(body, grid.first, values.shape[0])[row], grid.chosen[column]
-        raise ReadError(
-            path,
-            f"line {line}, column {number + 1} ({grid.labels[number]!r})",
-            f"holds {values[row, column]:.3g}, which no reading is; allowed: numbers up to {LARGEST:.0e} either way",
-        )
+        where = f"line {line}, column {number + 1} ({grid.labels[number]!r})"
+        warnings.warn(f"{path.name}: {beyond_all_measure(len(large), where)}", DoubtWarning, stacklevel=6)
+        values[np.abs(values) > LARGEST] = np.nan
     return np.asfortranarray(values)
 
 
