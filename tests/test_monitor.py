@@ -7,6 +7,9 @@ import math
 import struct
 import threading
 import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -22,7 +25,7 @@ from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.io.coupled_file import read_any_dynamics, write_coupled
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import StoredChannel
-from aerobalance.monitor.access import COOKIE, Door, is_loopback
+from aerobalance.monitor.access import Door, is_loopback
 from aerobalance.monitor.board import Board, plain
 from aerobalance.monitor.command import Reach, monitor
 from aerobalance.monitor.folder import Folder
@@ -33,6 +36,7 @@ from aerobalance.monitor.panels import panel_of
 from aerobalance.monitor.server import STATIC, Page
 from aerobalance.monitor.setups import rig_setup, setup_of_record
 from aerobalance.monitor.station import Beginning
+from aerobalance.monitor.tasks import Tasks
 from aerobalance.monitor.view import Panel, View
 from aerobalance.monitor.viewer import UNSHOWN
 from aerobalance.problems import FitError
@@ -310,6 +314,28 @@ def test_a_slow_viewer_loses_no_peak() -> None:
     assert board.data_frame(100, 0, slow) is None
 
 
+@pytest.mark.parametrize("wild", [math.inf, 1e308, 1e160])
+def test_samples_beyond_all_measure_count_as_missing(wild) -> None:
+    source = source_of("six", seed=6)
+    hello = Hello(tuple(source.channels), source.rate, True, "a source", ())
+    view = View(panel_of(rig_setup("six"), hello, Path(), {}))
+    plain = View(panel_of(rig_setup("six"), hello, Path(), {}))
+    for number in range(60):
+        block = source.read(1.0)
+        spoiled, missing = block.samples.copy(), block.samples.copy()
+        if number == 30:
+            spoiled[5:8, 0], spoiled[9, 1] = wild, -wild
+            missing[5:8, 0] = missing[9, 1] = math.nan
+        view.feed(replace(block, samples=spoiled))
+        plain.feed(replace(block, samples=missing))
+    given, expected = view.take(), plain.take()
+    assert given.estimates == expected.estimates
+    assert [text for _, kind, text in given.remarks if kind == "too large"] == [
+        "beyond 1e+100 either way, which no reading is; they count as missing: 3 of NF, 1 of PM"
+    ]
+    assert not expected.remarks
+
+
 def test_plain_data_has_no_nan() -> None:
     given = {"a": float("nan"), "b": (np.float64(1.5), np.bool_(True), -math.inf), 3: [np.int64(4)]}
     assert plain(given) == {"a": None, "b": [1.5, True, None], "3": [4]}
@@ -362,6 +388,22 @@ def test_links_out_of_the_folder(tmp_path) -> None:
         folder.recording("link.h5")
     assert folder.recordings() == []
     assert folder.new_recording(" run (2) ").name == "run (2).h5"
+
+
+def test_dynamics_by_a_link_out_of_the_folder(tmp_path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "run.h5").write_bytes(b"x")
+    (tmp_path / "outside.json").write_text("{}")
+    (tmp_path / "in" / "run-dynamics.json").symlink_to(tmp_path / "outside.json")
+    folder = Folder(tmp_path / "in")
+    station = SimpleNamespace(folder=folder, setup=rig_setup("cable_cut"), recording=False, progress=None)
+    tasks = Tasks(station)
+    try:
+        with pytest.raises(ValueError, match=r"run-dynamics\.json is not below the project folder"):
+            tasks.run("force", ["run.h5"], {})
+    finally:
+        tasks.close()
+    assert folder.with_results()[0]["identified"] is False
 
 
 def test_other_addresses_need_a_token() -> None:
@@ -469,8 +511,9 @@ def test_token() -> None:
     answer = client.get("/?token=a-secret-of-some-length")
     assert answer.status_code == 303
     assert "HttpOnly" in answer.headers["set-cookie"] and "SameSite=Strict" in answer.headers["set-cookie"]
-    client.cookies.set(COOKIE, "a-secret-of-some-length")
-    assert client.get("/").status_code == 200
+    assert client.get("/").status_code == 200  # the client keeps the cookie
+    client.cookies.set("aerobalance_8765", "a-secret-of-some-length")  # the token itself is none
+    assert client.get("/").status_code == 401
 
 
 @pytest.mark.parametrize(
@@ -647,6 +690,10 @@ def test_fuzzed_requests_and_frames(running) -> None:
 
 def test_what_is_killed_is_told(running) -> None:
     station = running.page.station
+    learner = running.wait(lambda state: state["processes"].get("learner"))["processes"]["learner"]
+    station.engine.learner.kill()
+    running.wait(lambda state: state["processes"].get("learner", learner) != learner)
+    running.wait(lambda state: any("process that learns" in item["text"] for item in state["messages"]))
     station.engine.process.kill()
     running.wait(lambda state: any("started again" in item["text"] for item in state["messages"]))
     running.wait(lambda state: state["source"]["state"] == "running")
@@ -660,6 +707,7 @@ def test_what_is_killed_is_told(running) -> None:
     assert "without a word" in state["record"]["reason"]
     assert any(item["kind"] == "error" and "killed" in item["text"] for item in state["messages"])
     assert contents(running.folder / "killed.h5").blocks.size >= 2
+    assert "recorder" not in running.client.get("/api/state").json()["processes"]
     station.session.process.kill()
     state = running.wait(lambda state: state["source"]["state"] == "ended")
     assert "without a word" in state["source"]["text"]

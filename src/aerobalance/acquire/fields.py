@@ -7,10 +7,11 @@ from typing import Annotated
 from pydantic import Field
 
 from aerobalance.io.channel_settings import NotBelow, Number, Strict
+from aerobalance.io.text_cells import LARGEST
 
 __all__ = ["Above", "FileName", "Name", "NotBelow", "Number", "Table", "Text"]
 
-Above = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Above = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
 Text = Annotated[str, Field(max_length=10_000)]
 Name = Annotated[str, Field(min_length=1, max_length=60)]
 FileName = Annotated[str, Field(min_length=1, max_length=1000)]

@@ -21,7 +21,7 @@ from aerobalance.acquire.setup import Setup, setup_text, stored_channels
 from aerobalance.acquire.spawning import start
 from aerobalance.io.hdf5_closing import close_broken_off
 from aerobalance.io.hdf5_layout import Provenance
-from aerobalance.io.held_file import refuse_held
+from aerobalance.io.held_file import recover_all, refuse_held
 from aerobalance.problems import FitError
 
 _STARTING: Final = 60.0
@@ -101,6 +101,9 @@ class Recorder:
             reason = "the recorder is gone without a word (killed, or crashed); all acknowledged blocks are kept"
             names = Progress.__slots__
             kept = {name: getattr(last, name) for name in names if name not in ("state", "reason")}
+            back = recover_all(Path(last.path).parent)  # a file that had lost its name as well
+            if back and not Path(last.path).exists():
+                kept["path"], reason = str(back[0]), f"{reason}; its file is {back[0].name} now"
             self.progress = Progress(state="ended", reason=reason, **kept)
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
-import tomllib
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
@@ -27,6 +25,7 @@ from aerobalance.io.messages import first_fault
 from aerobalance.io.table import Column, check_time, on_clock
 from aerobalance.io.text_cells import SEPARATORS
 from aerobalance.io.text_layout import Layout
+from aerobalance.io.toml_text import read_toml
 from aerobalance.io.units import Conversion, conversion, conversion_for
 from aerobalance.problems import DoubtWarning, ReadError
 from aerobalance.recording import Recording
@@ -169,13 +168,6 @@ class ChannelMap:
         return [*time, *(channel.column for channel in self.channels.values())]
 
 
-_LONG_KEY: Final = re.compile(rb"(?:[\w-]{1,99}[ \t]*\.[ \t]*){50}")
-"""A key that a parser of TOML takes minutes over."""
-
-LARGEST_MAP: Final = 1_000_000
-"""Bytes that a channel map may have."""
-
-
 def load_channel_map(path: Path | str) -> ChannelMap:
     """Read a channel map.
 
@@ -185,24 +177,7 @@ def load_channel_map(path: Path | str) -> ChannelMap:
         The file is no TOML, or has a key that is unknown, missing or not allowed; the message names the key.
     """
     file = Path(path)
-    try:
-        with file.open("rb") as stream:
-            text = stream.read(LARGEST_MAP + 1)
-        if len(text) > LARGEST_MAP:
-            raise ReadError(file, "", f"is larger than {LARGEST_MAP / 1e6:g} MB: no channel map is")
-        if _LONG_KEY.search(text):
-            raise ReadError(file, "", "has a key of more than 50 parts joined by dots; no key of a channel map has")
-        given: dict[str, Any] = tomllib.loads(text.decode("utf-8"))
-    except FileNotFoundError:
-        raise ReadError(file, "", "there is no such file") from None
-    except OSError as error:
-        raise ReadError(file, "", f"cannot be read: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ReadError(file, "", f"is no TOML: {error}") from None
-    except RecursionError:
-        raise ReadError(file, "", "is nested too deeply for a channel map") from None
-    except ValueError:  # the interpreter converts no whole number of more than 4300 digits
-        raise ReadError(file, "", "holds a number of thousands of digits") from None
+    given = read_toml(file, what="a channel map")
     try:
         contents = _Contents.model_validate(given)
     except ValidationError as error:

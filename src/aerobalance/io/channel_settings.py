@@ -8,9 +8,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from aerobalance.channel import AXES_BY_NAME, DIRECTIONS, Coupling, is_ground_acceleration, unit_inside
+from aerobalance.io.text_cells import LARGEST
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-NotBelow = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+NotBelow = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
 
 
 class Strict(BaseModel):

@@ -29,7 +29,7 @@ from aerobalance.io.hdf5_layout import (
     status_row,
 )
 from aerobalance.io.safe_write import replacing
-from aerobalance.io.text_cells import LARGEST
+from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.io.text_layout import Layout
 from aerobalance.problems import DoubtWarning, ReadError
 
@@ -291,9 +291,11 @@ def _samples(
     if not found.timed and int(ticks[filled - 1] - ticks[0]) > LARGEST_GAP * filled:
         raise ReadError(path, "gaps", "has gaps of more than 20 times its samples; use the part before or after them")
     readings = readings[:filled]
-    readings[np.isinf(readings)] = np.nan
-    if float(np.nanmax(np.abs(readings), initial=0.0)) > LARGEST:
-        raise ReadError(path, "samples", f"holds numbers that no reading is; allowed: up to {LARGEST:.0e} either way")
+    large = np.argwhere(np.abs(readings) > LARGEST)
+    if large.size:
+        row, column = large[0]
+        doubts.append(beyond_all_measure(len(large), f"{found.channels[columns[column]].name} at tick {ticks[row]}"))
+        readings[np.abs(readings) > LARGEST] = np.nan
     return ticks[:filled], readings, stamps[:filled]
 
 

@@ -17,7 +17,7 @@ from aerobalance.channel import QUANTITIES, Array
 from aerobalance.components import is_gauge
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
 from aerobalance.io.tdms_tasks import Stamped, seconds_after, start_stamps
-from aerobalance.io.text_cells import LARGEST
+from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.units import conversion, readable
 from aerobalance.problems import DoubtWarning, ReadError
@@ -328,16 +328,12 @@ def _numbers(part: Any, path: Path, entry: _Entry) -> Array:
 
 
 def _without_infinities(path: Path, entry: _Entry, values: Array) -> Array:
-    """Make infinities missing; refuse numbers that no reading is."""
+    """Make numbers that no reading is missing, infinities among them."""
+    large = np.flatnonzero(np.abs(values) > LARGEST)
+    where = f"channel {entry.label!r}, sample {large[0] + 1}"
+    warnings.warn(f"{path.name}: {beyond_all_measure(large.size, where)}", DoubtWarning, stacklevel=6)
     found = values.copy()
-    found[np.isinf(found)] = np.nan
-    large = np.flatnonzero(np.abs(found) > LARGEST)
-    if large.size:
-        raise ReadError(
-            path,
-            f"channel {entry.label!r}, sample {large[0] + 1}",
-            f"holds {found[large[0]]:.3g}, which no reading is; allowed: numbers up to {LARGEST:.0e} either way",
-        )
+    found[large] = np.nan
     return found
 
 

@@ -16,6 +16,15 @@ MISSING: Final = (
 LARGEST: Final = 1e100
 """Cells beyond this are no measurement, and their squares no number."""
 
+
+def beyond_all_measure(count: int, where: str) -> str:
+    """Say that cells or samples hold numbers beyond `LARGEST`, infinity included, and what becomes of them."""
+    return (
+        f"{count} number(s) beyond {LARGEST:.0e} either way, which no reading is, the first in {where}: "
+        "they count as missing"
+    )
+
+
 SEPARATORS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 """Column separators that may be named in a channel map."""
 

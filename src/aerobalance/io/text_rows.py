@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.channel import Array
-from aerobalance.io.text_cells import LARGEST, MISSING, number_pattern, split_line
+from aerobalance.io.text_cells import LARGEST, MISSING, beyond_all_measure, number_pattern, split_line
 from aerobalance.io.text_layout import TextLayout
 from aerobalance.io.text_limits import check_quotes
-from aerobalance.problems import ReadError
+from aerobalance.problems import DoubtWarning, ReadError
 
 Lines = Sequence[int] | NDArray[np.intp]
 """Line of every row, counted from 1."""
@@ -130,11 +131,9 @@ def read_cells(
     if large.size:
         row, column = large[0]
         number = numeric[column]
-        raise ReadError(
-            path,
-            f"line {lines[row]}, column {number + 1} ({grid.found.labels[number]!r})",
-            f"holds {values[row, column]:.3g}, which no reading is; allowed: numbers up to {LARGEST:.0e} either way",
-        )
+        where = f"line {lines[row]}, column {number + 1} ({grid.found.labels[number]!r})"
+        warnings.warn(f"{path.name}: {beyond_all_measure(len(large), where)}", DoubtWarning, stacklevel=6)
+        values[np.abs(values) > LARGEST] = np.nan
     told = {i: frame[i].fillna("").astype(str).to_list() for i in texts}
     return {i: values[:, j] for j, i in enumerate(numeric)}, told, lines
 

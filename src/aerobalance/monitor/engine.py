@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import signal
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from multiprocessing.connection import wait
+from multiprocessing.reduction import recv_handle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,7 +18,19 @@ import numpy as np
 from aerobalance.acquire.feed import Feed
 from aerobalance.acquire.setup import parse_setup
 from aerobalance.acquire.source import Block
-from aerobalance.monitor.messages import Means, News, SetZeros, TakeMeans, TakeZeros, Trouble, Watch, Watching, Zeros
+from aerobalance.monitor.messages import (
+    Learner,
+    LearnerWanted,
+    Means,
+    News,
+    SetZeros,
+    TakeMeans,
+    TakeZeros,
+    Trouble,
+    Watch,
+    Watching,
+    Zeros,
+)
 from aerobalance.monitor.orphan import end_with_starter
 from aerobalance.monitor.panels import panel_of
 from aerobalance.monitor.view import View
@@ -34,14 +48,17 @@ PERIOD: Final = 0.035
 
 _TICK: Final = 0.25
 _AT_ONCE: Final = 128
+_AGAIN: Final = 5.0
 
 
 class _Engine:
     """Follows one source after the other."""
 
-    def __init__(self, control: Pipe, learner: Pipe) -> None:
+    def __init__(self, control: Pipe) -> None:
         self._control = control
-        self._learner: Pipe | None = learner
+        self._learner: Pipe | None = None
+        self._wanted = -math.inf
+        self._lost = False
         self._feed: Feed | None = None
         self._view: View | None = None
         self._number = 0
@@ -68,6 +85,8 @@ class _Engine:
     def _obey(self, order: object) -> None:
         if isinstance(order, Watch):
             self._watch(order)
+        elif isinstance(order, Learner):
+            self._learner, self._asked = type(self._control)(recv_handle(self._control)), None
         elif isinstance(order, SetZeros) and self._view is not None:
             self._view.set_zeros(order.zeros)
         elif isinstance(order, TakeMeans) and self._view is not None:
@@ -140,6 +159,21 @@ class _Engine:
         update = self._view.take()
         if update.raw:
             self._control.send(News(self._number, update, dict(self._view.saturated)))
+            if self._learner is None:  # not before: the first seconds belong to the charts
+                self._want()
+
+    def _want(self) -> None:
+        """Ask for a learner; for another one not too soon, as what ended the first may end it too."""
+        if time.monotonic() - self._wanted > _AGAIN:
+            self._wanted = time.monotonic()
+            self._control.send(LearnerWanted(self._lost))
+
+    def _leave_learner(self) -> None:
+        """The learner is gone: the force goes on as it is, and what it was asked is asked again when it is due."""
+        if self._learner is not None:
+            self._learner.close()
+        self._learner, self._asked, self._lost = None, None, True
+        self._want()
 
     def _ask(self) -> None:
         """Have something learned, one thing at a time."""
@@ -152,14 +186,14 @@ class _Engine:
                 try:
                     self._learner.send((self._asked, snapshot))
                 except OSError:
-                    self._learner = None
+                    self._leave_learner()
                 return
 
     def _adopt(self, learner: Pipe) -> None:
         try:
             (number, name, generation), learning = learner.recv()
-        except (EOFError, OSError):  # killed: the force goes on as it is
-            self._learner = None
+        except (EOFError, OSError):
+            self._leave_learner()
             return
         self._asked = None
         if learning is not None and number == self._number and self._view is not None:
@@ -191,10 +225,10 @@ def warm_up() -> None:
     live.push(readings, ground_acceleration=np.zeros(600), pitch=np.zeros(600))
 
 
-def run_engine(control: Pipe, learner: Pipe) -> None:
+def run_engine(control: Pipe) -> None:
     """Follow sources as told: the body of a process. It ends with the server."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_starter()
     warm_up()
     with contextlib.suppress(EOFError, OSError):
-        _Engine(control, learner).run()
+        _Engine(control).run()

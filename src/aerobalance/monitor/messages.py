@@ -117,6 +117,17 @@ class TakeMeans:
     """Order: tell the means of the channels over the last second, span by span."""
 
 
+class Learner:
+    """Order: the handle of a pipe to a learner follows."""
+
+
+@dataclass(frozen=True, slots=True)
+class LearnerWanted:
+    """Answer: there is something to learn, and nobody who does; `gone` where there was somebody before."""
+
+    gone: bool
+
+
 @dataclass(frozen=True, slots=True)
 class Watching:
     """Answer: a source is followed; what its channels are, and the components whose force is worked out."""
@@ -168,4 +179,4 @@ class Trouble:
     text: str
 
 
-Answer = Watching | News | Zeros | Means | Trouble
+Answer = Watching | News | Zeros | Means | Trouble | LearnerWanted

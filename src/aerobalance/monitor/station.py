@@ -431,12 +431,12 @@ class Station:
 
     def processes(self) -> dict[str, int | None]:
         """Numbers of the processes behind the page, for whoever looks after the computer."""
-        running = {"engine": self.engine.process, "jobs": self.tasks.process}
+        running = {"engine": self.engine.process, "learner": self.engine.learner, "jobs": self.tasks.process}
         if self.session is not None:
             running["source"] = self.session.process
         if self.recorder is not None:
             running["recorder"] = self.recorder.process
-        return {name: process.pid for name, process in running.items() if process is not None}
+        return {name: process.pid for name, process in running.items() if process is not None and process.is_alive()}
 
     def recordings(self) -> list[dict[str, Any]]:
         """List the recordings of the folder, with the results that are there."""

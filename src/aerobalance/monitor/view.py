@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.acquire.continuity import Continuity
 from aerobalance.acquire.guards import ContactCircuit, felt, load_columns, loads_of
@@ -20,6 +21,7 @@ from aerobalance.coupled import CoupledDynamics
 from aerobalance.dynamics import Dynamics
 from aerobalance.fouling import ContactFinder
 from aerobalance.io.hdf5_layout import StoredChannel
+from aerobalance.io.text_cells import LARGEST
 from aerobalance.io.units import Conversion, conversion_for
 from aerobalance.load_envelope import LoadEnvelope
 from aerobalance.monitor.coupled_line import CoupledStream
@@ -158,6 +160,8 @@ class View:
         self._force = {name: Extremes(2, width, step=line.factor) for name, line in self.lines.items()}
         self._spectra = {name: RunningSpectrum(2, line.interval) for name, line in self.lines.items()}
         self._offsets = np.zeros(len(names))
+        self._large = np.zeros(len(names), dtype=np.intp)
+        self._quiet = 0
         self._means: list[tuple[float, Array]] = []
         self._held_since = 0.0
         self.set_zeros(panel.zeros)
@@ -221,6 +225,7 @@ class View:
         if watched.block is None:
             return
         tick, values = watched.block.tick, self._values(watched.block.samples)
+        self._tell_large(tick)
         update.tick, update.received = watched.block.end, block.received
         update.raw.append(self._raw.push(tick, values))
         for name, piece in [found for stream in self._streams for found in stream.push(tick, values).items()]:
@@ -240,13 +245,33 @@ class View:
     def _values(self, samples: Array) -> Array:
         pairs = zip(self.panel.channels, self._conversions, strict=True)
         values = np.zeros((samples.shape[0], len(self.panel.names)))
-        for place, (channel, conversion) in enumerate(pairs):
-            values[:, place] = conversion.inside(channel.values(samples[:, place]))
-        values -= self._offsets
-        balance = self.panel.balance
-        if balance is not None:
-            values[:, samples.shape[1] :] += felt(balance, values[:, self._gauges])
+        with np.errstate(over="ignore", invalid="ignore"):  # of numbers that count as missing
+            for place, (channel, conversion) in enumerate(pairs):
+                values[:, place] = conversion.inside(channel.values(samples[:, place]))
+            self._large += self._without_large(values)
+            values -= self._offsets
+            balance = self.panel.balance
+            if balance is not None:
+                values[:, samples.shape[1] :] += felt(balance, values[:, self._gauges])
+                self._without_large(values)
         return values
+
+    def _without_large(self, values: Array) -> NDArray[np.intp]:
+        """Make numbers missing that no reading is; return how many there were in each column."""
+        large = np.abs(values) > LARGEST
+        if large.any():
+            values[large] = np.nan
+        return np.asarray(large.sum(axis=0))
+
+    def _tell_large(self, tick: int) -> None:
+        """Say, once a second, how many readings were beyond all measure."""
+        if not self._large.any() or tick < self._quiet:
+            return
+        self._quiet = tick + round(self.panel.rate)
+        some = [f"{count} of {name}" for name, count in zip(self.panel.names, self._large, strict=True) if count]
+        text = f"beyond {LARGEST:.0e} either way, which no reading is; they count as missing: {', '.join(some)}"
+        self.update.remarks.append((tick, "too large", text))
+        self._large[:] = 0
 
     def _watch_contact(self, tick: int, values: Array) -> None:
         circuit, finder = self.panel.circuit, self._contact

@@ -9,11 +9,12 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.context import SpawnProcess
+from multiprocessing.reduction import send_handle
 from typing import TYPE_CHECKING, Any, Final
 
 from aerobalance.acquire.spawning import start
 from aerobalance.monitor.jobs import Outcome, Task
-from aerobalance.monitor.messages import Answer, News, Trouble
+from aerobalance.monitor.messages import Answer, Learner, LearnerWanted, Trouble
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -23,10 +24,10 @@ if TYPE_CHECKING:
 _SPAWN: Final = multiprocessing.get_context("spawn")
 
 
-def _engine(control: Pipe, learner: Pipe) -> None:
+def _engine(control: Pipe) -> None:
     from aerobalance.monitor.engine import run_engine  # noqa: PLC0415 - the server needs none of it
 
-    run_engine(control, learner)
+    run_engine(control)
 
 
 def _learner(pipe: Pipe) -> None:
@@ -42,7 +43,7 @@ def _jobs(pipe: Pipe) -> None:
 
 
 class Engine:
-    """The engine and its learner; an engine that is gone is started again.
+    """The engine and its learner; whichever is gone is started again.
 
     Parameters
     ----------
@@ -54,40 +55,51 @@ class Engine:
         self._heard = heard
         self._closed = False
         self._last: Any = None
+        self._sending = threading.Lock()
+        self.learner: SpawnProcess | None = None
         self._start()
 
     def _start(self) -> None:
-        learner, taught = _SPAWN.Pipe()
         self._control, other = _SPAWN.Pipe()
-        self.learner: SpawnProcess = _SPAWN.Process(target=_learner, args=(taught,), daemon=True)
-        self.process: SpawnProcess = _SPAWN.Process(target=_engine, args=(other, learner), daemon=True)
+        self.process: SpawnProcess = _SPAWN.Process(target=_engine, args=(other,), daemon=True)
         start(self.process)
-        learner.close()
         other.close()
-        self._taught: Pipe | None = taught
         threading.Thread(target=self._listen, args=(self._control,), daemon=True).start()
 
     def _listen(self, control: Pipe) -> None:
         with contextlib.suppress(EOFError, OSError):
             while True:
                 answer = control.recv()
-                self._heard(answer)
-                if isinstance(answer, News) and self._taught is not None:
-                    # not before: the first seconds belong to the charts
-                    start(self.learner)
-                    self._taught.close()
-                    self._taught = None
+                if isinstance(answer, LearnerWanted):
+                    self._teach(answer)
+                else:
+                    self._heard(answer)
         if not self._closed:
             self._heard(Trouble(-1, "the process behind the charts is gone (killed, or crashed); it is started again"))
-            if self._taught is None:
+            if self.learner is not None:
                 self.learner.kill()
             self._start()
             if self._last is not None:
                 self.order(self._last)
 
+    def _teach(self, wanted: LearnerWanted) -> None:
+        """Start a learner, and hand one end of the pipe to it over to the engine."""
+        if wanted.gone:
+            text = "the process that learns what the force is taken for is gone (killed, or crashed)"
+            self._heard(Trouble(-1, f"{text}; it is started again, and the force goes on meanwhile"))
+        pipe, taught = _SPAWN.Pipe()
+        learner = _SPAWN.Process(target=_learner, args=(taught,), daemon=True)
+        start(learner)
+        self.learner = learner
+        taught.close()
+        with self._sending, contextlib.suppress(OSError):
+            self._control.send(Learner())
+            send_handle(self._control, pipe.fileno(), self.process.pid)
+        pipe.close()
+
     def order(self, order: object) -> None:
         """Tell the engine what to do."""
-        with contextlib.suppress(OSError):
+        with self._sending, contextlib.suppress(OSError):
             self._control.send(order)
 
     def remember(self, order: object) -> None:
@@ -97,7 +109,7 @@ class Engine:
     @property
     def processes(self) -> tuple[SpawnProcess, ...]:
         """The engine and the learner."""
-        return (self.process, self.learner) if self._taught is None else (self.process,)
+        return (self.process,) if self.learner is None else (self.process, self.learner)
 
     def close(self) -> None:
         """End the processes; they keep nothing that could be lost."""
