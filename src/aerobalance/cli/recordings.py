@@ -55,9 +55,7 @@ def channel_map(
     """Make a channel map, to be filled in, for a foreign file."""
     from aerobalance.commands import recordings
 
-    show(
-        lambda: recordings.channel_map_for(file, out, header_line=header_line), as_json, doing="reading", plain="map"
-    )
+    show(lambda: recordings.channel_map_for(file, out, header_line=header_line), as_json, doing="reading", plain="map")
 
 
 @app.command(epilog=example("record --source simulated --seconds 10 -o run.h5"))

@@ -119,7 +119,9 @@ def read_cells(
         _find_fault(path, body, grid, [i for i in grid.chosen if i not in texts], str(error))
     frame = frame.reindex(columns=grid.chosen) if len(kept) < len(grid.chosen) else frame
     numeric = [i for i in grid.chosen if i not in texts]
-    values = np.asfortranarray((frame[numeric] if texts else frame).to_numpy(dtype=np.float64, copy=True, na_value=np.nan))
+    values = np.asfortranarray(
+        (frame[numeric] if texts else frame).to_numpy(dtype=np.float64, copy=True, na_value=np.nan)
+    )
     lines = _lines(body, grid.first, values.shape[0])
     large = np.argwhere(np.abs(values) > LARGEST)
     if large.size:
@@ -130,7 +132,7 @@ def read_cells(
             f"line {lines[row]}, column {number + 1} ({grid.found.labels[number]!r})",
             f"holds {values[row, column]:.3g}, which no reading is; allowed: numbers up to {LARGEST:.0e} either way",
         )
-    told = {i: frame[i].fillna("").astype(str).to_list() for i in texts}
+    told = {i: frame[i].astype(object).fillna("").astype(str).to_list() for i in texts}
     return {i: values[:, j] for j, i in enumerate(numeric)}, told, lines
 
 
