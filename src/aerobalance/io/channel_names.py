@@ -23,8 +23,8 @@ _LOADS: Final[Mapping[str, tuple[str, ...]]] = {
     "RM": ("rollmoment", "rolling moment", "roll moment", "moment de roulis", "momento de balanceo"),
 }
 _OTHERS: Final[Mapping[str, tuple[str, ...]]] = {
-    "pitch": ("nickwinkel", "pitch angle", "angle de tangage", "assiette", "angulo de cabeceo"),
-    "roll": ("rollwinkel", "roll angle", "angle de roulis", "angulo de balanceo"),
+    "pitch": ("pitch", "nickwinkel", "pitch angle", "angle de tangage", "assiette", "angulo de cabeceo"),
+    "roll": ("roll", "rollwinkel", "roll angle", "angle de roulis", "angulo de balanceo"),
     "excitation": (
         *(
             "speisespannung",

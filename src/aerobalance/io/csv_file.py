@@ -63,7 +63,8 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
         path, layout, wanted=wanted, texts_dropped=wanted is None, clock_wanted=not given.clocked
     )
     _compare_clocks(path, found, given)
-    if given.clocked or "time" in (column.name for column in raw.columns if wanted is None):
+    plain = any(column.name == "time" and not column.stamped for column in raw.columns) and wanted is None
+    if given.clocked or plain:
         return raw
     return _clocked(raw, found, named=wanted is None)
 

@@ -340,7 +340,7 @@ def _interval(contents: _Contents, channel: int, cells: Mapping[int, Array]) -> 
     stepped = float(times[-1] - times[0]) / (times.size - 1) if times.size > 2 else 0.0
     rounding = 2e-6 / (times[-1] - times[0]) if stepped > 0 else 0.0
     if stepped > 0 and (not stated or abs(stepped / stated - 1) > ALIKE + rounding):
-        if stated:
+        if stated and (channel == 0 or at > 0):
             warnings.warn(
                 f"{contents.path.name}: Delta_X of channel {channel + 1} says {1 / stated:.6g} Hz, but its times step "
                 f"by {stepped:.6g} s, which is {1 / stepped:.6g} Hz; the times are taken",

@@ -176,8 +176,9 @@ def _plain(lines: Sequence[str], given: Layout) -> TextLayout | None:
     if not all(split_label(label)[1] for label in labels if label) or "number" not in map(kind_of, row):
         return None
     rows = _rows(lines, at + 1, separator)
-    kinds = _kinds(rows, len(labels))
-    grid = _Grid(separator, len(labels), at + 1, kinds, 1.0, at, tuple(rows))
+    ended = all(len(row) == len(labels) + 1 and not row[-1] for row in rows)  # by a separator, which the header is not
+    width = len(labels) + ended
+    grid = _Grid(separator, width, at + 1, _kinds(rows, width), 1.0, at, tuple(rows))
     return _finished(lines, grid, given)
 
 

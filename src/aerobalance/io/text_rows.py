@@ -134,7 +134,7 @@ def read_cells(
         where = f"line {lines[row]}, column {number + 1} ({grid.found.labels[number]!r})"
         warnings.warn(f"{path.name}: {beyond_all_measure(len(large), where)}", DoubtWarning, stacklevel=6)
         values[np.abs(values) > LARGEST] = np.nan
-    told = {i: frame[i].fillna("").astype(str).to_list() for i in texts}
+    told = {i: frame[i].astype(object).fillna("").astype(str).to_list() for i in texts}
     return {i: values[:, j] for j, i in enumerate(numeric)}, told, lines
 
 
