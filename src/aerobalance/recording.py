@@ -152,7 +152,8 @@ def _steady_clock(stamps: Array, name: str) -> tuple[NDArray[np.intp], float, fl
     if departure > 1.0 and not rounded:
         raise FitError(
             f"{name}: the time column fits no steady clock (rows depart from {1 / interval:.6g} Hz by up to "
-            f"{departure:.3g} sampling intervals); resample it, or give the rate in a channel map"
+            f"{departure:.3g} sampling intervals{_first_repeated(steps, stamps)}); resample it, or give the rate in a "
+            "channel map"
         )
     doubts = []
     if departure > 1.0:
@@ -161,7 +162,8 @@ def _steady_clock(stamps: Array, name: str) -> tuple[NDArray[np.intp], float, fl
             f"as evenly spaced at {1 / interval:.6g} Hz, and a gap in them would not be seen"
         )
     elif departure > JITTER_ALLOWED:
-        equal = f"{repeated} time stamp(s) repeat the one before, and " if repeated else ""
+        equal = f"{repeated} time stamp(s) repeat the one before{_first_repeated(steps, stamps)}, and "
+        equal = equal if repeated else ""
         doubts.append(
             f"{equal}time stamps depart from a steady {1 / interval:.6g} Hz clock by up to {departure:.2f} sampling "
             "intervals; the samples are taken as evenly spaced, which is right if only the stamps jitter"
@@ -175,6 +177,14 @@ def _steady_clock(stamps: Array, name: str) -> tuple[NDArray[np.intp], float, fl
     for doubt in doubts:
         warnings.warn(f"{name}: {doubt}", DoubtWarning, stacklevel=3)
     return order, start, 1 / interval
+
+
+def _first_repeated(steps: Array, stamps: Array) -> str:
+    """Name the first two samples that have the same time stamp, for a message; nothing where there are none."""
+    rows = np.flatnonzero(steps == 0)
+    if not rows.size:
+        return ""
+    return f" (samples {rows[0] + 1} and {rows[0] + 2} are both at {stamps[rows[0]]:.6g} s)"
 
 
 def _checked_steps(stamps: Array, name: str) -> Array:
