@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from aerobalance.io.units import conversion_for, edge_unit
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning
 
+NO_TIME: Final = 1e-12
+"""Share of the length of a recording below which an instant is zero but for rounding."""
+
 
 def info(path: Path, *, channel_map: Path | None = None) -> Account:
     """Channels, units, rate, duration, gaps and saturation of a recording."""
@@ -35,7 +39,7 @@ def info(path: Path, *, channel_map: Path | None = None) -> Account:
         "duration": recording.duration,
         "rate": recording.rate,
         "samples": recording.samples,
-        "start": recording.start,
+        "start": recording.start if abs(recording.start) > NO_TIME * recording.duration else 0.0,
         "gaps": [{"start": start, "length": length} for start, length in recording.gaps],
         "channels": {channel.name: _channel_account(channel) for channel in recording},
         "warnings": collected,
@@ -88,7 +92,8 @@ def summary(account: Account) -> str:
     lines = [table_text(title, heads, rows)]
     if account["gaps"]:
         longest = max(gap["length"] for gap in account["gaps"])
-        lines.append(f"{len(account['gaps'])} gaps, the longest of {longest} samples")
+        count = len(account["gaps"])
+        lines.append(f"{count} gap{'s' if count > 1 else ''}, the longest {short(longest, 4)} s")
     return "\n".join(lines) + "\n"
 
 
@@ -137,4 +142,5 @@ def channel_map_for(path: Path, out: Path | None) -> Account:
             beside.write_text(text, encoding="utf-8")
     columns = list(column_names(path))
     said = f"{path.name}: channel map of {len(columns)} columns; fill in what the channels are, then check with info\n"
-    return {"file": path.name, "columns": columns, "map": text, "summary": text if out is None else said}
+    account: Account = {"file": path.name, "columns": columns, "map": text}
+    return {**account, "summary": text} if out is None else {**account, "summary": said, "details": text}
