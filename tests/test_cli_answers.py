@@ -284,7 +284,7 @@ def test_a_mass_that_is_none_is_refused(text, says):
 
 def test_a_component_may_be_written_small_and_a_flag_takes_no_value(here, capsys):
     assert main(["weigh", "points.csv", "--component", "af"]) == 0
-    code, _, err = call(capsys, "weigh", "points.csv", "--json", "true")
+    code, _, err = call(capsys, "info", "run.csv", "--json", "true")
     assert code == 2
     assert "--json is a flag and takes no value; leave out 'true'" in err
     assert call(capsys, "-V")[1].startswith("aerobalance ")

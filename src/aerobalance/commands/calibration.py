@@ -167,6 +167,8 @@ def summary(calibration: Calibration, quality: Quality) -> str:
             f"confirmation points, std in % of capacity: {errors}; "
             f"{100 * quality.confirmation_covered.mean():.0f} % within two u"
         )
+    if quality.outliers:
+        lines.append(f"{len(quality.outliers)} outlier(s), which --report and --json name")
     lines += [f"assumed: {text}" for text in schedule.assumptions]
     return "\n".join(lines) + "\n"
 

@@ -13,6 +13,7 @@ from aerobalance.commands.answers import short
 from aerobalance.commands.loads import convert_matrix
 from aerobalance.commands.shared import Account, check_out, doubts, raw_recording, table_text
 from aerobalance.io import (
+    as_it_went_in,
     check_output,
     column_names,
     hdf5_file,
@@ -60,7 +61,7 @@ def _channel_account(channel: Channel) -> Account:
     unit = channel.file_unit or edge_unit(channel.name, channel.unit)
     change = conversion_for(channel.name, unit) if unit != channel.unit else None
     outside = {
-        key: value if change is None or value is None else float(change.outside(np.array([value]))[0])
+        key: value if change is None or value is None else float(as_it_went_in(change.outside(np.array([value])))[0])
         for key, value in inside.items()
     }
     return {
