@@ -225,7 +225,8 @@ def _samples_jitter(stamps: Array, channels: Mapping[str, Channel], clock: _Cloc
         why = f"the readings do not tell whether they were; if they were not, they are off by {worst} rms"
     if not jitter:
         repeated = int(np.count_nonzero(np.diff(stamps) == 0))
-        equal = f"{repeated} time stamp(s) repeat the one before, and " if repeated else ""
+        which = _first_repeated(np.diff(stamps), stamps)
+        equal = f"{repeated} time stamp(s) repeat the one before{which}, and " if repeated else ""
         warnings.warn(
             f"{name}: {equal}time stamps depart from a steady {1 / clock.interval:.6g} Hz clock by up to "
             f"{clock.departure:.2f} sampling intervals; the samples are taken as evenly spaced: {why}",
@@ -247,7 +248,7 @@ def _resampled(stamps: Array, channels: Mapping[str, Channel], clock: _Clock, na
     if done is None:
         raise FitError(
             f"{name}: the time column fits no steady clock: rows depart from {1 / clock.interval:.6g} Hz by up to "
-            f"{clock.departure:.3g} sampling intervals, and are too far apart or too uneven to be put on one; cut the "
+            f"{clock.departure:.3g} sampling intervals{_first_repeated(np.diff(stamps), stamps)}, and are too far apart or too uneven to be put on one; cut the "
             "recording where the rate changes or samples are missing"
         )
     placed, said = {}, []
@@ -274,6 +275,14 @@ def _even_enough(places: Array, rows: NDArray[np.intp]) -> bool:
         return False
     local = (places[length:] - places[:-length]) / (rows[length:] - rows[:-length])
     return bool(np.all(np.abs(local - 1) < RATE_CHANGE_ALLOWED + 2 / length))
+
+
+def _first_repeated(steps: Array, stamps: Array) -> str:
+    """Name the first two samples that have the same time stamp, for a message; nothing where there are none."""
+    rows = np.flatnonzero(steps == 0)
+    if not rows.size:
+        return ""
+    return f" (samples {rows[0] + 1} and {rows[0] + 2} are both at {stamps[rows[0]]:.6g} s)"
 
 
 def _checked_steps(stamps: Array, name: str) -> Array:

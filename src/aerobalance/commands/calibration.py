@@ -178,6 +178,8 @@ def summary(calibration: Calibration, quality: Quality) -> str:
         )
     if schedule.left_out:
         lines.append(f"left out as asked ({points_text(len(schedule.left_out))}): {', '.join(schedule.left_out)}")
+    if quality.outliers:
+        lines.append(f"{len(quality.outliers)} outlier(s), which --report and --json name")
     lines += [f"assumed: {text}" for text in schedule.assumptions]
     return "\n".join(lines) + "\n"
 

@@ -38,6 +38,7 @@ __all__ = [
     "Column",
     "Format",
     "Table",
+    "as_it_went_in",
     "check_output",
     "column_names",
     "is_text",
@@ -272,14 +273,19 @@ def _writer(path: Path) -> Format:
     raise ValueError(f"cannot write {path}: the ending {path.suffix!r} stands for no known format; allowed: {allowed}")
 
 
+def as_it_went_in(values: Array) -> Array:
+    """Give numbers as they were in their file before two changes of unit: 0.625 for 0.6250000000000001.
+
+    Fifteen digits are what a number keeps on the way, and more than any file of readings has.
+    """
+    return np.array([float(f"{value:.15g}") for value in values.tolist()], dtype=np.float64)
+
+
 def _time_column(recording: Recording) -> dict[str, Array]:
     """Time column of a recording as its file had it."""
     unit = recording.time_unit
     stamps = conversion(unit, expected="s").outside(recording.stamps)
-    if unit != "s":
-        # Fifteen digits are what a number keeps through a change of unit, so 0.625 ms comes out as it went in.
-        stamps = np.array([float(f"{stamp:.15g}") for stamp in stamps])
-    return {f"time [{unit}]": stamps}
+    return {f"time [{unit}]": stamps if unit == "s" else as_it_went_in(stamps)}
 
 
 def write_recording(path: Path | str, recording: Recording) -> None:
@@ -335,7 +341,7 @@ def _column(channel: Channel, recording: Recording) -> dict[str, Array]:
     unit = channel.file_unit or edge_unit(channel.name, channel.unit)
     change = conversion_for(channel.name, unit) if unit != channel.unit else None
     values = channel.values[recording.rows]
-    return {f"{channel.name} [{unit}]": values if change is None else change.outside(values)}
+    return {f"{channel.name} [{unit}]": values if change is None else as_it_went_in(change.outside(values))}
 
 
 def write_force(path: Path | str, recording: Recording, force: Force) -> None:

@@ -30,7 +30,12 @@ def first_fault(error: ValidationError, model: type[BaseModel]) -> tuple[str, st
         meant = f"; did you mean {near[0]}?" if near else ""
         return where, "is not known" + meant + (f"; allowed: {', '.join(allowed)}" if allowed else "")
     said = fault["msg"].removeprefix("Value error, ")
-    said = said.partition(", unable to parse")[0].replace("Input should be", "must be").replace("a valid ", "a ").replace("dictionary", "table")
+    said = (
+        said.partition(", unable to parse")[0]
+        .replace("Input should be", "must be")
+        .replace("a valid ", "a ")
+        .replace("dictionary", "table")
+    )
     return where, f"{said}, not {_shown(given)}"
 
 
