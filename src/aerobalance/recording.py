@@ -256,7 +256,8 @@ def _resampled(stamps: Array, channels: Mapping[str, Channel], clock: _Clock, na
         stacklevel=3,
     )
     grid = np.arange(samples)
-    return Recording(name, first + grid * clock.interval, grid, first, 1 / clock.interval, placed, time_unit=time_unit)
+    time: Array = first + grid * clock.interval
+    return Recording(name, time, grid, first, 1 / clock.interval, placed, time_unit=time_unit)
 
 
 def _even_enough(places: Array, rows: NDArray[np.intp]) -> bool:
