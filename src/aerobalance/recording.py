@@ -256,7 +256,7 @@ def _resampled(stamps: Array, channels: Mapping[str, Channel], clock: _Clock, na
         stacklevel=3,
     )
     grid = np.arange(samples)
-    time: Array = first + grid * clock.interval
+    time: Array = first + np.arange(samples, dtype=np.float64) * clock.interval
     return Recording(name, time, grid, first, 1 / clock.interval, placed, time_unit=time_unit)
 
 
