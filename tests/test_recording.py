@@ -190,6 +190,19 @@ def test_gaps_and_missing_samples_stay_missing_where_samples_jitter():
     check_said_error(recording, " ".join(str(item.message) for item in caught if "interpolated" in str(item.message)))
 
 
+def test_saturated_readings_are_left_out_where_samples_jitter():
+    rng, entropy = fresh()
+    stamps = np.arange(5000) * 0.01 + rng.uniform(-2e-3, 2e-3, 5000)
+    full = 20 * (swing(stamps) - 50)
+    with pytest.warns(DoubtWarning, match="saturated samples left out"):
+        recording = on(stamps, np.minimum(full, 10.0))
+    values, truth = recording.channel("AF").values, 20 * (swing(recording.time) - 50)
+    known = np.isfinite(values)
+    assert np.isnan(values[truth > 14]).mean() > 0.9, entropy
+    # what is beside a clipped stretch is known less well, by the curvature over one interval
+    assert np.std((values - truth)[known]) < 0.5, entropy
+
+
 def test_a_rate_that_changes_is_refused_and_it_is_said_what_to_do():
     stamps = np.concatenate((np.arange(1000) * 0.001, 1 + np.arange(1000) * 0.0013))
     with pytest.raises(FitError, match=r"rec: the time column fits no steady clock.*cut the recording where the rate"):
