@@ -29,6 +29,8 @@ _MARGIN: Final = 64
 _FAST: Final = 9
 _TELLING: Final = 0.02
 _REACH: Final = 0.8
+_GAP: Final = 2.5
+_NEAR: Final = 0.1
 _MISSED_ALLOWED: Final = 0.2
 
 
@@ -122,8 +124,7 @@ def on_steady_clock(columns: Sequence[Array], places: Array, samples: int) -> Re
     Resampled
         None where more than a fifth of the samples have no reading near.
     """
-    far = _distance(places, samples) > _REACH
-    if np.count_nonzero(far) > _MISSED_ALLOWED * samples:
+    if np.count_nonzero(_no_reading(places, samples)) > _MISSED_ALLOWED * samples:
         return None
     # The same noise in every run; what it becomes is a property of the instants alone.
     probe = np.random.default_rng(0).normal(size=places.size)
@@ -134,7 +135,7 @@ def on_steady_clock(columns: Sequence[Array], places: Array, samples: int) -> Re
         penalty = _penalty(values[known] - mean, at, probe[known])
         once = _solved(values[known] - mean, at, samples, penalty)
         again = _solved(_kernel(at, samples, _FINE) @ once, at, samples, penalty)
-        gap = _distance(at, samples) > _REACH
+        gap = _no_reading(at, samples)
         errors.append(float(np.std((again - once)[~gap])))
         gains.append(float(np.std(_solved(probe[known], at, samples, penalty)[~gap]) / np.std(probe)))
         found.append(np.where(gap, np.nan, once + mean))
@@ -159,11 +160,13 @@ def _penalty(values: Array, places: Array, probe: Array) -> float:
     return _PENALTIES[int(np.argmin(scores))]
 
 
-def _distance(places: Array, samples: int) -> Array:
-    """Time from every sample of the steady clock to the nearest reading, shape (n,) [intervals]."""
+def _no_reading(places: Array, samples: int) -> NDArray[np.bool_]:
+    """Whether a sample of the steady clock has no reading near, or is at the edge of a gap, shape (n,)."""
     grid = np.arange(samples)
     after = np.clip(np.searchsorted(places, grid), 1, places.size - 1)
-    found: Array = np.minimum(np.abs(grid - places[after - 1]), np.abs(places[after] - grid))
+    before, behind = grid - places[after - 1], places[after] - grid
+    away = np.minimum(np.abs(before), np.abs(behind))
+    found: NDArray[np.bool_] = (away > _REACH) | ((before + behind > _GAP) & (away > _NEAR))
     return found
 
 

@@ -32,7 +32,7 @@ class Recording:
     name
         What the recording is called in messages (a file name, a rig).
     stamps
-        The time column as it was given, shape (m,) [s].
+        The time column as it was given, shape (m,) [s]; the steady clock where the samples were put on it.
     rows
         Sample of the steady clock that each time stamp belongs to, shape (m,); where stamps are missing,
         the clock has more samples (n) than there are rows (m).
@@ -244,7 +244,7 @@ def _resampled(stamps: Array, channels: Mapping[str, Channel], clock: _Clock, na
     given = list(channels.values())
     done = None
     if _even_enough(places, clock.rows[kept]):
-        done = on_steady_clock([channel.values[kept] for channel in given], places, samples)
+        done = on_steady_clock([_unclipped(channel)[kept] for channel in given], places, samples)
     if done is None:
         raise FitError(
             f"{name}: the time column fits no steady clock: rows depart from {1 / clock.interval:.6g} Hz by up to "
@@ -255,7 +255,8 @@ def _resampled(stamps: Array, channels: Mapping[str, Channel], clock: _Clock, na
     for channel, values, error, gain in zip(given, done.values, done.errors, done.noise_gains, strict=True):
         noise = None if channel.noise is None else float(np.hypot(gain * channel.noise, error))
         placed[channel.name] = replace(channel, values=values, noise=noise)
-        said.append(f"{channel.name} {error:.2g} {channel.unit} rms, noise times {gain:.2f}")
+        clipped = ", saturated samples left out" if channel.saturated.any() else ""
+        said.append(f"{channel.name} {error:.2g} {channel.unit} rms, noise times {gain:.2f}{clipped}")
     jitter = float(np.std(clock.late(stamps)))
     warnings.warn(
         f"{name}: the samples were not taken evenly (jitter {jitter:.2g} sampling intervals rms, up to "
@@ -265,7 +266,13 @@ def _resampled(stamps: Array, channels: Mapping[str, Channel], clock: _Clock, na
         stacklevel=3,
     )
     grid = np.arange(samples)
-    return Recording(name, first + grid * clock.interval, grid, first, 1 / clock.interval, placed, time_unit=time_unit)
+    time: Array = first + np.arange(samples, dtype=np.float64) * clock.interval
+    return Recording(name, time, grid, first, 1 / clock.interval, placed, time_unit=time_unit)
+
+
+def _unclipped(channel: Channel) -> Array:
+    """Readings of a load or an acceleration without those at a limit, which would not be known as such afterwards."""
+    return np.where(channel.at_limit, np.nan, channel.values) if channel.unit != "rad" else channel.values
 
 
 def _even_enough(places: Array, rows: NDArray[np.intp]) -> bool:
