@@ -15,7 +15,8 @@ from seeds import new_seed, running
 def demo_once() -> tuple[Path, dict]:
     """Folder of the demo and its account."""
     folder = Path(mkdtemp(prefix="aerobalance-demo-"))
+    with running("the demo"):  # whichever test comes first
+        seed = new_seed()
     with pytest.warns(DoubtWarning, match="not steady"):  # the unsteady record is there to be doubted
-        with running("the demo"):  # whichever test comes first
-            account = run_demo(folder, seed=new_seed())
+        account = run_demo(folder, seed=seed)
     return folder, account

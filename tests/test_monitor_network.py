@@ -108,12 +108,13 @@ def test_who_does_not_read_is_let_go(program) -> None:
         assert size < 20_000_000  # of 40: only what was under way comes still
 
 
-def test_record_in_progress_is_fetched_whole(tmp_path) -> None:
+@pytest.mark.parametrize(("rig", "times"), [("cable_cut", 2), pytest.param("six", 3, marks=pytest.mark.long)])
+def test_record_in_progress_is_fetched_whole(tmp_path, rig, times) -> None:
     with Program(tmp_path, wait=False) as program:
-        program.post("setup", setup={"source": {"kind": "simulated", "rig": "six", "seed": 3}})
+        program.post("setup", setup={"source": {"kind": "simulated", "rig": rig, "seed": 3}})
         program.wait(lambda state: state["source"]["state"] == "running")
         program.record("run")
-        for number in range(3):
+        for number in range(times):
             with urllib.request.urlopen(f"{program.base}/file/run.h5", timeout=60) as answer:
                 copy = answer.read()
                 assert len(copy) == int(answer.headers["content-length"])

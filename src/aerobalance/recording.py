@@ -246,9 +246,10 @@ def _resampled(stamps: Array, channels: Mapping[str, Channel], clock: _Clock, na
     if _even_enough(places, clock.rows[kept]):
         done = on_steady_clock([_unclipped(channel)[kept] for channel in given], places, samples)
     if done is None:
+        repeated = _first_repeated(np.diff(stamps), stamps)
         raise FitError(
             f"{name}: the time column fits no steady clock: rows depart from {1 / clock.interval:.6g} Hz by up to "
-            f"{clock.departure:.3g} sampling intervals{_first_repeated(np.diff(stamps), stamps)}, and are too far apart or too uneven to be put on one; cut the "
+            f"{clock.departure:.3g} sampling intervals{repeated}, and are too far apart or too uneven to be put on one; cut the "
             "recording where the rate changes or samples are missing"
         )
     placed, said = {}, []

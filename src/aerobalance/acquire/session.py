@@ -26,6 +26,7 @@ from aerobalance.problems import FitError
 
 _STARTING: Final = 60.0
 _ENDING: Final = 1.5
+_CLOSING: Final = 10.0
 _KILLED: Final = 0.2
 _SPAWN: Final = multiprocessing.get_context("spawn")
 
@@ -79,7 +80,7 @@ class Recorder:
         with contextlib.suppress(OSError):
             self._control.send(tell)
 
-    def stop(self, reason: str = "stopped", *, timeout: float = _ENDING, hurry: bool = False) -> Progress:
+    def stop(self, reason: str = "stopped", *, timeout: float = _CLOSING, hurry: bool = False) -> Progress:
         """End the record and wait until its file is closed; for one that is just starting, up to a minute longer."""
         self.tell(Tell("stop", reason, time.monotonic()))
         limit = time.monotonic() + timeout + (0.0 if self.poll().over or self.heard or hurry else _STARTING)

@@ -291,6 +291,7 @@ def _samples(
     if not found.timed and int(ticks[filled - 1] - ticks[0]) > LARGEST_GAP * filled:
         raise ReadError(path, "gaps", "has gaps of more than 20 times its samples; use the part before or after them")
     readings = readings[:filled]
+    readings[np.isinf(readings)] = np.nan
     large = np.argwhere(np.abs(readings) > LARGEST)
     if large.size:
         row, column = large[0]

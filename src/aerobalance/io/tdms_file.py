@@ -329,11 +329,13 @@ def _numbers(part: Any, path: Path, entry: _Entry) -> Array:
 
 def _without_infinities(path: Path, entry: _Entry, values: Array) -> Array:
     """Make numbers that no reading is missing, infinities among them."""
-    large = np.flatnonzero(np.abs(values) > LARGEST)
-    where = f"channel {entry.label!r}, sample {large[0] + 1}"
-    warnings.warn(f"{path.name}: {beyond_all_measure(large.size, where)}", DoubtWarning, stacklevel=6)
     found = values.copy()
-    found[large] = np.nan
+    found[np.isinf(found)] = np.nan
+    large = np.flatnonzero(np.abs(found) > LARGEST)
+    if large.size:
+        where = f"channel {entry.label!r}, sample {large[0] + 1}"
+        warnings.warn(f"{path.name}: {beyond_all_measure(large.size, where)}", DoubtWarning, stacklevel=6)
+        found[large] = np.nan
     return found
 
 

@@ -18,7 +18,7 @@ LARGEST: Final = 1e100
 
 
 def beyond_all_measure(count: int, where: str) -> str:
-    """Say that cells or samples hold numbers beyond `LARGEST`, infinity included, and what becomes of them."""
+    """Say that cells or samples hold numbers beyond `LARGEST`, and what becomes of them."""
     return (
         f"{count} number(s) beyond {LARGEST:.0e} either way, which no reading is, the first in {where}: "
         "they count as missing"
