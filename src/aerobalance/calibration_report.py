@@ -153,7 +153,7 @@ def _statistics(calibration: Calibration, quality: Quality, found: Any) -> list[
         row("Repeatability, standard deviation", percent, "repeatability_percent_of_capacity", 3),
         {"what": "Sensitivity to + less to − loads", "unit": "%", "cells": _differences(quality)},
         {
-            "what": "its 95 % interval, ±",
+            "what": "half of its 95 % interval",
             "unit": "%",
             "cells": [fixed(100 * d.interval if d.known else None, 2) for d in quality.directions],
         },
