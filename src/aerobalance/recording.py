@@ -249,8 +249,8 @@ def _resampled(stamps: Array, channels: Mapping[str, Channel], clock: _Clock, na
         repeated = _first_repeated(np.diff(stamps), stamps)
         raise FitError(
             f"{name}: the time column fits no steady clock: rows depart from {1 / clock.interval:.6g} Hz by up to "
-            f"{clock.departure:.3g} sampling intervals{repeated}, and are too far apart or too uneven to be put on one; cut the "
-            "recording where the rate changes or samples are missing"
+            f"{clock.departure:.3g} sampling intervals{repeated}, and are too far apart or too uneven to be put on "
+            "one; cut the recording where the rate changes or samples are missing"
         )
     placed, said = {}, []
     for channel, values, error, gain in zip(given, done.values, done.errors, done.noise_gains, strict=True):
