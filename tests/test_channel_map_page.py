@@ -9,11 +9,15 @@ import pytest
 from aerobalance.io.channel_map import FileLayout, MappedChannel, MappedFilter, MappedSensitivity, load_channel_map
 
 PAGE = (Path(__file__).parents[1] / "docs" / "channel-map.md").read_text(encoding="utf-8")
-FILE, CHANNELS = (PAGE.split(f"## {title}", 1)[1].split("\n## ", 1)[0] for title in ("Table `[file]`", "Tables `[channels"))
+FILE, CHANNELS = (
+    PAGE.split(f"## {title}", 1)[1].split("\n## ", 1)[0] for title in ("Table `[file]`", "Tables `[channels")
+)
 
 
 def rows(part):
-    return {cells[1].strip(" `"): cells for line in part.splitlines() if (cells := line.split("|"))[1:] and "`" in cells[1]}
+    return {
+        cells[1].strip(" `"): cells for line in part.splitlines() if (cells := line.split("|"))[1:] and "`" in cells[1]
+    }
 
 
 @pytest.mark.parametrize(("part", "model"), [(FILE, FileLayout), (CHANNELS, MappedChannel)])

@@ -39,10 +39,21 @@ def felt(fine, force):
 
 def german(time, outputs, start):
     """A text file as a German LabVIEW writes it: preamble, stamps, decimal commas, units of Windows-1252."""
-    head = ["Messprotokoll DNW", "Versuch;17", "Bearbeiter;Jürgen Größ", "Abtastrate;5000 Hz", "Messbereich;±2,5 mV/V", ""]
-    head.append("Zeitstempel;X_Value (s);" + ";".join(f"Brücke {i} (µV/V)" for i in range(1, 7)) + ";Nickwinkel (°);Bemerkung")
+    head = [
+        "Messprotokoll DNW",
+        "Versuch;17",
+        "Bearbeiter;Jürgen Größ",
+        "Abtastrate;5000 Hz",
+        "Messbereich;±2,5 mV/V",
+        "",
+    ]
+    head.append(
+        "Zeitstempel;X_Value (s);" + ";".join(f"Brücke {i} (µV/V)" for i in range(1, 7)) + ";Nickwinkel (°);Bemerkung"
+    )
     rows = (
-        f"12.03.2024 {start}:{second:07.4f};{moment:.6f};{';'.join(f'{1000 * x:.4f}' for x in row)};0.00;".replace(".", ",")
+        f"12.03.2024 {start}:{second:07.4f};{moment:.6f};{';'.join(f'{1000 * x:.4f}' for x in row)};0.00;".replace(
+            ".", ","
+        )
         for second, moment, row in zip(5 + time, time, outputs, strict=True)
     )
     return ("\r\n".join([*head, *(row.replace(",", ".", 2) for row in rows)]) + "\r\n").encode("cp1252")
@@ -80,7 +91,18 @@ def test_a_laboratorys_files_give_the_force_with_nothing_filled_in_but_what_a_co
     Path("map.toml").write_text(text, encoding="utf-8")
     for command in (
         ["calibrate", "schedule.csv", "--model", "27", "-o", "balance.json"],
-        ["loads", "run_017.csv", "--map", "map.toml", "--balance", "balance.json", "--zero", "zero_001.csv", "-o", "l.csv"],
+        [
+            "loads",
+            "run_017.csv",
+            "--map",
+            "map.toml",
+            "--balance",
+            "balance.json",
+            "--zero",
+            "zero_001.csv",
+            "-o",
+            "l.csv",
+        ],
         ["force", "l.csv", "--dynamics", "dynamics.json", "-o", "force.csv"],
     ):
         assert main(command) == 0, capsys.readouterr().err

@@ -5,10 +5,10 @@ import warnings
 
 import numpy as np
 import pytest
-from text_exports import BRIDGES, EXPORTS, GAUGES, PITCH, RATE, TIME, completed
 
 from aerobalance.io import load_channel_map, read, template
 from aerobalance.problems import DoubtWarning
+from text_exports import BRIDGES, EXPORTS, GAUGES, PITCH, RATE, TIME, completed
 
 
 @pytest.mark.parametrize("export", EXPORTS, ids=[make.__name__ for make in EXPORTS])

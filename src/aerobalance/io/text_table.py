@@ -16,7 +16,7 @@ from aerobalance.channel import Array
 from aerobalance.io.columns import RawColumn, RawColumns, split_label
 from aerobalance.io.text_cells import MISSING, number_in, separator_of, split_line
 from aerobalance.io.text_clock import seconds_of
-from aerobalance.io.text_layout import Layout, TextLayout, recognise
+from aerobalance.io.text_layout import COLUMNS, Layout, TextLayout, recognise
 from aerobalance.io.text_rows import Grid, Lines, no_number, read_cells
 from aerobalance.io.units import expected_unit
 from aerobalance.problems import DoubtWarning, ReadError
@@ -212,6 +212,9 @@ def _decodes(raw: bytes, encoding: str) -> bool:
 def _recognised(path: Path, text: bytes, layout: Layout, encoding: str) -> TextLayout:
     """Recognise the layout; where no rows of numbers are found, take the first line for the header."""
     found = recognise(text, layout) or _assumed(path, text, layout)
+    if len(found.labels) > COLUMNS:
+        where = f"line {found.header_line}"
+        raise ReadError(path, where, f"has more than {COLUMNS} cells; a table has at most {COLUMNS} columns")
     return replace(found, encoding=encoding)
 
 
