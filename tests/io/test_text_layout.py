@@ -343,7 +343,7 @@ COLUMNS = {
 }  # fmt: skip
 DOUBTFUL = {
     "Fx [N]": "AF (positive aft", "alpha [deg]": "pitch, where", "Brücke 1 [mV/V]": "a gauge output",
-    "a_x [g]": "acceleration", "Kraft [N]": "a load", 
+    "a_x [g]": "acceleration", "Kraft [N]": "a load",
     "AF [m]": "the unit is that of something else", "rAF [V]": "with excitation",
     "Axialkraft": "AF", "fan [rpm]": "",
 }  # fmt: skip
