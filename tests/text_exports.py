@@ -195,10 +195,13 @@ def simcenter() -> Export:
 def excel_german() -> Export:
     names = ["Datum", "Uhrzeit", *(f"Kraft {i}" for i in range(1, 7)), "Nickwinkel"]
     units = ["", "hh:mm:ss", *["mV/V"] * 6, "°"]
+    clock = [
+        f"23:59:{_comma(59.99 + t, 4)}" if t < 0.01 else f"00:00:{_comma(t - 0.01, 4).zfill(7)}"
+        for t in np.round(TIME, 4)
+    ]
     rows = [
-        ["12.03.2024", f"23:59:{_comma(59.99 + t, 4)}" if t < 0.01 else f"00:00:{_comma(t - 0.01, 4).zfill(7)}"]
-        + [*(_comma(x, 6) for x in row), _comma(p, 4)]
-        for t, row, p in zip(np.round(TIME, 4), BRIDGES, PITCH, strict=True)
+        ["12.03.2024", t, *(_comma(x, 6) for x in row), _comma(p, 4)]
+        for t, row, p in zip(clock, BRIDGES, PITCH, strict=True)
     ]
     text = _table(";", [["Windkanal", *[""] * 8], [""] * 9, names, units, *rows, [""] * 9, [""] * 9])
     return Export("tabelle.csv", ("\ufeff" + text).encode(), _bridges(3))

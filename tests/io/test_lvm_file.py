@@ -11,8 +11,9 @@ from aerobalance.io import column_names, load_channel_map, read, template
 from aerobalance.problems import DoubtWarning, ReadError
 
 FILE = {
-    "Writer_Version": "2", "Reader_Version": "2", "Separator": "Tab", "Decimal_Separator": ".", "Multi_Headings": "Yes",
-    "X_Columns": "No", "Time_Pref": "Relative", "Operator": "lab", "Date": "2024/03/12", "Time": "10:15:00.5",
+    "Writer_Version": "2", "Reader_Version": "2", "Separator": "Tab", "Decimal_Separator": ".",
+    "Multi_Headings": "Yes", "X_Columns": "No",
+    "Time_Pref": "Relative", "Operator": "lab", "Date": "2024/03/12", "Time": "10:15:00.5",
 }  # fmt: skip
 
 

@@ -74,7 +74,7 @@ def test_no_rate_is_invented(tmp_path):
     text = template(path)
     assert set(tomllib.loads(text)["file"]) == {"header_line", "skip_lines", "separator", "decimal", "encoding"}
     assert "1000" not in text
-    with pytest.raises(ReadError, match="needs either time .* or rate"):
+    with pytest.raises(ReadError, match=r"needs either time .* or rate"):
         mapped(path, text)
 
 
@@ -342,9 +342,10 @@ COLUMNS = {
     "excitation", "ground_acceleration [g]": "ground_acceleration",
 }  # fmt: skip
 DOUBTFUL = {
-    "Fx [N]": "AF (positive aft", "alpha [deg]": "pitch, where", "Brücke 1 [mV/V]": "a gauge output", "a_x [g]": "acceleration",
-    "Kraft [N]": "a load", "AF [m]": "the unit is that of something else", "rAF [V]": "with excitation", "Axialkraft": "AF",
-    "fan [rpm]": "",
+    "Fx [N]": "AF (positive aft", "alpha [deg]": "pitch, where", "Brücke 1 [mV/V]": "a gauge output",
+    "a_x [g]": "acceleration", "Kraft [N]": "a load",
+    "AF [m]": "the unit is that of something else", "rAF [V]": "with excitation",
+    "Axialkraft": "AF", "fan [rpm]": "",
 }  # fmt: skip
 
 

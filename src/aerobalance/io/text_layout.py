@@ -11,6 +11,7 @@ from typing import Final
 from aerobalance.io.columns import split_label
 from aerobalance.io.text_cells import SEPARATORS, Kind, kind_of, split_line
 from aerobalance.io.text_clock import FoundClock, StatedRate, find_clock, is_time_name, is_time_unit, stated_rate
+from aerobalance.io.text_limits import MOST_COLUMNS
 from aerobalance.io.units import readable
 
 HEAD: Final = 1 << 20
@@ -173,7 +174,11 @@ def _plain(lines: Sequence[str], given: Layout) -> TextLayout | None:
     separator = given.separator or next((sign for sign in "\t;," if sign in _bare(lines[at])), ",")
     labels = [cell.strip() for cell in split_line(lines[at], separator)]
     row = split_line(lines[below], separator)
-    if not all(split_label(label)[1] for label in labels if label) or "number" not in map(kind_of, row):
+    if (
+        len(labels) > MOST_COLUMNS
+        or not all(split_label(label)[1] for label in labels if label)
+        or "number" not in map(kind_of, row)
+    ):
         return None
     rows = _rows(lines, at + 1, separator)
     ended = all(len(row) == len(labels) + 1 and not row[-1] for row in rows)  # by a separator, which the header is not
@@ -223,7 +228,7 @@ def _grid(lines: Sequence[str], separator: str, given: Layout) -> _Grid | None:
     for row in tail:
         numbers[len(row)] += sum(kind_of(cell) == "number" for cell in row)
     width, most = max(numbers.items(), key=lambda item: (item[1], item[0]), default=(0, 0))
-    if not most or (separator == " " and width == 1 and given.separator is None):
+    if not most or width > MOST_COLUMNS or (separator == " " and width == 1 and given.separator is None):
         return None
     rows = [row for row in tail if len(row) == width]
     kinds = _kinds(rows, width)
@@ -349,6 +354,7 @@ def _finished(lines: Sequence[str], grid: _Grid, given: Layout) -> TextLayout:
     elif given.header_line not in (None, 0):
         labels = []
     rows = grid.rows
+    labels = labels[: MOST_COLUMNS + 1]
     optional = max(0, len(labels) - width) if _compatible(labels, grid.kinds) else 0
     if len(labels) == width - 1 and width > 1 and grid.kinds[-1] == "missing":
         labels = [*labels, ""]
@@ -379,7 +385,9 @@ def _misfit(lines: Sequence[str], grid: _Grid) -> int | None:
     if above is None:
         return None
     cells = split_line(lines[above], grid.separator)
-    if len(cells) < max(2, grid.width / 2) or any(kind_of(cell) in ("number", "stamp") for cell in cells):
+    if not max(2, grid.width / 2) <= len(cells) <= MOST_COLUMNS or any(
+        kind_of(cell) in ("number", "stamp") for cell in cells
+    ):
         return None
     return above
 

@@ -62,13 +62,13 @@ def check_columns(path: Path, labels: Sized) -> None:
     Raises
     ------
     ReadError
-        With their number.
+        There are more.
     """
     if len(labels) > MOST_COLUMNS:
         raise ReadError(
             path,
             "header",
-            f"has {len(labels)} columns; allowed: up to {MOST_COLUMNS}. Samples go down the file, a line each, and "
+            f"has more than {MOST_COLUMNS} columns, which no recording has. Samples go down the file, a line each, and "
             "channels across",
         )
 
