@@ -245,7 +245,7 @@ def test_inflation_is_marked_from_five_and_from_ten_on():
     assert [item["mark"] for item in rows] == [0, 1, 2, 2]
     assert rows[0]["p"] == "< 0.0001"
     assert (rows[0]["value"], rows[0]["u"]) == ("1.000", "0.012")
-    assert rows[3]["vif"] == "∞"
+    assert rows[3]["vif"] == "more than 1,000,000"
 
 
 def test_every_series_has_a_style_of_its_own(page):

@@ -47,7 +47,8 @@ app.add_typer(identify, name="identify")
 @app.command(epilog=example("calibrate schedule.csv --model auto -o balance.json --report calibration.html"))
 def calibrate(
     schedule: Annotated[
-        Path, typer.Argument(metavar="SCHEDULE", help="Loads and gauge outputs: BALFIT csv, .vol or plain csv.")
+        Path,
+        typer.Argument(metavar="SCHEDULE", help="Loads and gauge outputs: BALFIT csv, .vol, a text table or .xlsx."),
     ],
     out: Out = None,
     model: Annotated[
@@ -76,6 +77,16 @@ def calibrate(
             "One number, or rNF=0.0001 for each bridge (repeatable).",
         ),
     ] = None,
+    leave_out: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--leave-out", metavar="'SERIES POINT'", help="Leave a point, or a whole series, out (may be given again)."
+        ),
+    ] = None,
+    channel_map: Annotated[
+        Path | None,
+        typer.Option("--map", help="Channel map (TOML) that says what the columns of a table or spreadsheet are."),
+    ] = None,
     report: Annotated[Path | None, typer.Option("--report", help="Write a page with figures and tables.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -92,6 +103,8 @@ def calibrate(
             capacities=capacity or (),
             distances=distances,
             reading_noise=calibration.reading_noise_from(reading_noise or ()),
+            leave_out=leave_out or (),
+            channel_map=channel_map,
             report=report,
         ),
         as_json,
