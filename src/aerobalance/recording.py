@@ -11,8 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.channel import Array, Channel
+from aerobalance.components import COMPONENTS, is_gauge
 from aerobalance.gravity import PullOnZero
 from aerobalance.problems import DoubtWarning, FitError
+
+GAUGES_BECOME_LOADS: Final = (
+    "gauge outputs become loads by a balance matrix: weigh, identify decay, force and compare take --balance, and for "
+    "other commands aerobalance loads --balance writes a recording of the loads"
+)
+"""What to do with gauge outputs where loads are needed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +138,8 @@ class Recording:
             The recording has no such channel; the message lists those it has.
         """
         if name not in self.channels:
-            hint = f"; r{name} becomes {name} by a balance matrix (--balance)" if f"r{name}" in self.channels else ""
+            gauges = name in COMPONENTS and any(is_gauge(other) for other in self.channels)
+            hint = f"; {GAUGES_BECOME_LOADS}" if gauges else ""
             raise FitError(f"{self.name} has no channel {name}; it has {', '.join(self.channels) or 'none'}{hint}")
         return self.channels[name]
 

@@ -190,7 +190,8 @@ def identify_decay(
         Path | None,
         typer.Option(
             "--balance",
-            help="With all: balance.json, for gauge outputs; what its calibration leaves in A and D is then known.",
+            help="balance.json, for gauge outputs (rAF ...) instead of loads; with all, what its calibration leaves "
+            "in A and D is then known.",
         ),
     ] = None,
     zero: Zero = None,
@@ -224,13 +225,11 @@ def identify_decay(
     from aerobalance.commands import identify
 
     rec = _only(recs, half_range)
-    if files is not None:
-        raise ValueError("--balance goes with --component all; turn gauge outputs into loads with aerobalance loads")
     if mass is None:
         raise ValueError("Missing option '--mass': a release tells mass over stiffness only")
     show(
         lambda: identify.identify_decay(
-            rec, out, component=component, mass=mass, modes=modes or "1", channel_map=channel_map
+            rec, out, component=component, mass=mass, modes=modes or "1", files=files, channel_map=channel_map
         ),
         as_json,
         doing="fitting the decay",

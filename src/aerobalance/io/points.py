@@ -14,6 +14,7 @@ from aerobalance.io import column_names, is_text, read, read_table
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.table import Table
 from aerobalance.problems import FitError, ReadError
+from aerobalance.recording import GAUGES_BECOME_LOADS
 from aerobalance.weighing import LoadPoints, StaticPoints, points_from_recordings
 
 Names = tuple[str, ...]
@@ -121,7 +122,7 @@ def _loads_of(path: Path, there: Iterable[str]) -> Names:
         gauges = any(is_gauge(name) for name in given)
         raise FitError(
             f"{path.name}: has none of the loads {', '.join(COMPONENTS)}; it has {', '.join(given)}"
-            + ("; gauge outputs must be turned into loads with the balance's matrix first" if gauges else "")
+            + (f"; {GAUGES_BECOME_LOADS}" if gauges else "")
         )
     return names
 
