@@ -414,7 +414,7 @@ def test_mode_that_is_left_out_is_named():
     assert fit.dynamics.further_modes == ()
     assert fit.left_out is not None, seed
     assert fit.left_out.natural_frequency == pytest.approx(second.natural_frequency, rel=0.01), seed
-    assert any("further mode at" in text and "--modes auto takes it up" in text for text in texts), (seed, texts)
+    assert any("further mode at" in text and "--modes auto looks for it" in text for text in texts), (seed, texts)
 
 
 def test_strongest_mode_leads():
