@@ -15,7 +15,7 @@ import numpy as np
 
 from aerobalance.channel import Array, Channel
 from aerobalance.components import is_gauge, si_unit
-from aerobalance.io import csv_file, hdf5_file, tdms_file
+from aerobalance.io import balfit_file, csv_file, hdf5_file, tdms_file, vol_file
 from aerobalance.io.channel_map import ChannelMap, load_channel_map, mapped_recording
 from aerobalance.io.clocks import of_one_length, on_one_clock
 from aerobalance.io.columns import Heading, RawColumns
@@ -23,7 +23,7 @@ from aerobalance.io.csv_file import read_table
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.map_template import map_text
 from aerobalance.io.table import Column, Table, recording_from, table_from
-from aerobalance.io.text_table import Layout
+from aerobalance.io.text_table import Layout, guess_encoding
 from aerobalance.io.units import conversion, conversion_for, edge_unit
 from aerobalance.problems import ReadError
 from aerobalance.recording import Force, Recording
@@ -85,7 +85,10 @@ _SIGNATURES: Final = (
     (b"TDSh", "the index that LabVIEW keeps beside a TDMS file (give the .tdms file itself)"),
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
     (b"MATLAB 5.0", "a MATLAB file"),
-    (b"PK\x03\x04", "a zip archive (a spreadsheet, perhaps)"),
+    (
+        b"PK\x03\x04",
+        "a zip archive (perhaps a spreadsheet: save it as CSV; aerobalance calibrate reads load schedules of .xlsx)",
+    ),
     (b"PAR1", "a Parquet file"),
     (b"ARROW1", "an Arrow file"),
     (b"MDF ", "an MDF file"),
@@ -197,11 +200,24 @@ def _format(path: Path) -> Format:
         raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
     known = ", ".join(form.NAME for form in FORMATS)
     seems = next((text for sign, text in _SIGNATURES if head.startswith(sign)), "")
+    if not seems and _is_schedule(head):
+        raise ReadError(
+            path, "", "is a load schedule and no recording; aerobalance calibrate makes a balance matrix of it"
+        )
     for form in FORMATS:
         if form.can_read(head, path) and not (form is csv_file and seems):
             return form
     seems = seems or "a binary file of an unknown kind"
     raise ReadError(path, "", f"seems to be {seems}; formats that can be read: {known}")
+
+
+def _is_schedule(head: bytes) -> bool:
+    """Whether a file begins as a load schedule of a calibration does that is no plain table."""
+    encoding = guess_encoding(head)
+    if encoding is None:
+        return False
+    text = head.decode(encoding, errors="replace")
+    return vol_file.can_read(text) or balfit_file.can_read(text)
 
 
 def check_output(path: Path | str) -> Path:
