@@ -105,6 +105,15 @@ def test_a_missing_mode_that_is_hardly_told_is_named_without_numbers():
     assert "e+" not in sentence
 
 
+def test_a_line_of_hum_is_no_damping_ratio():
+    """As met in a real record: 60 Hz near the natural frequency, taken for a damping ratio of 5e-6."""
+    sentence = Misfit("AF", frequency=(0.01, 1e-4), damping=(-0.99952, 0.01)).sentences(DYNAMICS)[0]
+    assert "another natural frequency, 60.6 Hz and not 60 Hz" in sentence
+    assert "another damping ratio, less than 0.0005 and not 0.01" in sentence
+    sentence = Misfit("AF", damping=(0.5, 0.01)).sentences(DYNAMICS)[0]
+    assert "another damping ratio, 0.015 and not 0.01" in sentence
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_no_ringing_is_said_to_be_more_than_the_load_has(seed):
     """A shaken ground end whose load is far more than what is felt: a mode is looked for in what is not the load."""

@@ -42,6 +42,9 @@ CHANGED: Final = 30.0
 The curvature at the optimum alone says too much of a resonance that the load hardly excites.
 """
 
+LEAST_DAMPING: Final = 0.05
+"""Part of a known damping ratio below which only that it is smaller is said: so narrow a line is rather hum."""
+
 EXPLAINED: Final = 1.2
 """Residuals of a release over the noise of the readings up to which it is explained."""
 
@@ -102,10 +105,12 @@ class Misfit:
         changed = []
         if self.frequency is not None:
             own = dynamics.natural_frequency
-            changed.append(f"natural frequency {own * (1 + self.frequency[0]):.5g} Hz and not {own:.5g} Hz")
+            changed.append(f"natural frequency, {own * (1 + self.frequency[0]):.5g} Hz and not {own:.5g} Hz")
         if self.damping is not None:
             own = dynamics.damping_ratio
-            changed.append(f"damping ratio {own * (1 + self.damping[0]):.3g} and not {own:.3g}")
+            now = own * max(1 + self.damping[0], LEAST_DAMPING)
+            least = "less than " if 1 + self.damping[0] < LEAST_DAMPING else ""
+            changed.append(f"damping ratio, {least}{now:.3g} and not {own:.3g}")
         if changed:
             found.append(
                 f"{self.component} rings with another {' and another '.join(changed)}: stiffness, mass or damping "
