@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from aerobalance.cli import main
+from aerobalance.rigs import Sweep, VibrationRig
 
 MASS, FREQUENCY, RATIO = 20.0, 25.0, 0.01
 SENSITIVITY = np.array([[0.01, 0.002], [-0.001, 0.05]])
@@ -86,7 +87,7 @@ def test_the_advice_for_gauge_outputs_is_taken_by_the_next_command(here, capsys)
     decay = ("identify", "decay", "release.csv", "--component", "AF", "--mass", str(MASS))
     assert main([*decay]) == 1
     said = capsys.readouterr().err
-    assert "identify decay" in said
+    assert "identify decay and rig" in said
     assert "take --balance" in said
     assert main([*decay, "--balance", "balance.json", "--zero", "before.csv", "-o", "one.json"]) == 0
     # and the other way that it names, for commands without --balance
@@ -95,3 +96,25 @@ def test_the_advice_for_gauge_outputs_is_taken_by_the_next_command(here, capsys)
     assert main(["identify", "decay", "loads.csv", "--component", "AF", "--mass", str(MASS), "-o", "two.json"]) == 0
     one, two = (json.loads(Path(name).read_text())["components"]["AF"] for name in ("one.json", "two.json"))
     assert one["stiffness"]["value"] == pytest.approx(two["stiffness"]["value"], rel=1e-5)
+
+
+def test_a_shaken_rig_of_gauge_outputs_has_the_sensitivity_in_its_mass(here, capsys):
+    """The mass that a shaken record tells is in proportion to the sensitivity: 1 % of that is 1 % of the mass."""
+    run(capsys, "calibrate", "schedule.csv", "--model", "linear", "-o", "balance.json")
+    drive = Sweep(550.0, 850.0, 1.0)
+    recording = VibrationRig().run(drive, np.random.default_rng(20260103)).recording
+    load, ground = (recording.channel(name).values for name in ("AF", "ground_acceleration"))
+    time = np.arange(load.size) / recording.rate
+    outputs = np.column_stack([load, np.zeros(load.size)]) @ SENSITIVITY.T
+    table = np.column_stack([time, outputs, ground])
+    write("rig.csv", "time [s],rAF [mV/V],rRM [mV/V],ground_acceleration [m/s^2]", table)
+    rig = ("identify", "rig", "rig.csv", "--component", "AF", "--zero", "none", "--balance")
+    exact = run(capsys, *rig, "balance.json")["components"]["AF"]["mass"]
+    balance = json.loads(Path("balance.json").read_text())
+    matrix = balance["matrix"]
+    own = matrix["coefficients"][0][0]
+    matrix["covariance"][0][0][0] = (0.01 * own) ** 2
+    Path("one percent.json").write_text(json.dumps(balance))
+    found = run(capsys, *rig, "one percent.json")["components"]["AF"]["mass"]
+    assert found["value"] == pytest.approx(exact["value"], rel=1e-6)
+    assert np.hypot(exact["u"], 0.01 * exact["value"]) == pytest.approx(found["u"], rel=0.05)

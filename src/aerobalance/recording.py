@@ -16,8 +16,8 @@ from aerobalance.gravity import PullOnZero
 from aerobalance.problems import DoubtWarning, FitError
 
 GAUGES_BECOME_LOADS: Final = (
-    "gauge outputs become loads by a balance matrix: weigh, identify decay, force and compare take --balance, and for "
-    "other commands aerobalance loads --balance writes a recording of the loads"
+    "gauge outputs become loads by a balance matrix: weigh, identify decay and rig, force and compare take --balance, "
+    "and for other commands aerobalance loads --balance writes a recording of the loads"
 )
 """What to do with gauge outputs where loads are needed."""
 

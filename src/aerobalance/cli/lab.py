@@ -252,13 +252,24 @@ def identify_rig(
     ] = "AF",
     modes: Modes = "1",
     half_range: HalfRange = None,
+    balance: MaybeBalance = None,
+    zero: Zero = None,
+    model_on_zero: OnZero = ModelOnZero.AUTO,
+    zero_after: ZeroAfter = None,
+    tare: Tare = None,
     channel_map: Map = None,
     as_json: Json = False,
 ) -> None:
     """Identify from a shaken ground end: stepped sine, sweep or random."""
+    files = gauge_files(balance, zero, model_on_zero, zero_after, tare)
     if component == "all":
         from aerobalance.commands import identify_coupled, identify_shaking
 
+        if files is not None:
+            raise ValueError(
+                "--balance is for one component here; aerobalance loads --balance writes recordings of the loads, "
+                "which identify rig --component all takes"
+            )
         if modes != "1":
             raise ValueError("--modes is for one component; with --component all there is a mode for each")
         ranges = identify_coupled.half_ranges(half_range or ())
@@ -273,7 +284,9 @@ def identify_rig(
 
     rec = _only(recs, half_range)
     show(
-        lambda: identify.identify_rig(rec, out, component=component, mass=mass, modes=modes, channel_map=channel_map),
+        lambda: identify.identify_rig(
+            rec, out, component=component, mass=mass, modes=modes, files=files, channel_map=channel_map
+        ),
         as_json,
         doing="fitting the response",
     )

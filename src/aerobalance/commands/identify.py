@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from aerobalance.commands.balance_files import BalanceFiles
-from aerobalance.commands.release_loads import releases_felt
+from aerobalance.commands.release_loads import releases_felt, with_sensitivity_error
 from aerobalance.commands.shared import Account, check_out, doubts, known_component, recording_of
 from aerobalance.commands.weighing import mass_file, parse_mass
 from aerobalance.components import si_unit
@@ -73,7 +73,7 @@ def identify_decay(
     return _identified(path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, used=used)
 
 
-def _weighing(mass: str) -> Weighing | None:
+def _weighing(mass: str | None) -> Weighing | None:
     """What a mass.json says that hangs on the balance; None where the mass is a number, or of one component."""
     file = mass_file(mass)
     if file is None:
@@ -154,15 +154,20 @@ def identify_rig(
     component: str = "AF",
     mass: str | None = None,
     modes: str = "1",
+    files: BalanceFiles | None = None,
     channel_map: Path | None = None,
 ) -> Account:
     """Stiffness, damping, delay and further modes (and mass where it is not given) from a shaken ground end."""
     known_component(component)
-    check_out(out, path, channel_map, mass_file(mass))
+    used = [] if files is None else list(files.paths)
+    check_out(out, path, channel_map, mass_file(mass), *used)
     weighed = parse_mass(mass, component)
     wanted = number_of_modes(modes)
     with doubts() as collected:
         recording = recording_of(path, channel_map)
+        if files is not None:
+            (recording,), (errors,) = releases_felt([recording], files, _weighing(mass), channel_map=channel_map)
+            recording = with_sensitivity_error(recording, component, errors)
         fit = fit_rig(recording, component=component, mass=weighed, modes=wanted)
         by_dwells = _dwell_details(recording, fit.dynamics)
     details: Account = {
@@ -187,7 +192,7 @@ def identify_rig(
             "gain": {"value": fit.live.gain, "u": fit.live.u_gain, "unit": "1"},
             "delay": {"value": fit.live.delay, "u": fit.live.u_delay, "unit": "s"},
         }
-    used = [] if channel_map is None else [channel_map]
+    used += [] if channel_map is None else [channel_map]
     return _identified(path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, used=used)
 
 

@@ -1,4 +1,4 @@
-"""Loads felt in the releases that dynamics are identified from, where gauge outputs were recorded."""
+"""Loads felt in the recordings that dynamics are identified from, where gauge outputs were recorded."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ def releases_felt(
     found = [from_gauges(recording, files, hung, gravity=gravity, channel_map=channel_map) for recording in recordings]
     if counted and not all(part.matrix.covariance.any() for _, part in found):
         warnings.warn(
-            f"{files.balance.name} holds no covariance of its coefficients; what its calibration leaves in A and D "
-            "is not known",
+            f"{files.balance.name} holds no covariance of its coefficients; what its calibration leaves in the "
+            "dynamics is not known",
             DoubtWarning,
             stacklevel=2,
         )
@@ -68,6 +68,19 @@ def releases_felt(
         MatrixErrors(part.matrix, part.felt.components, part.felt.transform, part.felt.native) for _, part in found
     ]
     return [recording for recording, _ in found], errors
+
+
+def with_sensitivity_error(recording: Recording, component: str, errors: MatrixErrors) -> Recording:
+    """Return the recording with what the calibration leaves of a load's sensitivity as uncertainty of its gain."""
+    place = errors.components.index(component)
+    size = float(np.ptp(recording.channel(component).values)) / 2
+    alone = np.asarray(np.linalg.inv(errors.transform)[:, place] * size, dtype=np.float64)
+    covariance = errors.matrix.load_covariance(alone[None, :], residual=False)[0]
+    own = errors.transform[place]
+    relative = float(np.sqrt(max(own @ covariance @ own, 0.0))) / size if size > 0 else 0.0
+    channel = recording.channel(component)
+    known = replace(channel, relative_uncertainty=float(np.hypot(channel.relative_uncertainty, relative)))
+    return replace(recording, channels={**recording.channels, component: known})
 
 
 @dataclass(frozen=True, slots=True)
