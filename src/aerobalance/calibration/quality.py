@@ -82,7 +82,7 @@ class Outlier:
     component: int
     residual: float
     studentised: float
-    label: str
+    label: str = ""
 
     @property
     def deviations(self) -> float | None:
