@@ -195,3 +195,22 @@ def test_standard_deviations_count_the_degrees_of_freedom():
     # 18 points less 4 terms that single loads tell and 2 series: 12 degrees of freedom; 60 draws make the mean 5 %
     # uncertain, and without them it would be a third too small
     assert np.mean(found) == pytest.approx((NOISE / 1.0) ** 2, rel=0.2)
+
+
+def test_workbooks_are_calibrated_and_compared(here, capsys):
+    openpyxl = pytest.importorskip("openpyxl", reason="the extra excel is not installed")
+    for name in ("2024.xlsx", "2025.xlsx"):
+        book = openpyxl.Workbook()
+        for row in (
+            ["Kalibrierung"],
+            ["Serie", "Punkt", "N1", "RM", "rN1", "rRM"],
+            ["", "", "N", "Nm", "mV/V", "mV/V"],
+        ):
+            book.active.append(row)
+        for row in rows(noise=NOISE, wrong=0.0):
+            book.active.append([*row[:2], *map(float, row[2:])])
+        book.save(name)
+    account, _ = run(capsys, "calibrate", "2024.xlsx", "--model", "linear")
+    assert account["components"]["N1"]["sensitivity"]["value"] == pytest.approx(SENSITIVITY[0, 0], rel=1e-3)
+    drift, _ = run(capsys, "compare-calibrations", "2024.xlsx", "2025.xlsx", "--model", "linear")
+    assert drift["components"]["N1"]["drift_percent"] == 0

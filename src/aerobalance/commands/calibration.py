@@ -24,6 +24,7 @@ from aerobalance.io.balance_file import calibration_payload, write_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix
 from aerobalance.io.matrix_file import read_matrix
 from aerobalance.io.schedule import read_schedule
+from aerobalance.io.sheet_cells import is_workbook
 from aerobalance.io.text_table import read_text
 from aerobalance.io.units import conversion
 from aerobalance.terms import Model
@@ -229,7 +230,7 @@ def _interactions(matrix: BalanceMatrix, change: Array, u: Array) -> list[Accoun
 
 def _matrix_of(path: Path, model: Model) -> BalanceMatrix:
     """A matrix from its file, or from a schedule by calibrating."""
-    text = read_text(path)
+    text = "" if is_workbook(path) else read_text(path)
     if text.lstrip().startswith("{") or is_balfit_matrix(text[:4096]):
         return read_matrix(path)
     return fit_matrix(read_schedule(path), model=model).matrix
