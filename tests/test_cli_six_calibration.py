@@ -182,7 +182,7 @@ def test_gauge_outputs_without_a_balance_are_told_what_they_want(
     found: Found, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["identify", "decay", found.releases[0], "--component", "all"]) == 1
-    assert "rNF becomes NF by a balance matrix (--balance)" in capsys.readouterr().err
+    assert "identify decay and rig, force and compare take --balance" in capsys.readouterr().err
     out = str(found.folder / "not_written.csv")
     assert main(["force", found.releases[0], "--dynamics", str(found.folder / "dynamics.json"), "-o", out]) == 1
-    assert "become loads by a balance matrix (--balance)" in capsys.readouterr().err
+    assert "identify decay and rig, force and compare take --balance" in capsys.readouterr().err
