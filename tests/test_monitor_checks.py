@@ -141,6 +141,8 @@ def test_contact_and_checks_are_in_the_record(running) -> None:
     found = check_of(running, "return", lambda check: check.get("rows"))
     assert found["rows"][0]["verdict"] == "passed"
     assert found["text"] == "return to zero passed; the contact circuit closed 1 time(s) meanwhile"
+    # said when all of it is noted in the record, a moment after it is shown
+    running.wait(lambda state: any(item["text"].startswith(found["text"]) for item in state["messages"]))
     assert running.post("stop").status_code == 200
     state = running.client.get("/api/state").json()
     assert state["record"]["touched"] == 1
