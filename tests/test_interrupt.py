@@ -16,6 +16,14 @@ WAIT = 60.0
 INSTANTS = 20
 
 
+@pytest.fixture(autouse=True)
+def hears_ctrl_c():
+    """Let children hear Ctrl-C even where the tests run in the background of a shell, which has it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture(scope="module")
 def here(tmp_path_factory):
     folder = tmp_path_factory.mktemp("interrupted")
