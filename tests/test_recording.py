@@ -115,13 +115,13 @@ def swing(time):
 
 
 def check_said_error(recording, said, noise=0.0):
-    """The samples are off by what was said, and what was said is below 1 % of the signal or near the truth."""
+    """The samples are off by what was said, and what was said is below 2 % of the signal or near the truth."""
     values = recording.channel("AF").values
     off = (values - swing(recording.time))[np.isfinite(values)]
     error, gain = (float(part) for part in re.search(r"AF (\S+) N rms, noise times (\S+)", said).groups())
     stated = np.hypot(error, gain * noise)
     assert np.sqrt(np.mean(off**2)) < 1.2 * stated + 1e-4
-    assert stated < max(1.3 * np.std(off), 0.01)
+    assert stated < max(1.3 * np.std(off), 0.02)
 
 
 def test_a_clock_that_wanders_is_no_gap_and_is_put_on_a_steady_one():

@@ -26,6 +26,7 @@ _PENALTIES: Final = tuple(weight / 256**2 for weight in (0.1, 1.0, 10.0, 100.0, 
 
 _PIECE: Final = 16384
 _MARGIN: Final = 64
+_MEASURED: Final = 32768
 _FAST: Final = 9
 _TELLING: Final = 0.02
 _REACH: Final = 0.8
@@ -134,12 +135,26 @@ def on_steady_clock(columns: Sequence[Array], places: Array, samples: int) -> Re
         at, mean = places[known], float(values[known].mean())
         penalty = _penalty(values[known] - mean, at, probe[known])
         once = _solved(values[known] - mean, at, samples, penalty)
-        again = _solved(_kernel(at, samples, _FINE) @ once, at, samples, penalty)
         gap = _no_reading(at, samples)
-        errors.append(float(np.std((again - once)[~gap])))
-        gains.append(float(np.std(_solved(probe[known], at, samples, penalty)[~gap]) / np.std(probe)))
+        error, gain = _what_is_left(once, at, probe[known], penalty, ~gap)
+        errors.append(error)
+        gains.append(gain)
         found.append(np.where(gap, np.nan, once + mean))
     return Resampled(found, errors, gains)
+
+
+def _what_is_left(
+    signal: Array, places: Array, probe: Array, penalty: float, used: NDArray[np.bool_]
+) -> tuple[float, float]:
+    """Return what another interpolation does to a known signal and to white noise, from the first samples."""
+    samples = min(signal.size, _MEASURED)
+    near, used = places < samples, used[:samples].copy()
+    if samples < signal.size:
+        used[-_MARGIN:] = False  # the readings that follow would hold these
+    signal, places = signal[:samples], places[near]
+    again = _solved(_kernel(places, samples, _FINE) @ signal, places, samples, penalty)
+    noise = _solved(probe[near], places, samples, penalty)
+    return float(np.std((again - signal)[used])), float(np.std(noise[used]) / np.std(probe[near]))
 
 
 def _penalty(values: Array, places: Array, probe: Array) -> float:
