@@ -42,6 +42,23 @@ def test_residuals_of_a_real_calibration(model: str, limits: list[float]) -> Non
     assert (deviation > 0.01 * np.array(limits)).all()
 
 
+def test_a_wrong_reading_of_a_real_calibration_is_named_with_a_number() -> None:
+    """One reading 10 % too large was 1.8e+308 standard deviations off where coefficients are drawn to zero."""
+    schedule = fitted("100lb_2025-06.vol", "linear").schedule
+    outputs = schedule.outputs.copy()
+    outputs[schedule.points.index("N2 pos 10"), 1] *= 1.1
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        found = {}
+        for model in ("auto", "abs"):
+            worst = assess(calibrate(replace(schedule, outputs=outputs), model=model)).outliers[0]
+            assert worst.label == "N2 pos 10"
+            found[model] = worst.studentised
+        assert 0.5 < found["auto"] / found["abs"] < 2  # least squares of a few terms says it by closed form
+        left = calibrate(replace(schedule, outputs=outputs).without(["n2 pos 10"]), model="abs")
+    assert (100 * assess(left).deviation <= [0.075, 0.10, 0.075, 0.08, 0.065, 0.17]).all()
+
+
 def test_directions_and_products_of_a_real_calibration() -> None:
     fit = fitted("100lb_2025-06.vol", "abs")
     # N1 gives 13.61 uV/V/lb in one direction and 13.50 in the other: 0.8 %

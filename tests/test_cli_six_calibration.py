@@ -14,7 +14,7 @@ import pytest
 
 from aerobalance.cli import main
 from aerobalance.commands.balance_files import BalanceFiles
-from aerobalance.commands.identify_coupled import releases_felt
+from aerobalance.commands.release_loads import releases_felt
 from aerobalance.components import COMPONENTS
 from aerobalance.io import read
 from aerobalance.io.balance_file import write_balance
@@ -163,7 +163,6 @@ def test_a_matrix_that_does_not_know_its_errors_is_told(found: Found) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--component", "AF", "--mass", "1", "--balance", "balance.json"], "--balance goes with --component all"),
         (["--component", "all", "--zero", "zero.h5"], "go with --balance"),
         (
             ["--component", "all", "--balance", "balance.json", "--model-on-zero", "on"],

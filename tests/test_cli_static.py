@@ -219,6 +219,25 @@ def test_a_run_without_pitch_counts_from_the_attitude_of_its_zero(here, capsys, 
     assert np.sqrt(np.mean(table["u_AF_N"] ** 2)) < 0.1 * MASS * GRAVITY * np.sin(up[0])
 
 
+def test_loads_of_a_force_balance_in_its_own_form(here, capsys, truth, seed):
+    """Without distances, and with wind-off loads taken off in that form."""
+    generator = np.random.default_rng(seed)
+    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
+    time = np.arange(400) / 400.0
+    level = np.zeros(time.size)
+    off = gauges(truth, weight(level), generator)
+    write("off.csv", time, off)
+    applied = np.column_stack([np.full(time.size, 800.0), *[level] * 4, np.full(time.size, 300.0)])
+    write("on.csv", time, gauges(truth, weight(level) + applied, generator))
+    files = ["--balance", "balance.json", "--tare", "off.csv", "--form", "force", "-o", "loads.csv"]
+    found = run(capsys, "loads", "on.csv", *files)["components"]
+    assert list(found) == ["N1", "N2", "S1", "S2", "RM", "AF"]
+    for name, expected in zip(found, native(applied)[0], strict=True):
+        assert abs(found[name]["mean"] - expected) < 4 * found[name]["u_calibration_rms"], name
+    assert main(["loads", "on.csv", *files[:2], "--mass", "mass.json", *files[4:]]) == 2
+    assert "give wind-off recordings with --tare instead" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("at_zero", [4.0, 9.0])
 def test_a_wrong_mass_is_wrong_in_a_zero_read_with_the_model_on(here, capsys, truth, seed, at_zero):
     generator = np.random.default_rng(seed)

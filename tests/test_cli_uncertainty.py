@@ -70,7 +70,7 @@ def test_numbers_carry_their_uncertainty(here, capsys):
 
 
 def test_monte_carlo_is_printed_and_repeats_itself(here, capsys):
-    code, out, _ = call(capsys, "--monte-carlo 20")
+    code, out, _ = call(capsys, "--monte-carlo 20 --verbose")
     assert code == 0
     assert "Monte Carlo of AF, 20 draws, seed 1" in out
     assert "uncertainty budget of AF [N]" in out

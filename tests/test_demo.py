@@ -12,28 +12,25 @@ import pytest
 
 from aerobalance.cli import main
 from aerobalance.comparison import split_deviation
-from aerobalance.demo import run_demo, step_data
+from aerobalance.demo import step_data
 from aerobalance.page import PLACE_HOLDERS, number, significant, with_uncertainty
-from aerobalance.problems import DoubtWarning
 from aerobalance.report import step_figure
+from demo_run import demo_once
 from html_pages import Balanced
-from seeds import new_seed
 
 
 class Demo:
     """One run of the demo and its page."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        with pytest.warns(DoubtWarning, match="not steady"):  # the unsteady record is there to be doubted
-            self.account = run_demo(folder, seed=new_seed())
+    def __init__(self) -> None:
+        self.folder, self.account = demo_once()
         self.seed = self.account["seed"]
         self.page = Path(self.account["report"]).read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory) -> Demo:
-    return Demo(tmp_path_factory.mktemp("demo"))
+def demo() -> Demo:
+    return Demo()
 
 
 def test_every_printed_number_agrees(demo):

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from aerobalance.decoupling import SHARPNESS
 from aerobalance.live_alignment import Aligner
 from aerobalance.live_modes import REACH
 from seeds import new_seed
@@ -20,14 +21,18 @@ def test_a_lag_of_any_part_of_a_sample_is_taken_out() -> None:
     rng = np.random.default_rng(entropy)
     late = np.array([0.0, *rng.uniform(-30, 30, 4)])
     k = np.arange(600.0)
-    # up to 0.7 of the Nyquist frequency; beyond, windows of so few samples fall off
-    turn = np.pi * rng.uniform(0.01, 0.7)
+    # the main lobe of a Kaiser window of parameter b that reaches over r samples is sqrt(b^2 + pi^2) / r wide: so far
+    # below the Nyquist frequency, from 0.605 of it on, the interpolation falls off
+    highest = np.pi - np.sqrt(SHARPNESS**2 + np.pi**2) / REACH
+    turn = rng.uniform(0.01 * np.pi, highest)
     rows = np.sin(turn * (k[:, None] - late))
     made = Aligner(late).push(rows)
     expected = np.sin(turn * k[: made.shape[0]])
     inside = slice(31 + REACH, None)
-    # the side lobes of a Kaiser window of parameter 8 are 58 dB below its peak, which is 1.3e-3
-    assert np.abs(made[inside] - expected[inside, None]).max() < 1.3e-3, entropy
+    # below it a filter of this window errs by A dB, with b = 0.1102 (A - 8.7) [Kaiser1974]; by that from either side
+    # of the band, and again as its weights are made to add up to 1
+    error = 10 ** (-(SHARPNESS / 0.1102 + 8.7) / 20)
+    assert np.abs(made[inside] - expected[inside, None]).max() < 4 * error, entropy
     assert made[:, 0] == pytest.approx(rows[: made.shape[0], 0], abs=0)
 
 

@@ -242,3 +242,39 @@ def test_a_recording_with_loads_keeps_its_other_channels(balance: BalanceMatrix)
     ready = with_loads(run, felt)
     assert set(ready.channels) == {"pitch", "NF", "PM", "SF", "YM", "RM", "AF"}
     assert np.array_equal(ready.channel("pitch").values, pitch)
+
+
+def test_a_force_balance_is_of_that_form_without_distances(seed: int) -> None:
+    """N1 N2 S1 S2 RM AF is what --form force asks for; only other forms need the places of the gauges."""
+    plain = replace(random_balance(seed), geometry=None)
+    native = swinging(50, np.random.default_rng(seed))
+    felt = loads_felt(recorded(plain.outputs(native)), plain, zero=NONE, form="force")
+    assert felt.components == ("N1", "N2", "S1", "S2", "RM", "AF")
+    np.testing.assert_allclose(felt.values, native, atol=1e-6 * np.abs(native).max())
+    with pytest.raises(ValueError, match="calibrate with --distances"):
+        loads_felt(recorded(plain.outputs(native)), plain, zero=NONE, form="moment")
+
+
+def test_tares_are_taken_off_in_the_form_that_is_asked_for(seed: int) -> None:
+    plain = replace(random_balance(seed), geometry=None)
+    native = swinging(50, np.random.default_rng(seed))
+    still = np.tile(0.1 * CAPACITIES, (50, 1))
+    off, u = wind_off_loads(recorded(native), [recorded(plain.outputs(still))], plain, zero=NONE, form="force")
+    np.testing.assert_allclose(off[0], still[0], rtol=1e-6)
+    felt = loads_felt(recorded(plain.outputs(native + still)), plain, zero=NONE, tare=(off, u), form="force")
+    np.testing.assert_allclose(felt.values, native, atol=1e-6 * np.abs(native).max())
+
+
+def test_averaged_points_are_told_to_need_their_noise(seed: int) -> None:
+    """What points at several loads differ by is no noise: it is told, until a map says what the noise is."""
+    generator = np.random.default_rng(seed)
+    calibrated = replace(random_balance(seed), residual_deviation=np.full(6, 2e-4))
+    points = recorded(calibrated.outputs(generator.uniform(-0.6, 0.6, (30, 6)) * CAPACITIES))
+    with pytest.warns(DoubtWarning, match=r"averaged points .*noise = .*channels\.rNAME"):
+        felt = loads_felt(points, calibrated, zero=NONE)
+    known = {name: replace(channel, noise=2e-5) for name, channel in points.channels.items()}
+    better = loads_felt(replace(points, channels=known), calibrated, zero=NONE)
+    assert (better.noise < 0.01 * felt.noise).all()
+    # samples in time of the same size and length are not doubted
+    slow = swinging(30, generator) + generator.normal(0, 1e-4, (30, 6)) * CAPACITIES
+    loads_felt(recorded(calibrated.outputs(slow)), calibrated, zero=NONE)

@@ -109,11 +109,12 @@ def test_a_missing_mode_is_named_under_a_broadband_load(seed):
     truth = BARE.with_modes(Mode(165.0, 0.008, 0.05))
     found = missing_mode(averaged(shaken(truth, generator).channel("AF").values), BARE)
     assert found is not None
-    mode, u = found
+    mode, u, u_share = found
     # the uncertainty is about 0.25 Hz: 1 % of 165 Hz is six times that
     assert mode.natural_frequency == pytest.approx(165.0, rel=0.01)
     assert 0.05 < u < 0.6
     assert 0.02 < mode.share < 0.12
+    assert 0 < u_share < 0.5 * mode.share
 
 
 def test_a_smooth_load_shows_no_mode_and_no_change(seed):

@@ -1,5 +1,6 @@
 """Recording: the steady clock behind a time column, gaps, missing samples and saturation."""
 
+import re
 import warnings
 
 import numpy as np
@@ -108,11 +109,104 @@ def test_stamps_coarser_than_the_interval_are_said():
     assert recording.rate == pytest.approx(1600, rel=6 * 0.005 * 1600 / 5000)
 
 
-def test_a_clock_that_wanders_is_no_gap():
+def swing(time):
+    """A signal of two tones, at 0.04 and 0.15 of 100 Hz, about an offset."""
+    return 50 + np.sin(2 * np.pi * 4.1 * time) + 0.5 * np.cos(2 * np.pi * 15.3 * time)
+
+
+def check_said_error(recording, said, noise=0.0):
+    """The samples are off by what was said, and what was said is below 1 % of the signal or near the truth."""
+    values = recording.channel("AF").values
+    off = (values - swing(recording.time))[np.isfinite(values)]
+    error, gain = (float(part) for part in re.search(r"AF (\S+) N rms, noise times (\S+)", said).groups())
+    stated = np.hypot(error, gain * noise)
+    assert np.sqrt(np.mean(off**2)) < 1.2 * stated + 1e-4
+    assert stated < max(1.3 * np.std(off), 0.01)
+
+
+def test_a_clock_that_wanders_is_no_gap_and_is_put_on_a_steady_one():
     index = np.arange(10000)
     stamps = index * 0.01 + 0.03 * np.sin(2 * np.pi * index / 10000)
-    with pytest.raises(FitError, match=r"rec: the time column fits no steady clock.*resample"):
-        on(stamps)
+    with pytest.warns(DoubtWarning, match="interpolated to a steady") as caught:
+        recording = on(stamps, swing(stamps))
+    assert recording.samples == pytest.approx(10000, abs=8)
+    np.testing.assert_array_equal(recording.rows, np.arange(recording.samples))
+    np.testing.assert_allclose(recording.stamps, recording.time, atol=1e-9)
+    check_said_error(recording, str(caught[0].message))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("sd", [0.05, 0.1, 0.2, 0.3, 0.5])
+def test_samples_that_jitter_are_put_on_a_steady_clock(sd, noise):
+    rng, entropy = fresh()
+    late = rng.normal(0, sd, 5000) if sd < 0.3 else rng.uniform(-np.sqrt(3) * sd, np.sqrt(3) * sd, 5000)
+    stamps = np.sort(np.arange(5000) + late) * 0.01
+    given = Channel("AF", swing(stamps) + noise * rng.normal(size=5000), "N", noise=noise or None)
+    with pytest.warns(DoubtWarning) as caught:
+        recording = Recording.from_columns(stamps, {"AF": given}, name="rec")
+    said = " ".join(str(item.message) for item in caught)
+    assert "the samples were not taken evenly" in said, entropy
+    assert f"jitter {np.std(late):.1f}"[:9] in said or sd < 0.1
+    check_said_error(recording, said, noise)
+    if noise:
+        error, gain = (float(part) for part in re.search(r"AF (\S+) N rms, noise times (\S+)", said).groups())
+        assert recording.channel("AF").noise == pytest.approx(np.hypot(gain * noise, error), rel=0.05)
+    # as they are, in their order, they would be off by the slope times the jitter
+    assert np.std(given.values - swing(stamps[0] + np.arange(5000) * 0.01)) > 1.5 * noise
+
+
+@pytest.mark.parametrize("sd", [0.05, 0.2, 0.4])
+def test_samples_whose_stamps_alone_jitter_stay_as_they_are(sd):
+    rng, entropy = fresh()
+    stamps = np.sort(np.arange(5000) + rng.normal(0, sd, 5000)) * 0.01
+    values = swing(np.arange(5000) * 0.01) + 0.01 * rng.normal(size=5000)
+    with pytest.warns(DoubtWarning, match="evenly spaced: the readings do not follow them"):
+        recording = on(stamps, values)
+    np.testing.assert_array_equal(recording.channel("AF").values, values, err_msg=str(entropy))
+
+
+def test_readings_that_do_not_tell_stay_as_they_are_and_it_is_said():
+    rng, _ = fresh()
+    stamps = np.arange(5000) * 0.01 + rng.uniform(-3e-3, 3e-3, 5000)
+    values = 0.003 * swing(stamps) + rng.normal(size=5000)  # noise far above what the jitter does
+    with pytest.warns(DoubtWarning, match="do not tell whether they were; if they were not.* N of AF"):
+        recording = on(stamps, values)
+    np.testing.assert_array_equal(recording.channel("AF").values, values)
+
+
+def test_gaps_and_missing_samples_stay_missing_where_samples_jitter():
+    rng, entropy = fresh()
+    kept = np.setdiff1d(np.arange(5000), [*range(900, 960), 3000])
+    stamps = kept * 0.01 + rng.uniform(-2e-3, 2e-3, kept.size)
+    values = swing(stamps)
+    values[2000:2005] = np.nan
+    with pytest.warns(DoubtWarning) as caught:
+        recording = on(stamps, values)
+    missing = np.isnan(recording.channel("AF").values)
+    lost = np.flatnonzero(missing)
+    for first, last in ((901, 958), (2061, 2063)):
+        assert missing[first : last + 1].all(), entropy
+    assert lost.size < 60 + 1 + 5 + 10
+    check_said_error(recording, " ".join(str(item.message) for item in caught if "interpolated" in str(item.message)))
+
+
+def test_saturated_readings_are_left_out_where_samples_jitter():
+    rng, entropy = fresh()
+    stamps = np.arange(5000) * 0.01 + rng.uniform(-2e-3, 2e-3, 5000)
+    full = 20 * (swing(stamps) - 50)
+    with pytest.warns(DoubtWarning, match="saturated samples left out"):
+        recording = on(stamps, np.minimum(full, 10.0))
+    values, truth = recording.channel("AF").values, 20 * (swing(recording.time) - 50)
+    known = np.isfinite(values)
+    assert np.isnan(values[truth > 14]).mean() > 0.9, entropy
+    # what is beside a clipped stretch is known less well, by the curvature over one interval
+    assert np.std((values - truth)[known]) < 0.5, entropy
+
+
+def test_a_rate_that_changes_is_refused_and_it_is_said_what_to_do():
+    stamps = np.concatenate((np.arange(1000) * 0.001, 1 + np.arange(1000) * 0.0013))
+    with pytest.raises(FitError, match=r"rec: the time column fits no steady clock.*cut the recording where the rate"):
+        on(stamps, swing(stamps))
 
 
 @pytest.mark.parametrize(

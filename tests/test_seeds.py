@@ -108,7 +108,5 @@ def draws_by_itself(function: str, arguments: list) -> bool:
     """Whether a call draws random numbers that follow from no seed of ours."""
     if function.rpartition(".")[2] in {"default_rng", "SeedSequence", "Random", "RandomState"}:
         return not arguments
-    return (
-        re.fullmatch(r"(np|numpy)\.random\.[a-z_]+|(random|secrets)\..*|os\.urandom|uuid\.uuid[14]", function)
-        is not None
-    )
+    own = r"(np|numpy)\.random\.[a-z_]+|(random|secrets)\.[a-z_]+|random\.SystemRandom|os\.urandom|uuid\.uuid[14]"
+    return re.fullmatch(own, function) is not None

@@ -102,8 +102,8 @@ class _Panel:
         against = {"load": "its own load", "order": "the order of the points", "temperature": "temperature"}
         text = (
             f"Residuals of {schedule.components[self.index]} against {against[self.against]}: "
-            f"rms {100 * self.quality.deviation[self.index]:.3f} % of capacity, largest {y[worst]:+.3f} % "
-            f"at point {schedule.points[worst]}"
+            f"standard deviation {100 * self.quality.deviation[self.index]:.3f} % of capacity, largest "
+            f"{y[worst]:+.3f} % at point {schedule.points[worst]}"
         )
         count = len(self.outliers)
         return f"{text}, {count} outlier{'s' if count > 1 else ''}" if count else text

@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 from aerobalance.calibration.fit import Calibration
 from aerobalance.calibration.quality import BIDIRECTIONAL, OUTLIER, Quality
-from aerobalance.calibration.regression import HIGHEST_INFLATION
+from aerobalance.calibration.regression import HIGHEST_INFLATION, inflation_text
 from aerobalance.calibration_figures import MOST_LABELS, direction_figure, residual_panels, series_key
 from aerobalance.io.artefacts import provenance
 from aerobalance.io.balance_file import calibration_payload
@@ -34,7 +34,13 @@ DEEPEST: Final = 0.5
 
 
 def write_calibration_report(
-    path: Path, calibration: Calibration, quality: Quality, *, warnings: Sequence[str], source: Path
+    path: Path,
+    calibration: Calibration,
+    quality: Quality,
+    *,
+    warnings: Sequence[str],
+    source: Path,
+    channel_map: Path | None = None,
 ) -> None:
     """Write what a calibration found as one HTML file that needs nothing else, whole or not at all.
 
@@ -46,8 +52,8 @@ def write_calibration_report(
         What is reported.
     warnings
         What was warned about on the way; they stand first.
-    source
-        File of the load schedule, named with its SHA-256.
+    source, channel_map
+        File of the load schedule and its map, where there is one, named with their SHA-256.
 
     Raises
     ------
@@ -58,7 +64,7 @@ def write_calibration_report(
     """
     schedule = calibration.schedule
     found: Any = calibration_payload(calibration, quality)
-    origin: Any = provenance([source])
+    origin: Any = provenance([source] if channel_map is None else [source, channel_map])
     content = {
         "found": found,
         "components": schedule.components,
@@ -147,7 +153,7 @@ def _statistics(calibration: Calibration, quality: Quality, found: Any) -> list[
         row("Repeatability, standard deviation", percent, "repeatability_percent_of_capacity", 3),
         {"what": "Sensitivity to + less to − loads", "unit": "%", "cells": _differences(quality)},
         {
-            "what": "its 95 % interval, ±",
+            "what": "half of its 95 % interval",
             "unit": "%",
             "cells": [fixed(100 * d.interval if d.known else None, 2) for d in quality.directions],
         },
@@ -234,7 +240,9 @@ def _terms(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             "u": fixed(row["u"], decimals(row["u"])),
             "t": fixed(row["t"], 1),
             "p": "< 0.0001" if row["p"] < 1e-4 else fixed(row["p"], 4),
-            "vif": "∞" if np.isinf(row["vif"]) else fixed(row["vif"], 1 if row["vif"] < 100 else 0),
+            "vif": inflation_text(row["vif"])
+            if row["vif"] >= 1e4
+            else fixed(row["vif"], 1 if row["vif"] < 100 else 0),
             "mark": 2 if row["vif"] >= HIGHEST_INFLATION else 1 if row["vif"] >= INFLATION else 0,
             "percent": fixed(row["percent_contribution"], 2),
         }

@@ -19,6 +19,7 @@ from aerobalance.estimate import ForceEstimate
 from aerobalance.recording import Recording
 from aerobalance.resonance import Averaged, missing_mode
 from aerobalance.steps import columns_of
+from aerobalance.wording import frequency_text
 
 LONGEST: Final = 1 << 17
 """Samples from the start that are looked at: more tell nothing new."""
@@ -87,14 +88,14 @@ def _peaks(recording: Recording, dynamics: CoupledDynamics, estimates: Mapping[s
         seen = Averaged.of(left, interval=reading.interval, noise=estimate.noise)
         mode = None if seen is None else missing_mode(seen, job.dynamics)
         if mode is not None:
-            found.append(Peak(name, mode[0].natural_frequency, mode[1]))
+            found.append(Peak(name, mode.mode.natural_frequency, mode.u_frequency))
     return found
 
 
 def _sentence(peaks: list[Peak], modes: tuple[Mode, ...]) -> str:
     best = min(peaks, key=lambda peak: peak.u_frequency)
     names = ", ".join(sorted({peak.component for peak in peaks}))
-    where = f"{names} ring at {best.frequency:.4g} Hz (u = {best.u_frequency:.2g} Hz)"
+    where = f"{names} ring at {frequency_text(best.frequency, best.u_frequency)}"
     near = min(modes, key=lambda mode: abs(mode.natural_frequency / best.frequency - 1), default=None)
     if near is not None and abs(near.natural_frequency / best.frequency - 1) < SAME_MODE:
         return (

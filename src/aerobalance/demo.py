@@ -28,6 +28,7 @@ from aerobalance.comparison import (
 )
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.dynamics import Dynamics
+from aerobalance.example_files import write_examples
 from aerobalance.force import Method
 from aerobalance.identification.dwells import find_dwells
 from aerobalance.identification.reference import reference_fit
@@ -90,7 +91,7 @@ class _Run:
 
 
 def run_demo(out: Path, *, seed: int | None = None) -> Account:
-    """Run both experiments and write `report.html` and every file behind it.
+    """Run both experiments and write `report.html`, every file behind it, and the files that the examples name.
 
     Parameters
     ----------
@@ -111,8 +112,9 @@ def run_demo(out: Path, *, seed: int | None = None) -> Account:
     """
     seed = seed_for(out, seed)
     root = np.random.SeedSequence(seed)
-    weighing, shaking, wandering, *cutting = (np.random.default_rng(part) for part in root.spawn(5))
+    weighing, shaking, wandering, *cutting, examples = (np.random.default_rng(part) for part in root.spawn(6))
     run = _Run(out, [], [])
+    write_examples(out, examples)
     masses = {
         "rig": _weigh(run, "rig", VIBRATION_RIG, pitch=np.arange(-90.0, 91.0, 15.0), generator=weighing),
         "cut": _weigh(run, "cut", CABLE_CUT, pitch=np.arange(-12.0, 13.0, 2.0), generator=weighing),

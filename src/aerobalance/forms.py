@@ -120,10 +120,14 @@ FORM_MOMENTS: Final[Mapping[str, tuple[bool, ...]]] = {
 
 def between_forms(components: tuple[str, ...], form: Form, geometry: Geometry | None) -> Array:
     """Matrix that turns the loads of a balance into another form; raises ValueError where that is not possible."""
+    roles, wanted = ([role_of(name) for name in names] for names in (components, FORMS[form]))
+    if None not in roles and sorted(map(str, roles)) == sorted(map(str, wanted)):
+        return np.array([[float(role == own) for own in roles] for role in wanted])  # it is of that form already
     T = to_direct(components, geometry)
     back = to_direct(FORMS[form], geometry)
     if T is None or back is None:
         raise ValueError(
-            f"{', '.join(components)} cannot become {', '.join(FORMS[form])} without the distances of the gauges"
+            f"{', '.join(components)} cannot become {', '.join(FORMS[form])} without the distances of the gauges; "
+            "calibrate with --distances"
         )
     return np.asarray(np.linalg.solve(back, T))

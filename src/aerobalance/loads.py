@@ -30,6 +30,12 @@ BEYOND: Final = 0.02
 NEARLY_DIVERGING: Final = 0.5
 """Contraction of the iteration from which it is warned: at 1 the plain iteration no longer converges."""
 
+MOST_POINTS: Final = 500
+"""Rows up to which a recording may be averaged points."""
+
+POINTS_APART: Final = 20.0
+"""Noise from row to row, over the scatter of the calibration's readings, from which rows are doubted to be samples."""
+
 SHARED_PITCH: Final = np.radians(0.2)
 """Difference of the mean pitch up to which a wind-off recording is at the same attitude [rad]."""
 
@@ -136,6 +142,7 @@ def loads_felt(
     beyond = _check_range(recording, balance, native[known])
     contraction = _check_iteration(recording, balance, native[known])
     noise = np.array([_noise(channel) for channel in channels])
+    _check_rows(recording, balance, channels, noise)
     middle = balance.sensitivity(np.median(native[known], axis=0)[None, :])[0]
     covariance = _static_covariance(balance, native, zero, channels)
     components, moments, T = _form_of(balance, form)
@@ -236,6 +243,25 @@ def _noise(channel: Channel) -> float:
     return channel_noise(channel) if known.size >= 8 and float(np.ptp(known)) > 0 else 0.0
 
 
+def _check_rows(recording: Recording, balance: BalanceMatrix, channels: Sequence[Channel], noise: Array) -> None:
+    """Warn where rows look like averaged points at several loads: what their outputs differ by is no noise."""
+    scatter = balance.residual_deviation * balance.output_scale  # of the iterative way, and near enough of the other
+    if recording.samples > MOST_POINTS or not scatter.any():
+        return
+    strange = [
+        channel.name
+        for channel, own, usual in zip(channels, noise, scatter, strict=True)
+        if channel.noise is None and own > POINTS_APART * usual > 0
+    ]
+    if strange:
+        _doubt(
+            f"{recording.name}: from row to row {', '.join(strange)} change by more than {POINTS_APART:g} times what "
+            "readings of the calibration scatter, and that is taken for noise. If the rows are averaged points at "
+            "several loads, it is far too large, and the uncertainty with it: say the noise of a row in a channel map "
+            '(noise = ... under [channels.rNAME], with "aerobalance map")'
+        )
+
+
 def _static_covariance(balance: BalanceMatrix, native: Array, zero: GaugeZero, channels: Sequence[Channel]) -> Array:
     """Covariance of the loads from matrix, zeros and the bridges' gains, shape (n, c, c)."""
     filled = np.nan_to_num(native)
@@ -252,7 +278,12 @@ def _static_covariance(balance: BalanceMatrix, native: Array, zero: GaugeZero, c
 
 
 def wind_off_loads(
-    recording: Recording, wind_off: Sequence[Recording], balance: BalanceMatrix, *, zero: GaugeZero | None = None
+    recording: Recording,
+    wind_off: Sequence[Recording],
+    balance: BalanceMatrix,
+    *,
+    zero: GaugeZero | None = None,
+    form: Form | None = None,
 ) -> tuple[Array, Array]:
     """Loads of wind-off recordings, at the attitude of a run: values and standard uncertainty, shape (n, c).
 
@@ -264,7 +295,7 @@ def wind_off_loads(
     FitError
         The run goes beyond the pitch angles of the wind-off recordings.
     """
-    results = [loads_felt(item, balance, zero=zero) for item in wind_off]
+    results = [loads_felt(item, balance, zero=zero, form=form) for item in wind_off]
     means = np.array([np.nanmean(result.values, axis=0) for result in results])
     us = np.array([result.noise / np.sqrt(max(len(result.values), 1)) for result in results])
     with_pitch = all("pitch" in item for item in (recording, *wind_off))

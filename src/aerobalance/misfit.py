@@ -25,6 +25,7 @@ from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.resonance import Averaged, missing_mode, own_resonance
 from aerobalance.steps import Step, columns_of
+from aerobalance.wording import frequency_text, share_text
 
 DRIFT: Final = 5.0
 """Standard uncertainties that frequency or damping has to be off before it is said to have changed."""
@@ -40,6 +41,9 @@ CHANGED: Final = 30.0
 
 The curvature at the optimum alone says too much of a resonance that the load hardly excites.
 """
+
+LEAST_DAMPING: Final = 0.05
+"""Part of a known damping ratio below which only that it is smaller is said: so narrow a line is rather hum."""
 
 EXPLAINED: Final = 1.2
 """Residuals of a release over the noise of the readings up to which it is explained."""
@@ -61,10 +65,11 @@ class Misfit:
         Which component.
     missing
         A mode that the dynamics lack; None if none is seen.
-    u_frequency
-        Standard uncertainty of its frequency [Hz].
+    u_frequency, u_share
+        Standard uncertainties of its frequency [Hz] and its share [1].
     size
-        Root mean square, or for a release the amplitude, of its ringing in the load felt [N].
+        Root mean square, or for a release the amplitude, of its ringing in the load felt [N]; None where that would be
+        more than the load itself has.
     frequency, damping
         Relative change of natural frequency and damping ratio of the first mode with its standard uncertainty [1];
         None where the record does not tell or nothing has changed.
@@ -75,7 +80,8 @@ class Misfit:
     component: str
     missing: Mode | None = None
     u_frequency: float = 0.0
-    size: float = 0.0
+    u_share: float = 0.0
+    size: float | None = None
     frequency: tuple[float, float] | None = None
     damping: tuple[float, float] | None = None
     released: bool = False
@@ -85,23 +91,26 @@ class Misfit:
         found, unit = [], si_unit(self.component)
         if self.missing is not None:
             mode = self.missing
+            size = "" if self.size is None else f" with {self.size:.3g} {unit}{'' if self.released else ' rms'}"
             cause = (
-                f"it rings after the release with {self.size:.3g} {unit}"
+                f"it rings after the release{size}"
                 if self.released
-                else f"it swings with {self.size:.3g} {unit} rms; a narrow band of the load itself looks the same"
+                else f"it swings{size}; a narrow band of the load itself looks the same"
             )
             found.append(
-                f"{self.component} shows a mode at {mode.natural_frequency:.4g} Hz (u = {self.u_frequency:.2g} Hz), "
-                f"{100 * mode.share:.2g} % of a steady load, that the dynamics lack: {cause}; forces near that "
-                "frequency are wrong until it is identified (identify decay --modes auto)"
+                f"{self.component} shows a mode at {frequency_text(mode.natural_frequency, self.u_frequency)}, "
+                f"{share_text(mode.share, self.u_share)}, that the dynamics lack: {cause}; forces near that "
+                "frequency are wrong until it is identified, from a release (identify decay --modes auto)"
             )
         changed = []
         if self.frequency is not None:
             own = dynamics.natural_frequency
-            changed.append(f"natural frequency {own * (1 + self.frequency[0]):.5g} Hz and not {own:.5g} Hz")
+            changed.append(f"natural frequency, {own * (1 + self.frequency[0]):.5g} Hz and not {own:.5g} Hz")
         if self.damping is not None:
             own = dynamics.damping_ratio
-            changed.append(f"damping ratio {own * (1 + self.damping[0]):.3g} and not {own:.3g}")
+            now = own * max(1 + self.damping[0], LEAST_DAMPING)
+            least = "less than " if 1 + self.damping[0] < LEAST_DAMPING else ""
+            changed.append(f"damping ratio, {least}{now:.3g} and not {own:.3g}")
         if changed:
             found.append(
                 f"{self.component} rings with another {' and another '.join(changed)}: stiffness, mass or damping "
@@ -131,12 +140,19 @@ def misfit_of(recording: Recording, dynamics: Dynamics, *, noise: float, steps: 
     if not reading.present.all() or float(np.ptp(reading.values)) == 0:
         return nothing
     release = _release(recording, dynamics, reading.values, noise=noise)
+    known = recording.channel(dynamics.component).values
     if release is not None:
-        return _after_release(release, dynamics)
+        return _possible(_after_release(release, dynamics), most=float(np.ptp(known)))
     steps = [step for step in steps if step.instant < reading.values.size * reading.interval]
     columns = columns_of(steps, reading)
     sizes, *_ = np.linalg.lstsq(columns, reading.values, rcond=None)
-    return _in_spectrum(reading.values - columns @ sizes, dynamics, interval=reading.interval, noise=noise)
+    found = _in_spectrum(reading.values - columns @ sizes, dynamics, interval=reading.interval, noise=noise)
+    return _possible(found, most=float(np.std(known)))
+
+
+def _possible(found: Misfit, *, most: float) -> Misfit:
+    """The same without a size of the ringing that is more than the load felt has."""
+    return found if found.size is None or found.size <= most else replace(found, size=None)
 
 
 def _release(recording: Recording, dynamics: Dynamics, values: Array, *, noise: float) -> DecayFit | None:
@@ -178,7 +194,8 @@ def _after_release(fit: DecayFit, dynamics: Dynamics) -> Misfit:
         dynamics.component,
         missing=mode,
         u_frequency=seen.uncertainty(f"natural_frequency_{number}") if mode else 0.0,
-        size=abs(mode.share * fit.height) if mode else 0.0,
+        u_share=seen.uncertainty(f"share_{number}") if mode else 0.0,
+        size=abs(mode.share * fit.height) if mode else None,
         frequency=_if_changed(changes[0]),
         damping=_if_changed(changes[1]),
         released=True,
@@ -191,9 +208,9 @@ def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: f
     if seen is None:
         return Misfit(dynamics.component)
     found = missing_mode(seen, dynamics)
-    size = 0.0
+    size = None
     if found is not None:
-        mode = found[0]
+        mode = found.mode
         width = max(4 * mode.damping_ratio * mode.natural_frequency, 2 * seen.resolution)
         near = np.abs(seen.frequency - mode.natural_frequency) < width
         size = float(np.sqrt(2 * np.sum(seen.power[near]) * seen.resolution))
@@ -206,8 +223,9 @@ def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: f
             changes[index] = _if_changed((float(np.expm1(own[0][index])), u))
     return Misfit(
         dynamics.component,
-        missing=None if found is None else found[0],
-        u_frequency=0.0 if found is None else found[1],
+        missing=None if found is None else found.mode,
+        u_frequency=0.0 if found is None else found.u_frequency,
+        u_share=0.0 if found is None else found.u_share,
         size=size,
         frequency=changes[0],
         damping=changes[1],

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Final
+from dataclasses import dataclass, field, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.channel import Array, Channel
+from aerobalance.components import COMPONENTS, is_gauge
 from aerobalance.gravity import PullOnZero
+from aerobalance.jitter import following, on_steady_clock
 from aerobalance.problems import DoubtWarning, FitError
+
+GAUGES_BECOME_LOADS: Final = (
+    "gauge outputs become loads by a balance matrix: weigh, identify decay, force and compare take --balance, and for "
+    "other commands aerobalance loads --balance writes a recording of the loads"
+)
+"""What to do with gauge outputs where loads are needed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +32,7 @@ class Recording:
     name
         What the recording is called in messages (a file name, a rig).
     stamps
-        The time column as it was given, shape (m,) [s].
+        The time column as it was given, shape (m,) [s]; the steady clock where the samples were put on it.
     rows
         Sample of the steady clock that each time stamp belongs to, shape (m,); where stamps are missing,
         the clock has more samples (n) than there are rows (m).
@@ -60,6 +68,9 @@ class Recording:
     ) -> Recording:
         """Put columns of samples on a steady clock, with missing rows marked as such.
 
+        Where the readings follow the jitter of their stamps, or the stamps depart from every steady clock by more
+        than an interval, the samples are interpolated to a steady clock, which is then the time column.
+
         Parameters
         ----------
         stamps
@@ -82,7 +93,11 @@ class Recording:
         for key, channel in channels.items():
             if channel.values.shape != stamps.shape:
                 raise ValueError(f"channel {key} has {channel.values.size} readings for {stamps.size} time stamps")
-        rows, start, rate = _steady_clock(stamps, name)
+        clock = _steady_clock(stamps, name)
+        uneven = clock.departure > JITTER_ALLOWED and not clock.rounded
+        if uneven and _samples_jitter(stamps, channels, clock, name):
+            return _resampled(stamps, channels, clock, name, time_unit)
+        rows, start, rate = clock.rows, clock.start, 1 / clock.interval
         samples = int(rows[-1]) + 1
         placed = {}
         for key, channel in channels.items():
@@ -131,13 +146,41 @@ class Recording:
             The recording has no such channel; the message lists those it has.
         """
         if name not in self.channels:
-            hint = f"; r{name} becomes {name} by a balance matrix (--balance)" if f"r{name}" in self.channels else ""
+            gauges = name in COMPONENTS and any(is_gauge(other) for other in self.channels)
+            hint = f"; {GAUGES_BECOME_LOADS}" if gauges else ""
             raise FitError(f"{self.name} has no channel {name}; it has {', '.join(self.channels) or 'none'}{hint}")
         return self.channels[name]
 
 
-def _steady_clock(stamps: Array, name: str) -> tuple[NDArray[np.intp], float, float]:
-    """Find the steady clock behind a time column: sample index of every row, start [s], rate [Hz]."""
+class _Clock(NamedTuple):
+    """The steady clock that fits a time column best.
+
+    Attributes
+    ----------
+    rows
+        Sample of the clock that each row stands for, shape (m,).
+    interval, start
+        Of the clock [s].
+    departure
+        Largest departure of a stamp from it [intervals].
+    rounded
+        Whether the stamps depart because they are rounded to more than an interval.
+    """
+
+    rows: NDArray[np.intp]
+    interval: float
+    start: float
+    departure: float
+    rounded: bool
+
+    def late(self, stamps: Array) -> Array:
+        """Time by which each stamp is after its sample of the clock, shape (m,) [intervals]."""
+        late: Array = (stamps - self.start) / self.interval - self.rows
+        return late
+
+
+def _steady_clock(stamps: Array, name: str) -> _Clock:
+    """Find the steady clock behind a time column, and warn of what is missing or rounded."""
     steps = _checked_steps(stamps, name)
     order = np.arange(stamps.size, dtype=np.intp)
     interval, start, departure = _fitted(order, stamps)
@@ -148,23 +191,12 @@ def _steady_clock(stamps: Array, name: str) -> tuple[NDArray[np.intp], float, fl
             interval, start, departure = _fitted(order, stamps)
     repeated = int(np.count_nonzero(steps == 0))
     resolution = float(np.min(steps[steps > 0]))
-    rounded = repeated > 0 and departure * interval <= resolution
-    if departure > 1.0 and not rounded:
-        raise FitError(
-            f"{name}: the time column fits no steady clock (rows depart from {1 / interval:.6g} Hz by up to "
-            f"{departure:.3g} sampling intervals); resample it, or give the rate in a channel map"
-        )
+    rounded = departure > 1.0 and repeated > 0 and departure * interval <= resolution
     doubts = []
-    if departure > 1.0:
+    if rounded:
         doubts.append(
             f"the time column is rounded to {resolution:.3g} s, more than a sampling interval; the samples are taken "
             f"as evenly spaced at {1 / interval:.6g} Hz, and a gap in them would not be seen"
-        )
-    elif departure > JITTER_ALLOWED:
-        equal = f"{repeated} time stamp(s) repeat the one before, and " if repeated else ""
-        doubts.append(
-            f"{equal}time stamps depart from a steady {1 / interval:.6g} Hz clock by up to {departure:.2f} sampling "
-            "intervals; the samples are taken as evenly spaced, which is right if only the stamps jitter"
         )
     missing = int(order[-1]) + 1 - order.size
     if missing:
@@ -174,7 +206,91 @@ def _steady_clock(stamps: Array, name: str) -> tuple[NDArray[np.intp], float, fl
         )
     for doubt in doubts:
         warnings.warn(f"{name}: {doubt}", DoubtWarning, stacklevel=3)
-    return order, start, 1 / interval
+    return _Clock(order, interval, start, departure, rounded)
+
+
+def _samples_jitter(stamps: Array, channels: Mapping[str, Channel], clock: _Clock, name: str) -> bool:
+    """Say whether samples that were stamped unevenly were taken unevenly; warn where they are taken as even."""
+    late = clock.late(stamps)
+    found = following([channel.values for channel in channels.values()], late)
+    if found.u < FOLLOWING_KNOWN:
+        jitter = found.share > 0.5
+        why = f"the readings do not follow them (by {found.share:.2f} of the jitter, u = {found.u:.2g})"
+    else:
+        jitter = clock.departure > 1.0
+        worst = ", ".join(
+            f"{np.nanstd(np.gradient(channel.values) * late):.3g} {channel.unit} of {key}"
+            for key, channel in list(channels.items())[:6]
+        )
+        why = f"the readings do not tell whether they were; if they were not, they are off by {worst} rms"
+    if not jitter:
+        repeated = int(np.count_nonzero(np.diff(stamps) == 0))
+        which = _first_repeated(np.diff(stamps), stamps)
+        equal = f"{repeated} time stamp(s) repeat the one before{which}, and " if repeated else ""
+        warnings.warn(
+            f"{name}: {equal}time stamps depart from a steady {1 / clock.interval:.6g} Hz clock by up to "
+            f"{clock.departure:.2f} sampling intervals; the samples are taken as evenly spaced: {why}",
+            DoubtWarning,
+            stacklevel=3,
+        )
+    return jitter
+
+
+def _resampled(stamps: Array, channels: Mapping[str, Channel], clock: _Clock, name: str, time_unit: str) -> Recording:
+    """Interpolate samples that were taken unevenly to a steady clock, and say what that does to them."""
+    first, kept = float(stamps[0]), np.concatenate(([True], np.diff(stamps) > 0))
+    places = ((stamps - first) / clock.interval)[kept]
+    samples = int(places[-1] + 1e-9) + 1
+    given = list(channels.values())
+    done = None
+    if _even_enough(places, clock.rows[kept]):
+        done = on_steady_clock([_unclipped(channel)[kept] for channel in given], places, samples)
+    if done is None:
+        repeated = _first_repeated(np.diff(stamps), stamps)
+        raise FitError(
+            f"{name}: the time column fits no steady clock: rows depart from {1 / clock.interval:.6g} Hz by up to "
+            f"{clock.departure:.3g} sampling intervals{repeated}, and are too far apart or too uneven to be put on "
+            "one; cut the recording where the rate changes or samples are missing"
+        )
+    placed, said = {}, []
+    for channel, values, error, gain in zip(given, done.values, done.errors, done.noise_gains, strict=True):
+        noise = None if channel.noise is None else float(np.hypot(gain * channel.noise, error))
+        placed[channel.name] = replace(channel, values=values, noise=noise)
+        clipped = ", saturated samples left out" if channel.saturated.any() else ""
+        said.append(f"{channel.name} {error:.2g} {channel.unit} rms, noise times {gain:.2f}{clipped}")
+    jitter = float(np.std(clock.late(stamps)))
+    warnings.warn(
+        f"{name}: the samples were not taken evenly (jitter {jitter:.2g} sampling intervals rms, up to "
+        f"{clock.departure:.2g}); they are interpolated to a steady {1 / clock.interval:.6g} Hz clock. "
+        f"What that leaves: {'; '.join(said[:6])}{'; ...' if len(said) > 6 else ''}",
+        DoubtWarning,
+        stacklevel=3,
+    )
+    grid = np.arange(samples)
+    time: Array = first + np.arange(samples, dtype=np.float64) * clock.interval
+    return Recording(name, time, grid, first, 1 / clock.interval, placed, time_unit=time_unit)
+
+
+def _unclipped(channel: Channel) -> Array:
+    """Readings of a load or an acceleration without those at a limit, which would not be known as such afterwards."""
+    return np.where(channel.at_limit, np.nan, channel.values) if channel.unit != "rad" else channel.values
+
+
+def _even_enough(places: Array, rows: NDArray[np.intp]) -> bool:
+    """Whether stamps jitter about one rate, and do not change from one to another."""
+    length = min(256, places.size // 4)
+    if length < 4:
+        return False
+    local = (places[length:] - places[:-length]) / (rows[length:] - rows[:-length])
+    return bool(np.all(np.abs(local - 1) < RATE_CHANGE_ALLOWED + 2 / length))
+
+
+def _first_repeated(steps: Array, stamps: Array) -> str:
+    """Name the first two samples that have the same time stamp, for a message; nothing where there are none."""
+    rows = np.flatnonzero(steps == 0)
+    if not rows.size:
+        return ""
+    return f" (samples {rows[0] + 1} and {rows[0] + 2} are both at {stamps[rows[0]]:.6g} s)"
 
 
 def _checked_steps(stamps: Array, name: str) -> Array:
@@ -197,6 +313,12 @@ def _checked_steps(stamps: Array, name: str) -> Array:
 
 JITTER_ALLOWED: Final = 0.1
 """Departure of a time stamp from the steady clock that is taken without a warning, in sampling intervals."""
+
+FOLLOWING_KNOWN: Final = 0.15
+"""Standard uncertainty of the share of the jitter that readings follow, below which they tell who jitters."""
+
+RATE_CHANGE_ALLOWED: Final = 0.05
+"""Part by which the rate of a clock that wanders may change and still be one rate [1]."""
 
 GAP_SUSPECTED: Final = 0.2
 """Departure from evenly spaced rows from which gaps are looked for: one sample lost from five departs by 0.21."""

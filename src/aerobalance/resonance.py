@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,8 +139,16 @@ class _LocalFit:
     misfit: float
 
 
-def missing_mode(seen: Averaged, dynamics: Dynamics) -> tuple[Mode, float] | None:
-    """The strongest peak that a further mode explains and a smooth load does not; and u of its frequency [Hz].
+class MissingMode(NamedTuple):
+    """A mode that the dynamics lack, and the standard uncertainties of its frequency [Hz] and its share [1]."""
+
+    mode: Mode
+    u_frequency: float
+    u_share: float
+
+
+def missing_mode(seen: Averaged, dynamics: Dynamics) -> MissingMode | None:
+    """The strongest peak that a further mode explains and a smooth load does not.
 
     A narrow band of the load itself looks the same.
     """
@@ -167,7 +175,8 @@ def missing_mode(seen: Averaged, dynamics: Dynamics) -> tuple[Mode, float] | Non
         width = 2 * mode.damping_ratio * mode.natural_frequency
         inside = abs(mode.natural_frequency / centre - 1) < BAND / 2
         if gain > EVIDENCE and mode.damping_ratio < HEAVIEST and width > seen.resolution and inside:
-            return mode, float(np.sqrt(found.covariance[0, 0])) * mode.natural_frequency
+            relative = np.sqrt(np.diag(found.covariance))  # of the logarithms
+            return MissingMode(mode, float(relative[0]) * mode.natural_frequency, float(relative[2]) * abs(mode.share))
     return None
 
 
@@ -191,7 +200,8 @@ def own_resonance(seen: Averaged, dynamics: Dynamics) -> tuple[Array, Array, flo
 
     plain = _fit(seen, band, lambda _: dynamics, start=np.zeros(0), scale=np.zeros(0))
     found = _fit(seen, band, changed, start=np.zeros(2), scale=np.array([0.3 * dynamics.damping_ratio, 0.2]))
-    if found.misfit > MISFIT:
+    moved, ratio = np.exp(np.clip(found.point, -700, 700)) * (1.0, dynamics.damping_ratio)
+    if found.misfit > MISFIT or abs(moved - 1) > BAND or ratio >= 1:  # beyond the band, or no resonance: not told
         return None
     return found.point, found.covariance, found.twice_log_likelihood - plain.twice_log_likelihood
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from typing import Final
 
 import numpy as np
@@ -58,6 +60,8 @@ class Schedule:
         Distances of the gauges from the balance's centre; None where unknown.
     assumptions
         What the reader had to take for granted.
+    left_out
+        Labels of the points that were left out (`without`).
     """
 
     name: str
@@ -77,6 +81,7 @@ class Schedule:
     balance_type: BalanceType = "unknown"
     geometry: Geometry | None = None
     assumptions: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n, c = self.outputs.shape if self.outputs.ndim == 2 else (0, 0)
@@ -116,6 +121,69 @@ class Schedule:
         """True for the points without load, shape (n,): zero readings."""
         return np.asarray((np.abs(self.loads) < UNLOADED * self.capacities).all(axis=1))
 
+    def label(self, number: int) -> str:
+        """Return the words that name a point, by its position from 0: its series and its own name.
+
+        The series is not said where there is only one, or where the point's own name begins with it.
+        """
+        series, point = self.series_names[self.series[number]], self.points[number]
+        alone = len(self.series_names) == 1 or _key(point).startswith(f"{_key(series)} ")
+        return point if alone else f"{series} {point}"
+
+    def without(self, names: Sequence[str]) -> Schedule:
+        """Return the schedule without some points: ``SERIES POINT`` each, or a series' name for all of its points.
+
+        Capital letters and the number of spaces do not count.
+
+        Raises
+        ------
+        ValueError
+            A name is that of no point and no series, or of both; the message lists names that are near. No point is
+            left.
+        """
+        if not names:
+            return self
+        out = np.zeros(len(self.points), dtype=np.bool_)
+        for name in names:
+            out |= self._named(name)
+        if out.all():
+            raise ValueError(f"{self.name}: no point is left when {', '.join(names)} are left out")
+        kept = np.unique(self.series[~out])
+        return replace(
+            self,
+            loads=self.loads[~out],
+            outputs=self.outputs[~out],
+            series=np.searchsorted(kept, self.series[~out]).astype(np.intp),
+            series_names=tuple(self.series_names[number] for number in kept),
+            points=tuple(self.points[number] for number in np.flatnonzero(~out)),
+            confirmation=self.confirmation[~out],
+            temperature=None if self.temperature is None else self.temperature[~out],
+            left_out=(*self.left_out, *(self.label(int(number)) for number in np.flatnonzero(out))),
+        )
+
+    def _named(self, name: str) -> NDArray[np.bool_]:
+        """True for the points that a name stands for, shape (n,)."""
+        wanted = _key(name)
+        of_series = np.array([_key(self.series_names[number]) == wanted for number in self.series])
+        long = [f"{self.series_names[of]} {point}" for of, point in zip(self.series, self.points, strict=True)]
+        labels = [self.label(number) for number in range(len(self.points))]
+        of_point = np.array([wanted in (_key(a), _key(b)) for a, b in zip(long, labels, strict=True)])
+        if of_series.any() and of_point.any() and (of_series != of_point).any():
+            raise ValueError(
+                f"{self.name}: {name!r} is the name of a series and of a point; name the point by "
+                f"{long[int(np.argmax(of_point))]!r}, or the points of the series one by one"
+            )
+        found = np.asarray(of_series | of_point)
+        if not found.any():
+            known = {_key(text): text for text in (*self.series_names, *labels)}
+            near = [known[key] for key in get_close_matches(wanted, list(known), n=5, cutoff=0.5)]
+            near = near or list(known.values())[:5]
+            raise ValueError(
+                f"{self.name}: has no point and no series {name!r}; near are {', '.join(map(repr, near))}. A point is "
+                "named by its series and its own name"
+            )
+        return found
+
     def keeping_aside(self, share: float) -> Schedule:
         """Return the schedule with a share of its loaded points, evenly over the series, marked for confirmation.
 
@@ -133,3 +201,8 @@ class Schedule:
         confirmation = self.confirmation.copy()
         confirmation[loaded[places]] = True
         return replace(self, confirmation=confirmation)
+
+
+def _key(name: str) -> str:
+    """Return what spellings of one name have in common."""
+    return " ".join(name.split()).casefold()

@@ -143,6 +143,8 @@ def check_after_a_kill(file, acknowledged):
     assert len(said.blocks) >= acknowledged.blocks
     assert len(found) >= acknowledged.samples
     assert list(found) == list(range(len(found)))
+    with h5py.File(file) as opened:  # as any other program does
+        assert np.array_equal(opened["blocks"][: len(said.blocks)], said.blocks)
     # the rig is seeded, so that what should be in the file is known
     source = SimulatedSource(RigSettings(seed=7, block=0.01, speed=float("inf")))
     source.start()

@@ -6,7 +6,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from aerobalance.acquire.replay import ReplaySource
+from aerobalance.acquire.replay import AGAIN, ReplaySource
 from aerobalance.acquire.source import SourceEndedError
 from aerobalance.io import read
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
@@ -110,3 +110,21 @@ def test_files_that_cannot_be_played(tmp_path) -> None:
         ReplaySource(tmp_path / "run.h5")
     with pytest.raises(ReadError, match="no such file"):
         ReplaySource(tmp_path / "none.h5")
+
+
+@pytest.mark.parametrize("kind", ["h5", "csv"])
+def test_a_replay_begins_again_without_a_gap_and_says_so(tmp_path, kind) -> None:
+    ramp = np.arange(130.0)
+    if kind == "h5":
+        written(tmp_path / "run.h5", [(500, ramp[:, None])], channels=(StoredChannel("AF", "N"),), rate=1000.0)
+    else:
+        table = np.column_stack([ramp / 1000, ramp])
+        np.savetxt(tmp_path / "run.csv", table, delimiter=",", header="time [s],AF [N]", comments="", fmt="%.6f")
+    source = ReplaySource(tmp_path / f"run.{kind}", speed=math.inf, block=0.05, loop=True)
+    source.start()
+    blocks = [source.read(1.0) for _ in range(9)]
+    assert [block.tick for block in blocks] == [0, 50, 100, 130, 180, 230, 260, 310, 360]
+    assert np.concatenate([block.samples for block in blocks])[:, 0].tolist() == [*ramp, *ramp, *ramp]
+    assert [block.tick for block in blocks if block.remark == AGAIN] == [130, 260]
+    assert {block.remark for block in blocks} == {"", AGAIN}
+    assert "again and again" in source.description

@@ -73,13 +73,18 @@ class Operator:
 
 
 @contextlib.contextmanager
-def page_in_chromium(folder):
-    """The page's program with a folder, and a browser: the browser, the address, and when the program was called."""
+def page_in_chromium(folder, servers=None):
+    """The page's program with a folder, and a browser: the browser, the address, and when the program was called.
+
+    The process of the program is put into the list of servers, where one is given.
+    """
     from playwright.sync_api import sync_playwright
 
     begin = time.monotonic()
     code = PROGRAM.format(folder=str(folder))
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+        if servers is not None:
+            servers.append(process)
         try:
             base = process.stdout.readline().split()[4].rstrip(";")
             with sync_playwright() as playwright:

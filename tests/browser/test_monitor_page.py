@@ -106,10 +106,11 @@ def test_shunt_and_contact_are_shown(operator) -> None:
     assert view.inner_text("#check-return") == "At rest again: take it"
     view.click("#check-give-up")
     view.click("#control-touch")
-    view.wait_for_selector("#contact-state:not([hidden])")
+    operator.until("document.getElementById('alarm-state').textContent === '■ the model touches its support'")
     assert "carry the force of the contact" in view.inner_text("#health")
     view.click("#control-release")
-    operator.until("document.getElementById('contact-state').hidden")
+    operator.until("window.aerobalance.touching === false")
+    view.click("#acknowledge")
     assert operator.said == []
 
 
@@ -123,7 +124,7 @@ def test_combined_loads_are_shown(operator) -> None:
     assert view.inner_text("#envelope .state") in ("● inside", "▲ near its edge", "■ outside")
     operator.until("document.querySelectorAll('#numbers .share').length === 6")
     operator.until(
-        "[...document.querySelectorAll('#numbers .share')].every((i) => i.textContent.includes('envelope'))"
+        "[...document.querySelectorAll('#numbers .share')].every((i) => i.title.includes('envelope'))"
     )
     assert operator.said == []
 

@@ -352,9 +352,12 @@ def test_the_template_is_toml_and_completes_to_a_map(tmp_path):
     path = tmp_path / "foreign.txt"
     path.write_text(belt())
     text = template(path)
-    assert tomllib.loads(text) == {"file": {"time": "Timestamp (s)"}}
-    for number, name in ((2, "PM"), (3, "ground_acceleration")):
-        text = text.replace(f"# [channels.column_{number}]", f"[channels.{name}]")
+    layout = {"header_line": 1, "skip_lines": 0, "separator": "tab", "decimal": ".", "encoding": "utf-8"}
+    assert tomllib.loads(text) == {
+        "file": {"time": "Timestamp (s)", **layout},
+        "channels": {"PM": {"column": "Pitch Moment (Nm)", "unit": "Nm"}},
+    }
+    text = text.replace("# [channels.column_3]", "[channels.ground_acceleration]")
     text = text.replace('# column = "', 'column = "').replace('# unit = "', 'unit = "')
     text = text.replace('unit = "m/s"', 'unit = "m/s"\nderivative = 1\nsign = -1')
     recording = mapped(tmp_path, text, belt())

@@ -1,11 +1,11 @@
 """Recordings in HDF5: read back as they were recorded, with what is lost or damaged marked, and nothing else lost."""
 
-import os
 import signal
 import subprocess
 import sys
 import warnings
 import zlib
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -134,7 +134,7 @@ def test_every_single_bit_of_the_samples_is_watched(tmp_path) -> None:
 
 KILLED = """
 import os, sys, signal
-sys.path.insert(0, {folder!r})
+sys.path[:0] = {folders!r}
 from pathlib import Path
 from test_hdf5_file import make
 make(Path({file!r}), [(0, 300)], finish=False)
@@ -144,7 +144,8 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 def test_file_of_a_killed_writer_is_read_to_its_last_block(tmp_path) -> None:
     file = tmp_path / "a.h5"
-    code = KILLED.format(folder=os.path.dirname(__file__), file=str(file))  # noqa: PTH120
+    here = Path(__file__).parent
+    code = KILLED.format(folders=[str(here), str(here.parent)], file=str(file))
     done = subprocess.run([sys.executable, "-c", code], check=False)
     assert done.returncode == -signal.SIGKILL
     with pytest.warns(DoubtWarning, match="the record was not ended"):

@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
+from aerobalance.acquire.setup import load_setup
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import BLOCK, BlockWriter, Provenance, StoredChannel
@@ -33,7 +34,7 @@ for given in sys.argv[2:]:
     way, path = given.split("=", 1)
     start, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     # far beyond what is allowed, so that a test fails and the machine does not
-    resource.setrlimit(resource.RLIMIT_CPU, (int(start) + 60, int(start) + 61))
+    resource.setrlimit(resource.RLIMIT_CPU, (int(start) + 60, resource.RLIM_INFINITY))
     try:
         ways[way](path)
         said = "read"
@@ -224,3 +225,102 @@ def test_damaged_hdf5_raises_read_errors_only(tmp_path) -> None:
                 refused += 1
                 assert str(path) in str(problem)
     assert refused > 100
+
+
+def test_work_on_text_goes_with_its_size(tmp_path) -> None:
+    def wide(n):
+        cells = ",".join(f"c{i} [N]" for i in range(n))
+        return f"time [s],{cells}\n" + "".join(f"{k / 1000},{','.join(['1'] * n)}\n" for k in range(3))
+
+    rows = 'time [s],AF [N],note\n0.000,1.5,"open\n' + "".join(f"{k / 1000},2,x\n" for k in range(1, 700_000))
+    texts = {
+        "wide-4": (wide(60_000).replace(" [N]", ""), "has 60001 columns; allowed: up to 10000"),
+        "wide-5": (wide(100_000), "line 1: is longer than 1048576 bytes"),
+        "wide-6": (wide(1_000_000), "line 1: is longer than 1048576 bytes"),
+        "quote": (rows, "line 2: opens a quotation mark and does not close it"),
+        "quote-in-header": ('time [s],"AF [N]\n' + "0.0,1\n" * 1_300_000, "time must increase"),
+        "late-line": ("time [s],AF [N]\n0.0,1\n" + "0.1," + "1" * 3_000_000 + "\n", "line 3: is longer than"),
+        "blank": ("\n" * 4_000_000, "is empty"),
+        "spaces": (" " * 8_000_000, "line 1: is longer than"),
+    }
+    paths = {}
+    for name, (content, _) in texts.items():
+        paths[name] = tmp_path / f"{name}.csv"
+        paths[name].write_text(content)
+    said = bounded(*(("read", path) for path in paths.values()))
+    for name, (_, words) in texts.items():
+        assert words in said[str(paths[name])], said[str(paths[name])]
+
+
+def test_a_header_line_of_any_length_is_refused_at_once(tmp_path) -> None:
+    path = tmp_path / "header.csv"
+    with path.open("wb") as file:
+        file.write(b"time [s],")
+        for _ in range(200):
+            file.write(b"AF [N]," * 150_000)
+    for way in ("read", "template", "table"):
+        said = bounded((way, path))
+        assert "line 1: is longer than 1048576 bytes, which no line of a table is" in said[str(path)]
+
+
+def test_toml_that_takes_the_parser_minutes_is_refused(tmp_path) -> None:
+    texts = {
+        "dotted": ("a." * 100_000 + "b=1", "line 1: has a key of more than 50 parts"),
+        "spaced": ("a . " * 100_000 + "b=1", "more than 50 parts"),
+        "quoted": ('"a".' * 100_000 + "b=1", "more than 50 parts"),
+        "table": (f"# set-up\n[{'a.' * 100_000}b]", "line 2: has a key of more than 50 parts"),
+        "inline": ("x = {" + "a." * 100_000 + "b=1}", "more than 50 parts"),
+        "nested": ("a=" + "[" * 100_000, "nested too deeply"),
+        "nested-tables": ("a=" + "{b=" * 100_000, "nested too deeply"),
+        "digits": ("a=" + "9" * 500_000, "is no TOML"),
+        "words": ("a" * 1_000_000, "is no TOML"),
+        "quotes": ("a = '''" + "\"'" * 400_000, "is no TOML"),
+        "tables": ("".join(f"[a{i}.b]\n" for i in range(90_000)), "a0: is not known"),
+        "large": ("#" * 1_100_000, "is larger than 1000000 bytes, which a test set-up is not"),
+    }
+    paths = {}
+    for name, (content, _) in texts.items():
+        paths[name] = tmp_path / f"{name}.toml"
+        paths[name].write_text(content)
+    said = bounded(*(("setup", path) for path in paths.values()))
+    for name, (_, words) in texts.items():
+        assert words in said[str(paths[name])], said[str(paths[name])]
+
+
+TEXT = 'time [s],AF [N],"pitch [deg]"\n' + "".join(f'{k / 100:.2f},{k}.5,"-{k}e-1"\n' for k in range(40))
+SET_UP = """
+name = "x"
+[source]
+kind = "simulated"
+rig = "vibration"
+seed = 7
+[record]
+seconds = 2.0
+block = 0.1
+[channels.AF]
+scale = -1.5
+"""
+
+
+@pytest.mark.parametrize(("name", "way", "content"), [("a.csv", read, TEXT), ("a.toml", load_setup, SET_UP)])
+def test_mutated_text_raises_read_errors_only(tmp_path, name, way, content) -> None:
+    data, path = content.encode(), tmp_path / name
+    rng = np.random.default_rng(21)
+    signs = np.frombuffer(b"\x00\n\r\t \",;.=[]{}#-+eE19\\'\xff\xc3\x1a", dtype=np.uint8)
+    refused = 0
+    for _ in range(400):
+        damaged = bytearray(data)
+        for _ in range(int(rng.integers(1, 5))):
+            at = int(rng.integers(0, len(damaged)))
+            part = bytes(rng.choice(signs, int(rng.integers(0, 3))).tolist())
+            damaged[at : at + int(rng.integers(0, 3))] = part
+        path.write_bytes(damaged)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DoubtWarning)
+            try:
+                way(path)
+            except ReadError as problem:
+                refused += 1
+                assert str(path) in str(problem)
+                assert "\n" not in str(problem)
+    assert 100 < refused < 400

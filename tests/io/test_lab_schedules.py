@@ -165,6 +165,15 @@ def test_what_cannot_be_taken_says_where_and_what(tmp_path, kind):
         assert words in str(caught.value)
 
 
+def test_the_example_of_the_documentation_reads(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "files.md").read_text()
+    example = page[page.index("Kalibrierung Waage") :].partition("```")[0]
+    schedule = read_schedule(put(tmp_path, example.encode("cp1252")))
+    assert schedule.series_names == ("S1", "Mx pos")
+    np.testing.assert_allclose(schedule.loads, [[100.5, 0], [0, 12.5]])
+    np.testing.assert_allclose(schedule.outputs, [[0.51, 0.002], [0.003, 0.25]])
+
+
 # ------------------------------------------------------------------------------------------------ channel map
 
 MAP = """

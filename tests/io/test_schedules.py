@@ -8,6 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from aerobalance.cli import main
+from aerobalance.io import read
 from aerobalance.io.load_columns import balance_type_of, load_key
 from aerobalance.io.schedule import read_schedule, write_balfit_schedule
 from aerobalance.io.units import conversion
@@ -727,6 +729,16 @@ def test_names_of_the_same_load():
     assert len(set.union(*keys)) == len(same)
     assert balance_type_of(("N1", "N2", "Y1", "Y2", "Ax", "Mx")) == "force"
     assert balance_type_of(("N1", "PM2")) == "unknown"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp1252"])
+@pytest.mark.parametrize("content", [vol(), balfit()], ids=["vol", "balfit"])
+def test_a_schedule_that_is_read_as_a_recording_is_named(tmp_path, content, encoding, capsys):
+    path = put(tmp_path, content, encoding=encoding, name="schedule.csv")
+    with pytest.raises(ReadError, match="is a load schedule and no recording; aerobalance calibrate"):
+        read(path)
+    assert main(["info", str(path)]) == 2
+    assert "aerobalance calibrate" in capsys.readouterr().err
 
 
 # ------------------------------------------------------------------------------------------------ damage

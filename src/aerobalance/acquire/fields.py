@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from aerobalance.io.channel_settings import NotBelow, Number, Strict
-from aerobalance.io.text_table import LARGEST
+from aerobalance.io.text_cells import LARGEST
 
 __all__ = ["Above", "FileName", "Name", "NotBelow", "Number", "Table", "Text"]
 

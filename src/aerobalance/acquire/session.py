@@ -96,6 +96,7 @@ class Recorder:
     def _gone(self) -> None:
         if not self.progress.over:
             last = self.progress
+            self.process.join(1.0)  # its lock on the file goes with it
             with contextlib.suppress(OSError):  # so that other HDF5 programs can open it
                 close_broken_off(last.path)
             reason = "the recorder is gone without a word (killed, or crashed); all acknowledged blocks are kept"

@@ -36,7 +36,6 @@ What the balance may bear in all, and how it is checked, is in tables of `aeroba
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -52,13 +51,9 @@ from aerobalance.io.channel_settings import ChannelSettings
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.messages import first_fault
 from aerobalance.io.safe_write import replacing
-from aerobalance.io.toml_text import toml_text
+from aerobalance.io.toml_text import read_toml, toml_in, toml_text
 from aerobalance.io.units import conversion_for
 from aerobalance.problems import FitError, ReadError
-
-LARGEST_SETUP: Final = 1_000_000
-"""Largest set-up file that is read [bytes]."""
-
 
 LATEST: Final = 1.0
 """Longest delay of a channel [s]; the live force waits for it."""
@@ -250,20 +245,7 @@ def load_setup(path: Path | str) -> Setup:
         The file is no TOML, or has a key that is unknown, missing or not allowed; the message names the key.
     """
     file = Path(path)
-    try:
-        with file.open("rb") as stream:
-            head = stream.read(LARGEST_SETUP + 1)
-    except FileNotFoundError:
-        raise ReadError(file, "", "there is no such file") from None
-    except (OSError, ValueError) as error:
-        raise ReadError(file, "", f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    if len(head) > LARGEST_SETUP:
-        raise ReadError(file, "", f"is larger than {LARGEST_SETUP} bytes, which no test set-up is")
-    try:
-        text = head.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise ReadError(file, "", f"is no TOML: {error}") from None
-    return parse_setup(text, file)
+    return setup_from(read_toml(file, what="a test set-up"), file)
 
 
 def parse_setup(text: str, path: Path | str = "set-up") -> Setup:
@@ -274,11 +256,7 @@ def parse_setup(text: str, path: Path | str = "set-up") -> Setup:
     ReadError
         As `load_setup`.
     """
-    try:
-        given: dict[str, Any] = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise ReadError(path, "", f"is no TOML: {' '.join(str(error).split())}") from None
-    return setup_from(given, path)
+    return setup_from(toml_in(text, path), path)
 
 
 def setup_from(given: Mapping[str, Any], path: Path | str = "set-up") -> Setup:

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from aerobalance.balance import BalanceMatrix
 from aerobalance.calibration.fit import Calibration
 from aerobalance.calibration.quality import Quality
-from aerobalance.calibration.regression import HIGHEST_INFLATION
+from aerobalance.calibration.regression import HIGHEST_INFLATION, inflation_text
 from aerobalance.problems import DoubtWarning
 
 TOO_QUIET: Final = 1e-6
@@ -24,11 +24,13 @@ def doubt_quality(calibration: Calibration, quality: Quality) -> None:
     schedule, matrix = calibration.schedule, calibration.matrix
     if quality.outliers:
         worst = quality.outliers[0]
+        count = len(quality.outliers)
         _doubt(
-            f"{schedule.name}: {len(quality.outliers)} readings do not go with the others, most "
-            f"{schedule.components[worst.component]} at point {schedule.points[worst.point]} of series "
-            f"{schedule.series_names[schedule.series[worst.point]]!r} ({1e3 * worst.residual:+.2g} uV/V, "
-            f"{abs(worst.studentised):.2g} standard deviations); they are in the fit and widen its uncertainty"
+            f"{schedule.name}: {f'{count} readings do' if count > 1 else '1 reading does'} not go with the others, "
+            f"{'most ' if count > 1 else ''}{schedule.components[worst.component]} at point {worst.label!r} "
+            f"({1e3 * worst.residual:+.2g} uV/V, {worst.size} standard deviations); "
+            f"{'they are' if count > 1 else 'it is'} in the fit and {'widen' if count > 1 else 'widens'} its "
+            f'uncertainty. What is wrong is left out with --leave-out "{worst.label}"'
         )
     if calibration.unidentified:
         labels = calibration.unidentified_labels
@@ -58,8 +60,8 @@ def doubt_quality(calibration: Calibration, quality: Quality) -> None:
     if max(inflated) > HIGHEST_INFLATION and calibration.model != "auto":
         _doubt(
             f"{schedule.name}: some terms are near copies of each other (variance inflation factor up to "
-            f"{max(inflated):.3g}, above {HIGHEST_INFLATION:g}); their coefficients mean little one by one. "
-            "--model auto keeps of them what the readings support"
+            f"{inflation_text(max(inflated))}, above {HIGHEST_INFLATION:g}); their coefficients mean little one by "
+            "one. --model auto keeps of them what the readings support"
         )
     _doubt_reading_noise(calibration)
 

@@ -27,6 +27,9 @@ OWN_ANSWER: Final = 0.3
 SLOPE_DOUBT, SLOPE_FAULT = 0.05, 0.3
 """Relative departure of one series' sensitivity from the median that is doubted, and that is refused."""
 
+SLOPE_FAR: Final = 10.0
+"""The same from which the median says nothing of the series, and no percentage of it is given."""
+
 DOUBTFUL, UNFIT = 0.005, 0.05
 """Standard deviation of the residuals, over capacity, that is doubted, and that is refused."""
 
@@ -176,13 +179,17 @@ def _check_slopes(schedule: Schedule, slopes: list[dict[int, tuple[float, float]
             departure = slope / middle - 1 if middle else np.inf
             if abs(departure) < SLOPE_DOUBT or abs(slope - middle) < 5 * u:
                 continue
+            from_middle = f"{100 * departure:+.3g} %" if abs(departure) < SLOPE_FAR else "far"
             text = (
                 f"{schedule.name}: the bridge of {name} gives {slope:.4g} mV/V at capacity in series "
-                f"{schedule.series_names[number]!r}, {100 * departure:+.3g} % from the {middle:.4g} mV/V of the "
+                f"{schedule.series_names[number]!r}, {from_middle} from the {middle:.4g} mV/V of the "
                 "median series"
             )
             if abs(departure) > SLOPE_FAULT:
-                raise FitError(f"{text}; check the loads, units and arms of that series, or leave it out")
+                raise FitError(
+                    f"{text}; check the loads, units and arms of that series, or leave it out with "
+                    f'--leave-out "{schedule.series_names[number]}"'
+                )
             warnings.warn(f"{text}; the matrix averages over both", DoubtWarning, stacklevel=4)
 
 
@@ -209,8 +216,8 @@ def _check_zeros(schedule: Schedule, residuals: Array) -> None:
             )
 
 
-def check_residuals(schedule: Schedule, residuals: Array) -> None:
-    """Refuse or doubt a fitted matrix by its residuals over capacity, shape (n, c).
+def check_residuals(schedule: Schedule, residuals: Array, *, deviation: Array) -> None:
+    """Refuse or doubt a fitted matrix by its residuals over capacity, shape (n, c), and their deviation, (c,).
 
     Raises
     ------
@@ -223,14 +230,14 @@ def check_residuals(schedule: Schedule, residuals: Array) -> None:
         It is above `DOUBTFUL`, or a zero drifts.
     """
     _check_zeros(schedule, residuals)
-    size = np.sqrt(np.mean(residuals**2, axis=0))
+    size = deviation
     bad = np.flatnonzero(size > UNFIT)
     if bad.size:
         texts = [f"{schedule.components[i]} {100 * size[i]:.3g} %{_blame(schedule, residuals[:, i])}" for i in bad]
         raise FitError(
             f"{schedule.name}: unfit for a matrix: the readings do not follow the loads. Standard deviation of the "
             f"residuals in percent of capacity: {', '.join(texts)}. Look for drifting or loose bridges, and repeat "
-            "these series"
+            "these series, or leave out what is known to be wrong (--leave-out)"
         )
     for i in np.flatnonzero(size > DOUBTFUL):
         warnings.warn(

@@ -15,7 +15,7 @@ import numpy as np
 
 from aerobalance.balance import BalanceMatrix, Way
 from aerobalance.calibration.faults import check_residuals, check_schedule
-from aerobalance.calibration.regression import Choice, Regression, without_intercepts
+from aerobalance.calibration.regression import Choice, Regression, residual_deviation, without_intercepts
 from aerobalance.calibration.scaled import ScaledPoints
 from aerobalance.calibration.selection import Unidentified, identifiable, select
 from aerobalance.calibration.shrinkage import Fitted, shrink
@@ -121,7 +121,8 @@ def calibrate(
         tares, regressions = data.fit(terms, choice)
     matrix = replace(data.matrix(terms, regressions, tares), reading_noise=noise)
     residuals = data.residuals(matrix, regressions, tares)
-    check_residuals(schedule, residuals[schedule.fitted] / schedule.capacities)
+    fitted = residuals[schedule.fitted] / schedule.capacities
+    check_residuals(schedule, fitted, deviation=residual_deviation(fitted, regressions))
     by_iteration = data.tares_by_iteration(terms, choice, regressions) if data.absolute else None
     return Calibration(
         schedule=schedule,

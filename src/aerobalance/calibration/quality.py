@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from aerobalance.calibration.fit import Calibration
-from aerobalance.calibration.regression import without_intercepts
+from aerobalance.calibration.regression import residual_deviation, without_intercepts
 from aerobalance.channel import Array
 
 BIDIRECTIONAL: Final = 0.005
@@ -27,6 +27,9 @@ OUTLIER, REPEAT_OUTLIER = 2.5e-3, 0.5e-3
 
 OUTLIER_SIGNIFICANCE: Final = 0.05
 """Probability, over all points together, below which a point is an outlier (Bonferroni)."""
+
+MOST_DEVIATIONS: Final = 100.0
+"""Standard deviations from which only that an outlier has more of them is said: no chance reaches there."""
 
 SAME_LOAD: Final = 1e-4
 """Difference of loads, over capacity, within which points are repeats."""
@@ -70,13 +73,27 @@ class Outlier:
     residual
         Of the bridge's output [mV/V].
     studentised
-        The same over its standard deviation.
+        The same over its standard deviation as the other points tell it; infinite where they fit to the last digit.
+    label
+        Words that name the point, as `Schedule.without` takes them.
     """
 
     point: int
     component: int
     residual: float
     studentised: float
+    label: str
+
+    @property
+    def deviations(self) -> float | None:
+        """`studentised` where it means something; None from `MOST_DEVIATIONS` on, where no chance reaches."""
+        return self.studentised if abs(self.studentised) < MOST_DEVIATIONS else None
+
+    @property
+    def size(self) -> str:
+        """How many standard deviations, in words: a number that means something, or a bound."""
+        found = self.deviations
+        return f"more than {MOST_DEVIATIONS:g}" if found is None else f"{abs(found):.2g}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,9 +103,9 @@ class Quality:
     Attributes
     ----------
     deviation, largest
-        Root mean square and largest magnitude of the residuals of the fitted points.
+        Standard deviation (degrees of freedom counted) and largest magnitude of the residuals of the fitted points.
     of_half_range
-        Root mean square over half the calibrated range instead.
+        Standard deviation over half the calibrated range instead.
     hysteresis
         Largest difference between the residuals at one load, going up and going down; NaN where no series goes both
         ways.
@@ -121,7 +138,7 @@ def assess(calibration: Calibration) -> Quality:
     used = schedule.fitted
     residuals = calibration.residuals / schedule.capacities
     fitted = residuals[used]
-    deviation = np.sqrt(np.mean(fitted**2, axis=0))
+    deviation = residual_deviation(fitted, calibration.regressions)
     half = np.ptp(matrix.calibrated, axis=0) / 2 / schedule.capacities
     confirmation = covered = None
     if schedule.confirmation.any():
@@ -205,7 +222,9 @@ def _outliers(calibration: Calibration) -> tuple[Outlier, ...]:
         output = fit.residuals * scale
         limit = student.isf(OUTLIER_SIGNIFICANCE / 2 / points.size, max(fit.degrees_of_freedom - 1, 1))
         found += [
-            Outlier(int(points[row]), index, float(output[row]), float(fit.studentised[row]))
+            Outlier(
+                int(points[row]), index, float(output[row]), float(fit.studentised[row]), schedule.label(points[row])
+            )
             for row in np.flatnonzero((np.abs(fit.studentised) > limit) & (np.abs(output) > OUTLIER))
         ]
     return tuple(sorted(found, key=lambda item: -abs(item.studentised)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -18,8 +19,15 @@ from aerobalance.problems import FitError
 LEAST_FREEDOM: Final = 1
 """Fewest points beyond the number of unknowns."""
 
+FULL_LEVERAGE: Final = 1e-9
+"""Distance of a leverage from one within which a point alone tells an unknown."""
+
 HIGHEST_INFLATION: Final = 10.0
 """Variance inflation factor above which terms are near copies of each other (AIAA R-091 warns from 5)."""
+
+
+MOST_INFLATION: Final = 1e6
+"""Variance inflation factor from which only that it is larger is said."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,11 +83,13 @@ class Regression:
     degrees_of_freedom
         Points less unknowns; a coefficient drawn to zero counts as the part of one that the readings determine.
     press
-        Root mean square of the residuals that each point would have, were it left out of the fit.
+        Root mean square of the residuals that each point would have, were it left out of the fit; NaN where no point
+        can be left out.
     r_squared
         Share of the variance that is explained.
     studentised
-        Residuals over their standard deviation, each found without its own point, shape (n,).
+        Residuals over their standard deviation, each found without its own point, shape (n,); infinite where the
+        other points fit to the last digit.
     """
 
     included: NDArray[np.bool_]
@@ -135,14 +145,12 @@ def regress(
     found = _spread(fit.params, np.concatenate([included, np.ones(intercepts.shape[1], dtype=bool)]), 0.0)
     covariance = whole.normalized_cov_params * deviation**2 + np.outer(found - whole.params, found - whole.params)
     u = np.sqrt(np.diag(covariance))
-    leverage = np.minimum(_leverage(fit, n), 1 - 1e-12)
     rest = np.asarray(fit.resid[:n])
     squares = float(rest @ rest)
+    press, studentised = _left_out(fit, n)
     spread = float(np.sum((values - values.mean()) ** 2))
     with np.errstate(divide="ignore", invalid="ignore"):
         t = (found / u)[: included.size]
-        left = np.sqrt(np.maximum(squares - rest**2 / (1 - leverage), 0.0) / max(freedom - 1, 1.0))
-        studentised = np.nan_to_num(rest / (left * np.sqrt(1 - leverage)))
     return Regression(
         included=included,
         coefficients=found[: included.size],
@@ -155,10 +163,29 @@ def regress(
         residuals=rest,
         deviation=deviation,
         degrees_of_freedom=round(freedom),
-        press=float(np.sqrt(np.mean((rest / (1 - leverage)) ** 2))),
+        press=press,
         r_squared=1 - squares / spread if spread > 0 else 0.0,
         studentised=studentised,
     )
+
+
+def _left_out(fit: Any, points: int) -> tuple[float, Array]:
+    """Root mean square of the residuals of points left out one by one, and residuals over their deviation then.
+
+    What draws coefficients to zero are readings as well: counted with the others, what the rest leaves is never
+    negative. A point that alone tells an unknown (leverage one) fits whatever it reads, and shows nothing of itself.
+    """
+    rest, leverage = np.asarray(fit.resid[:points]), _leverage(fit, points)
+    told = leverage < 1 - FULL_LEVERAGE
+    studentised = np.zeros(points)
+    if not told.any():
+        return float("nan"), studentised
+    rest, leverage = rest[told], leverage[told]
+    squares = np.maximum(float(fit.resid @ fit.resid) - rest**2 / (1 - leverage), 0.0)
+    deviation = np.sqrt(squares / max(float(fit.df_resid) - 1, 1.0) * (1 - leverage))
+    exact = np.where(rest == 0, 0.0, np.copysign(np.inf, rest))
+    studentised[told] = np.divide(rest, deviation, out=exact, where=deviation > 0)
+    return float(np.sqrt(np.mean((rest / (1 - leverage)) ** 2))), studentised
 
 
 def _fit(values: Array, design: Array, intercepts: Array, penalty: Array) -> Any:
@@ -185,11 +212,22 @@ def _spread(values: Array, included: NDArray[np.bool_], rest: float) -> Array:
     return full
 
 
+def residual_deviation(residuals: Array, fits: Sequence[Regression]) -> Array:
+    """Return the standard deviation of residuals, shape (n, c), each by its fit's degrees of freedom, shape (c,)."""
+    freedom = np.array([max(fit.degrees_of_freedom, LEAST_FREEDOM) for fit in fits])
+    return np.asarray(np.sqrt(np.sum(residuals**2, axis=0) / freedom))
+
+
 def without_intercepts(design: Array, intercepts: Array) -> Array:
     """Take what series intercepts can explain out of the columns of a design matrix, shape (n, t)."""
     if not intercepts.shape[1]:
         return design
     return np.asarray(design - intercepts @ np.linalg.lstsq(intercepts, design, rcond=None)[0])
+
+
+def inflation_text(factor: float) -> str:
+    """Return a variance inflation factor for people: beyond a million it is a matter of rounding."""
+    return f"{factor:.3g}" if factor < MOST_INFLATION else f"more than {MOST_INFLATION:,.0f}"
 
 
 def inflation(design: Array, intercepts: Array) -> Array:

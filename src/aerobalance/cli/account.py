@@ -14,6 +14,11 @@ from aerobalance.cli import streams
 FOR_PEOPLE: Final = ("summary", "details")
 """Texts of an account: the short answer, and tables that go with all of it."""
 
+NOT_LISTED: Final = frozenset(
+    {"covariance", "warnings", "residuals", "model", "budget", "spectrum", "monte_carlo", "map"}
+)
+"""Parts of an account that are for programs, or that a text for people holds already."""
+
 _LISTED: Final = 4
 
 
@@ -97,7 +102,7 @@ def _lines(item: Any, prefix: str = "") -> list[tuple[str, str]]:
             return [(prefix, _quantity(item))]
         lines = []
         for key, value in item.items():
-            if key not in {"covariance", "warnings", "residuals", "model", "budget", "spectrum", "monte_carlo"}:
+            if key not in NOT_LISTED:
                 lines += _lines(value, f"{prefix}.{key}" if prefix else str(key))
         return lines
     if isinstance(item, list) and item and isinstance(item[0], dict):

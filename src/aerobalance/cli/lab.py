@@ -53,7 +53,9 @@ def calibrate(
     schedule: Annotated[
         Path,
         typer.Argument(
-            metavar="SCHEDULE", callback=given, help="Loads and gauge outputs: BALFIT csv, .vol or plain csv."
+            metavar="SCHEDULE",
+            callback=given,
+            help="Loads and gauge outputs: BALFIT csv, .vol, a text table or .xlsx.",
         ),
     ],
     out: Out = None,
@@ -83,6 +85,16 @@ def calibrate(
             "One number, or rNF=0.0001 for each bridge (repeatable).",
         ),
     ] = None,
+    leave_out: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--leave-out", metavar="'SERIES POINT'", help="Leave a point, or a whole series, out (may be given again)."
+        ),
+    ] = None,
+    channel_map: Annotated[
+        Path | None,
+        typer.Option("--map", help="Channel map (TOML) that says what the columns of a table or spreadsheet are."),
+    ] = None,
     report: Annotated[Path | None, typer.Option("--report", help="Write a page with figures and tables.")] = None,
     as_json: Json = False,
     verbose: Verbose = False,
@@ -101,6 +113,8 @@ def calibrate(
             capacities=capacity or (),
             distances=distances,
             reading_noise=calibration.reading_noise_from(reading_noise or ()),
+            leave_out=leave_out or (),
+            channel_map=channel_map,
             report=report,
         ),
         Manner(as_json, verbose, replace),
@@ -108,7 +122,7 @@ def calibrate(
     )
 
 
-@app.command("compare-calibrations", epilog=example("compare-calibrations 2022.json 2025.json"))
+@app.command("compare-calibrations", epilog=example("compare-calibrations schedule_2022.csv schedule.csv"))
 def compare_calibrations(
     before: Annotated[Path, typer.Argument(metavar="BEFORE", help="balance.json, or a load schedule.")],
     after: Annotated[Path, typer.Argument(metavar="AFTER", help="The later one of the same balance.")],
@@ -204,7 +218,8 @@ def identify_decay(
         Path | None,
         typer.Option(
             "--balance",
-            help="With all: balance.json, for gauge outputs; what its calibration leaves in A and D is then known.",
+            help="balance.json, for gauge outputs (rAF ...) instead of loads; with all, what its calibration leaves "
+            "in A and D is then known.",
         ),
     ] = None,
     zero: Zero = None,
@@ -239,20 +254,18 @@ def identify_decay(
     from aerobalance.commands import identify
 
     rec = _only(recs, half_range)
-    if files is not None:
-        raise ValueError("--balance goes with --component all; turn gauge outputs into loads with aerobalance loads")
     if mass is None:
         raise ValueError("Missing option '--mass': a release tells mass over stiffness only")
     show(
         lambda: identify.identify_decay(
-            rec, out, component=component, mass=mass, modes=modes or "1", channel_map=channel_map
+            rec, out, component=component, mass=mass, modes=modes or "1", files=files, channel_map=channel_map
         ),
         Manner(as_json, verbose, replace),
         doing="fitting the decay",
     )
 
 
-@identify.command("rig", epilog=example("identify rig sweep.csv --component AF --mass 0.68 -o dynamics.json"))
+@identify.command("rig", epilog=example("identify rig sweep.csv --component AF --mass 0.68 -o dynamics_rig.json"))
 def identify_rig(
     recs: Annotated[
         list[Path],
@@ -316,7 +329,7 @@ def _only(recs: list[Path], half_range: list[str] | None) -> Path:
     return recs[0]
 
 
-@identify.command("frf", epilog=example("identify frf table.csv --component AF --mass 0.68 -o dynamics.json"))
+@identify.command("frf", epilog=example("identify frf response.csv --component AF --mass 0.68 -o dynamics_frf.json"))
 def identify_frf(
     table: Annotated[
         Path,
@@ -340,7 +353,8 @@ def identify_frf(
 
 
 @identify.command(
-    "stiffness", epilog=example("identify stiffness K.csv --mass mass.json --ratios 0.01 -o dynamics.json")
+    "stiffness",
+    epilog=example("identify stiffness stiffness.csv --mass rigid_mass.toml --ratios 0.01 -o dynamics_six.json"),
 )
 def identify_stiffness(
     table: Annotated[

@@ -36,7 +36,7 @@ def info(
     show(lambda: recordings.info(file, channel_map=channel_map), Manner(as_json, verbose), doing="reading")
 
 
-@app.command(epilog=example("convert run.txt --map map.toml -o run.csv"))
+@app.command(epilog=example("convert run.txt --map map.toml -o run.h5"))
 def convert(
     file: ToRead,
     out: NeededOut,
@@ -55,10 +55,16 @@ def convert(
     )
 
 
-@app.command("map", epilog=example("map run.txt -o map.toml"))
+@app.command("map", epilog=example("map run.txt -o new_map.toml"))
 def channel_map(
     file: ToRead,
     out: MapOut = None,
+    header_line: Annotated[
+        int | None,
+        typer.Option(
+            "--header-line", help="Line of a text file's header, where it is not found; 0 if there is none.", min=0
+        ),
+    ] = None,
     as_json: Json = False,
     verbose: Verbose = False,
     replace: Replace = False,
@@ -66,10 +72,14 @@ def channel_map(
     """Make a channel map, to be filled in, for a foreign file."""
     from aerobalance.commands import recordings
 
-    show(lambda: recordings.channel_map_for(file, out), Manner(as_json, verbose, replace), doing="reading")
+    show(
+        lambda: recordings.channel_map_for(file, out, header_line=header_line),
+        Manner(as_json, verbose, replace),
+        doing="reading",
+    )
 
 
-@app.command(epilog=example("record --source simulated --seconds 10 -o run.h5"))
+@app.command(epilog=example("record --source simulated --seconds 10 -o recorded.h5"))
 def record(
     out: NeededOut,
     source: Annotated[

@@ -35,7 +35,7 @@ from aerobalance.components import STANDARD_GRAVITY
 app = typer.Typer()
 
 
-@app.command(epilog=example("loads run.csv --balance balance.json --zero windoff.csv -o loads.csv"))
+@app.command(epilog=example("loads run.txt --map map.toml --balance balance.json --zero zero.txt -o loads.csv"))
 def loads(
     rec: Rec,
     balance: Balance,

@@ -20,6 +20,7 @@ from aerobalance.channel import Array
 from aerobalance.commands.answers import rounded, short
 from aerobalance.commands.shared import Account, check_out, doubts, table_text
 from aerobalance.forms import Geometry
+from aerobalance.io import load_channel_map
 from aerobalance.io.artefacts import provenance, write_json
 from aerobalance.io.balance_file import calibration_payload, write_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix
@@ -44,13 +45,17 @@ def calibrate(
     capacities: Sequence[str] = (),
     distances: str | None = None,
     reading_noise: float | Mapping[str, float] = 0.0,
+    leave_out: Sequence[str] = (),
+    channel_map: Path | None = None,
     report: Path | None = None,
 ) -> Account:
     """Balance matrix from a load schedule."""
-    check_out(out, path, kind="balance")
-    check_out(report, path, out, kind=PAGE)
+    check_out(out, path, channel_map, kind="balance")
+    check_out(report, path, channel_map, out, kind=PAGE)
+    chosen = None if channel_map is None else load_channel_map(channel_map)
     with doubts() as collected:
-        schedule = read_schedule(path, capacities=capacities_from(capacities)).keeping_aside(keep_aside)
+        schedule = read_schedule(path, capacities=capacities_from(capacities), channel_map=chosen)
+        schedule = schedule.without(leave_out).keeping_aside(keep_aside)
         if distances is not None:
             schedule = replace(schedule, geometry=geometry_from(distances))
         calibration = fit_matrix(schedule, model=model, way=way, reading_noise=reading_noise)
@@ -63,17 +68,21 @@ def calibrate(
         "keep_aside": keep_aside,
         "capacities": list(capacities),
         "distances": distances,
+        "leave_out": list(leave_out),
         "reading_noise": {
             "value": dict(reading_noise) if isinstance(reading_noise, Mapping) else reading_noise,
             "unit": "mV/V",
         },
     }
     if out is not None:
-        write_balance(out, calibration.matrix, found=found, inputs=[path], settings=settings, warnings=collected)
+        inputs = [path] if channel_map is None else [path, channel_map]
+        write_balance(out, calibration.matrix, found=found, inputs=inputs, settings=settings, warnings=collected)
     if report is not None:
         from aerobalance.calibration_report import write_calibration_report  # noqa: PLC0415 - plotting is slow
 
-        write_calibration_report(report, calibration, quality, warnings=collected, source=path)
+        write_calibration_report(
+            report, calibration, quality, warnings=collected, source=path, channel_map=channel_map
+        )
     return {**found, "warnings": collected, "summary": summary(calibration, quality)}
 
 
@@ -167,8 +176,17 @@ def summary(calibration: Calibration, quality: Quality) -> str:
             f"confirmation points, std in % of capacity: {errors}; "
             f"{100 * quality.confirmation_covered.mean():.0f} % within two u"
         )
+    if schedule.left_out:
+        lines.append(f"left out as asked ({points_text(len(schedule.left_out))}): {', '.join(schedule.left_out)}")
+    if quality.outliers:
+        lines.append(f"{len(quality.outliers)} outlier(s), which --report and --json name")
     lines += [f"assumed: {text}" for text in schedule.assumptions]
     return "\n".join(lines) + "\n"
+
+
+def points_text(count: int) -> str:
+    """Say how many points, for people."""
+    return f"{count} point{'' if count == 1 else 's'}"
 
 
 def compare(before: Path, after: Path, out: Path | None, *, model: Model = "auto") -> Account:

@@ -22,7 +22,7 @@ from aerobalance.commands.uncertainty import (
     monte_carlo_account,
     scalar_account,
 )
-from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
+from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, is_gauge, si_unit
 from aerobalance.estimate import ForceEstimate, with_balance
 from aerobalance.force import Method
 from aerobalance.hum import Hum
@@ -34,7 +34,7 @@ from aerobalance.matrix_curvature import CurvatureErrors
 from aerobalance.monte_carlo import MonteCarlo
 from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Force, Recording
+from aerobalance.recording import GAUGES_BECOME_LOADS, Force, Recording
 
 
 def force(
@@ -125,11 +125,10 @@ def _found(
     known = source.known
     recording, reduction = source.recording(path)
     if not known.names_in(recording):
-        gauges = any(f"r{name}" in recording for name in known.components)
+        gauges = any(is_gauge(name) for name in recording.channels)
         raise FitError(
             f"{path} has none of the components of the dynamics, {', '.join(known.components)}; it has "
-            f"{', '.join(recording.channels) or 'no channels'}"
-            + ("; gauge outputs become loads by a balance matrix (--balance)" if gauges else "")
+            f"{', '.join(recording.channels) or 'no channels'}" + (f"; {GAUGES_BECOME_LOADS}" if gauges else "")
         )
     noises = {}
     if noise_record is not None:

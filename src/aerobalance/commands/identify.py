@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal
 
 from aerobalance.commands.answers import quantities, quantity_table, rounded, short
+from aerobalance.commands.balance_files import BalanceFiles
+from aerobalance.commands.release_loads import releases_felt
 from aerobalance.commands.shared import Account, check_out, doubts, known_component, recording_of
 from aerobalance.commands.weighing import mass_file, parse_mass
 from aerobalance.components import si_unit
@@ -23,11 +26,20 @@ from aerobalance.io import (
     read_table,
 )
 from aerobalance.io.dynamics_file import dynamics_payload, write_dynamics
-from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.io.weighing_file import read_weighing
+from aerobalance.problems import DoubtWarning, FitError, ReadError
 from aerobalance.recording import Recording
+from aerobalance.weighing.result import Weighing
 
 PHASES: Final[tuple[Phase, ...]] = ("relative", "absolute")
 """Readings of the phase in the paper's procedures: of the extension (right) and of the live end (the text's)."""
+
+
+CALIBRATION_DROPS_OUT: Final = (
+    "an error of the sensitivity makes the load too large all along the decay, so natural frequency and damping ratio "
+    "do not depend on it; stiffness and damping have that of the mass alone"
+)
+"""What a calibration leaves in one component from a release: nothing but by the mass."""
 
 
 def identify_decay(
@@ -37,22 +49,40 @@ def identify_decay(
     component: str = "AF",
     mass: str,
     modes: str = "1",
+    files: BalanceFiles | None = None,
     channel_map: Path | None = None,
 ) -> Account:
-    """Stiffness and damping, and further modes, from a free decay."""
+    """Stiffness and damping, and further modes, from a free decay of a load, or of gauge outputs with a balance."""
     known_component(component)
-    check_out(out, path, channel_map, mass_file(mass), kind="dynamics")
+    used = [] if files is None else list(files.paths)
+    check_out(out, path, channel_map, mass_file(mass), *used, kind="dynamics")
     weighed = parse_mass(mass, component)
     if weighed is None:
         raise ValueError("--mass is needed: a free decay tells stiffness and damping only in proportion to the mass")
     wanted = number_of_modes(modes)
     with doubts() as collected:
         recording = recording_of(path, channel_map)
+        if files is not None:
+            (recording,), _ = releases_felt(
+                [recording], files, _weighing(mass), channel_map=channel_map, counted=False
+            )
         fit = fit_decay(recording, component=component, mass=weighed, modes=wanted)
     details = {"method": "free decay, least squares on the waveform", **_decay_details(recording, fit)}
-    return _identified(
-        path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, channel_map=channel_map
-    )
+    if files is not None:
+        details["calibration_of_balance"] = CALIBRATION_DROPS_OUT
+    used += [] if channel_map is None else [channel_map]
+    return _identified(path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, used=used)
+
+
+def _weighing(mass: str) -> Weighing | None:
+    """What a mass.json says that hangs on the balance; None where the mass is a number, or of one component."""
+    file = mass_file(mass)
+    if file is None:
+        return None
+    try:
+        return read_weighing(file)
+    except ReadError:
+        return None
 
 
 def number_of_modes(given: str) -> int | Literal["auto"]:
@@ -158,9 +188,8 @@ def identify_rig(
             "gain": {"value": fit.live.gain, "u": fit.live.u_gain, "unit": "1"},
             "delay": {"value": fit.live.delay, "u": fit.live.u_delay, "unit": "s"},
         }
-    return _identified(
-        path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, channel_map=channel_map
-    )
+    used = [] if channel_map is None else [channel_map]
+    return _identified(path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, used=used)
 
 
 def _dwell_details(recording: Recording, dynamics: Dynamics) -> Account:
@@ -229,7 +258,7 @@ def identify_frf(path: Path, out: Path | None, *, component: str = "AF", mass: s
         "chi2": fit.chi2,
         "degrees_of_freedom": fit.degrees_of_freedom,
     }
-    return _identified(path, out, fit.dynamics, details, mass=mass, collected=collected, channel_map=None)
+    return _identified(path, out, fit.dynamics, details, mass=mass, collected=collected)
 
 
 def _identified(
@@ -241,11 +270,11 @@ def _identified(
     mass: str | None,
     modes: str | None = None,
     collected: list[str],
-    channel_map: Path | None,
+    used: Sequence[Path] = (),
 ) -> Account:
     """Write dynamics.json and give the same as an account."""
     name = dynamics.component
-    inputs = [path, *(file for file in (channel_map, mass_file(mass)) if file is not None)]
+    inputs = [path, *(file for file in (mass_file(mass),) if file is not None), *used]
     settings = {"component": name, "mass": mass if mass_file(mass) is None else Path(str(mass)).name}
     if modes is not None:
         settings["modes"] = modes

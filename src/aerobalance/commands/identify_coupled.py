@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from aerobalance.channel import Array
 from aerobalance.commands.balance_files import BalanceFiles
 from aerobalance.commands.coupled_tables import (
     by_component,
@@ -24,10 +22,10 @@ from aerobalance.commands.coupled_tables import (
     tests_text,
 )
 from aerobalance.commands.identify import number_of_modes
-from aerobalance.commands.loads import from_gauges
+from aerobalance.commands.release_loads import releases_felt
 from aerobalance.commands.shared import Account, amounts, check_out, doubts, recording_of, table_text
-from aerobalance.commands.weighing import mass_file
-from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, si_unit
+from aerobalance.commands.weighing import mass_file, mass_number
+from aerobalance.components import COMPONENTS, MOMENTS, si_unit
 from aerobalance.identification.coupled_identification import CoupledIdentification, CoupledResult
 from aerobalance.identification.releases import identify_releases
 from aerobalance.io.artefacts import digest
@@ -35,8 +33,7 @@ from aerobalance.io.coupled_file import coupled_payload, write_coupled
 from aerobalance.io.mass_file import read_mass
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.matrix_errors import MatrixErrors
-from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.recording import Recording
+from aerobalance.problems import ReadError
 from aerobalance.weighing.result import Weighing
 
 
@@ -95,75 +92,6 @@ def identify_decays(
         settings={"mass": mass, "half_range": half_range, "modes": modes},
         doubted=collected,
     )
-
-
-def releases_felt(
-    recordings: Sequence[Recording], files: BalanceFiles, weighing: Weighing | None, *, channel_map: Path | None
-) -> tuple[list[Recording], list[MatrixErrors]]:
-    """Loads felt in place of gauge outputs, and where the matrix was used for them, release by release.
-
-    What hangs on the balance does not change the ringing. But bridges that are curved ring as where they are, so the
-    weight in a zero that was read with the model on is put back, as far as a weighing knows it.
-
-    Parameters
-    ----------
-    recordings
-        Gauge outputs.
-    files
-        Balance matrix, zeros and tares.
-    weighing
-        What hangs on the balance; None where it is not known.
-    channel_map
-        Channel map of the zeros.
-    """
-    if weighing is None and files.zero and not files.as_they_are and not files.tare:
-        if files.model_on_zero != "off":
-            warnings.warn(
-                "the weight that hung on the balance while its zero was read is not known, so curved bridges are read "
-                "from where they are without it; give the mass.json of a weighing with --mass",
-                DoubtWarning,
-                stacklevel=2,
-            )
-        files = replace(files, model_on_zero="off")
-    hung = Hanging(weighing)
-    gravity = STANDARD_GRAVITY if weighing is None else weighing.gravity
-    found = [from_gauges(recording, files, hung, gravity=gravity, channel_map=channel_map) for recording in recordings]
-    if not all(part.matrix.covariance.any() for _, part in found):
-        warnings.warn(
-            f"{files.balance.name} holds no covariance of its coefficients; what its calibration leaves in A and D "
-            "is not known",
-            DoubtWarning,
-            stacklevel=2,
-        )
-    errors = [
-        MatrixErrors(part.matrix, part.felt.components, part.felt.transform, part.felt.native) for _, part in found
-    ]
-    return [recording for recording, _ in found], errors
-
-
-@dataclass(frozen=True, slots=True)
-class Hanging:
-    """What a weighing says that hangs on the balance.
-
-    Attributes
-    ----------
-    weighing
-        The weighing; None where nothing is known.
-    """
-
-    weighing: Weighing | None
-
-    @property
-    def components(self) -> tuple[str, ...]:
-        """Components that it was weighed along."""
-        return () if self.weighing is None else self.weighing.components
-
-    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
-        """Weight along one of them; gravity is that of the weighing, whatever is said."""
-        if self.weighing is None:
-            raise ValueError(f"the weight along {name} is not known")
-        loads = self.weighing.loads(pitch=pitch, roll=roll, offsets=False)
-        return np.asarray(loads[:, self.weighing.components.index(name)])
 
 
 def account_of(
@@ -235,21 +163,18 @@ def weighed_mass(mass: str | None) -> tuple[tuple[float, float] | None, Weighing
     """
     if mass is None:
         return None, None
+    value = mass_number(mass)
+    if value is not None:
+        return (value, 0.0), None
     try:
-        value = float(mass)
-    except ValueError:
-        try:
-            weighing = read_weighing(Path(mass))
-        except ReadError:
-            masses = {name: found for name, found in read_mass(Path(mass)).items() if name not in MOMENTS}
-            if not masses:
-                raise ValueError(f"{mass} holds no mass of a force component") from None
-            found = min(masses.values(), key=lambda one: one.u)
-            return (found.mass, found.u), None
-        return (weighing.mass, weighing.u_mass), weighing
-    if not 0 < value < np.inf:
-        raise ValueError(f"--mass must be a positive number or a mass.json, not {mass}")
-    return (value, 0.0), None
+        weighing = read_weighing(Path(mass))
+    except ReadError:
+        masses = {name: found for name, found in read_mass(Path(mass)).items() if name not in MOMENTS}
+        if not masses:
+            raise ValueError(f"{mass} holds no mass of a force component") from None
+        found = min(masses.values(), key=lambda one: one.u)
+        return (found.mass, found.u), None
+    return (weighing.mass, weighing.u_mass), weighing
 
 
 def _details(found: CoupledIdentification, weighing: Weighing | None) -> Account:

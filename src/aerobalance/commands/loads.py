@@ -70,13 +70,16 @@ def reduced(
         )
     before = zeros_before(files, channel_map)
     zero = zero_of(files, before, matrix, channel_map, on_zero=on_zero)
-    if form not in (None, "direct") and (files.tare or files.mass is not None):
-        raise ValueError(f"--form {form} cannot go with --tare or --mass, which are in direct-read form")
+    if form not in (None, "direct") and files.mass is not None:
+        raise ValueError(
+            f"--form {form} cannot go with --mass, whose weight is known in direct-read form; give wind-off "
+            "recordings with --tare instead, or leave --form out"
+        )
     tare = None
     if files.tare:
         wind_off = [recording_of(path, channel_map) for path in files.tare]
         zero = stand_in(zero, wind_off, matrix)
-        tare = wind_off_loads(recording, wind_off, matrix, zero=zero)
+        tare = wind_off_loads(recording, wind_off, matrix, zero=zero, form=form)
     elif files.mass is not None:
         tare = _weight(recording, files.mass, matrix, since=before if zero is not None and zero.weight.any() else ())
     return loads_felt(recording, matrix, zero=zero, tare=tare, form=form), matrix

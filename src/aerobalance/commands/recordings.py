@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from aerobalance.commands.answers import short
 from aerobalance.commands.loads import convert_matrix
 from aerobalance.commands.shared import Account, check_out, doubts, raw_recording, table_text
 from aerobalance.io import (
+    as_it_went_in,
     check_output,
     column_names,
     hdf5_file,
@@ -25,6 +27,9 @@ from aerobalance.io.units import conversion_for, edge_unit
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning
 
+NO_TIME: Final = 1e-12
+"""Share of the length of a recording below which an instant is zero but for rounding."""
+
 
 def info(path: Path, *, channel_map: Path | None = None) -> Account:
     """Channels, units, rate, duration, gaps and saturation of a recording."""
@@ -35,7 +40,7 @@ def info(path: Path, *, channel_map: Path | None = None) -> Account:
         "duration": recording.duration,
         "rate": recording.rate,
         "samples": recording.samples,
-        "start": recording.start,
+        "start": recording.start if abs(recording.start) > NO_TIME * recording.duration else 0.0,
         "gaps": [{"start": start, "length": length} for start, length in recording.gaps],
         "channels": {channel.name: _channel_account(channel) for channel in recording},
         "warnings": collected,
@@ -56,7 +61,7 @@ def _channel_account(channel: Channel) -> Account:
     unit = channel.file_unit or edge_unit(channel.name, channel.unit)
     change = conversion_for(channel.name, unit) if unit != channel.unit else None
     outside = {
-        key: value if change is None or value is None else float(change.outside(np.array([value]))[0])
+        key: value if change is None or value is None else float(as_it_went_in(change.outside(np.array([value])))[0])
         for key, value in inside.items()
     }
     return {
@@ -88,7 +93,8 @@ def summary(account: Account) -> str:
     lines = [table_text(title, heads, rows)]
     if account["gaps"]:
         longest = max(gap["length"] for gap in account["gaps"])
-        lines.append(f"{len(account['gaps'])} gaps, the longest of {longest} samples")
+        count = len(account["gaps"])
+        lines.append(f"{count} gap{'s' if count > 1 else ''}, the longest {short(longest, 4)} s")
     return "\n".join(lines) + "\n"
 
 
@@ -128,13 +134,14 @@ def _described(channel: Channel) -> bool:
     return any(getattr(channel, slot) != getattr(bare, slot) for slot in slots)
 
 
-def channel_map_for(path: Path, out: Path | None) -> Account:
-    """Make a channel map to fill in for a foreign file."""
+def channel_map_for(path: Path, out: Path | None, *, header_line: int | None = None) -> Account:
+    """Make a channel map to fill in for a foreign file; its header is in `header_line`, or found."""
     check_out(out, path)
-    text = template(path) + "\n"
+    text = template(path, header_line=header_line) + "\n"
     if out is not None:
         with replacing(out) as beside:
             beside.write_text(text, encoding="utf-8")
-    columns = list(column_names(path))
+    columns = list(column_names(path, header_line=header_line))
     said = f"{path.name}: channel map of {len(columns)} columns; fill in what the channels are, then check with info\n"
-    return {"file": path.name, "columns": columns, "map": text, "summary": text if out is None else said}
+    account: Account = {"file": path.name, "columns": columns, "map": text}
+    return {**account, "summary": text} if out is None else {**account, "summary": said, "details": text}

@@ -82,7 +82,7 @@ def check_out(out: Path | None, *inputs: Path | None, kind: str = "") -> None:
     try:
         _check_place(out, [file for file in inputs if file is not None])
     except OSError as error:
-        raise ValueError(f"cannot write {out}: {reason_of(error)}") from None
+        raise ValueError(f"cannot use {error.filename or out}: {reason_of(error)}") from None
     if OUTPUTS.active:
         OUTPUTS.wanted.append(out)
     if not OUTPUTS.replace and out.exists():

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -11,15 +13,21 @@ from aerobalance.commands.answers import quantities, quantity_table, short
 from aerobalance.commands.balance_files import BalanceFiles
 from aerobalance.commands.loads import weighed_loads
 from aerobalance.commands.shared import Account, check_out, doubts, known_component
-from aerobalance.components import STANDARD_GRAVITY
+from aerobalance.components import STANDARD_GRAVITY, mass_unit
 from aerobalance.io import (
     load_channel_map,
 )
 from aerobalance.io.mass_file import mass_payload, read_mass, write_mass
 from aerobalance.io.points import read_points
+from aerobalance.io.units import conversion
 from aerobalance.io.weighing_file import weighing_payload, write_weighing
 from aerobalance.weighing import weigh as fit_mass
 from aerobalance.weighing import weigh_components
+
+_AMOUNT: Final = re.compile(
+    r"(?P<number>[-+]?[\d.,]+(?:e[-+]?\d+)?|[-+]?(?:nan|inf))\s*(?P<unit>[^\d\s.,][^.,]*)?", re.IGNORECASE
+)
+"""A number with a decimal point or comma, and a unit where there is one."""
 
 
 def weigh(
@@ -93,16 +101,48 @@ def parse_mass(text: str | None, component: str) -> tuple[float, float] | None:
     """Mass and its standard uncertainty from the command line: a number (exact) or the name of mass.json."""
     if text is None:
         return None
+    value = mass_number(text, unit=mass_unit(component))
+    if value is not None:
+        return value, 0.0
+    masses = read_mass(Path(text))
+    if component not in masses:
+        raise ValueError(f"{text} holds no mass of {component}; it has {', '.join(masses)}")
+    return masses[component].mass, masses[component].u
+
+
+def mass_number(text: str, *, unit: str = "kg") -> float | None:
+    """Mass in `unit` from the command line, with a unit of its own or without: ``42.1``, ``42,1 kg``, ``93 lb``.
+
+    None where the text is the name of a file.
+
+    Raises
+    ------
+    ValueError
+        It is a number but not positive, can be read in two ways, or has a unit of something else.
+    """
+    match = _AMOUNT.fullmatch(text.strip())
+    if match is None or text.lower().endswith(".json") or Path(text).is_file():
+        return None
+    number = match["number"]
+    if re.fullmatch(r"[-+]?\d{1,3}(,\d{3})+", number):
+        raise ValueError(
+            f"--mass {text} can be read in two ways; write thousands without a comma, decimals with a point"
+        )
+    factor = 1.0
+    if match["unit"]:
+        try:
+            factor = conversion(match["unit"].strip("[]"), expected=unit).factor
+        except ValueError as error:
+            raise ValueError(f"--mass {text}: {error}") from None
     try:
-        value = float(text)
+        value = float(number.replace(",", ".")) * factor
     except ValueError:
-        masses = read_mass(Path(text))
-        if component not in masses:
-            raise ValueError(f"{text} holds no mass of {component}; it has {', '.join(masses)}") from None
-        return masses[component].mass, masses[component].u
+        value = float("nan")
     if not 0 < value < np.inf:
-        raise ValueError(f"--mass must be a positive number or a mass.json, not {text}")
-    return value, 0.0
+        raise ValueError(
+            f"--mass must be a positive number or a mass.json, not {text}; a number is like 42.1, '42.1 kg' or '93 lb'"
+        )
+    return value
 
 
 def mass_file(mass: str | None) -> Path | None:

@@ -16,6 +16,10 @@ from aerobalance.identification.hidden_coordinates import static_shares
 from aerobalance.identification.mass_matrix import RigidMassFit
 from aerobalance.identification.release_advice import ReleaseAdvice, combination_text
 from aerobalance.identification.release_model import Kind
+from aerobalance.wording import percent_text
+
+FORCE_ERROR_SAID: Final = 10.0
+"""Force error, over half of range, beyond which only that it is larger is said."""
 
 APPLIED: Final = 0.1
 """Rms of the load for which the force error is predicted, over half of range."""
@@ -164,7 +168,7 @@ def doubt_about_error(found: CoupledResult, *, left_by: str, energy: Array, reme
         return []
     range_text = "half of range" if found.half_range_given else "the largest load in the recordings"
     large = ", ".join(
-        f"{name} {error:.2g} {si_unit(name)} ({100 * part:.2g} %)"
+        f"{name} {error:.2g} {si_unit(name)} ({percent_text(part, most=FORCE_ERROR_SAID)})"
         for name, error, part in zip(names, found.force_error, relative, strict=True)
         if part > TOO_LARGE
     )
@@ -173,7 +177,7 @@ def doubt_about_error(found: CoupledResult, *, left_by: str, energy: Array, reme
         f"the {left_by} leave a force error of more than {100 * TOO_LARGE:g} % of {range_text} under a broadband "
         f"load of {100 * APPLIED:g} % rms to {found.band[1]:.4g} Hz: {large}; least excited is the mode at "
         f"{found.modes[weak].natural_frequency:.4g} Hz (by {combination_text(found.combinations[weak], names)}); "
-        f"{remedy} brings it down to {100 * after:.2g} %"
+        f"{remedy} brings it down to {percent_text(after, most=FORCE_ERROR_SAID)}"
     )
     return [text]
 

@@ -31,9 +31,13 @@ from aerobalance.identification.ring import (
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
+from aerobalance.wording import NOT_TOLD, damping_text
 
 FEWEST_PERIODS: Final = 2.0
 """Periods of ringing that a decay must show above the noise."""
+
+MOST_CHANGE: Final = 2.0
+"""Change of frequency or damping with the amplitude, over their mean, beyond which neither falls in proportion."""
 
 DOUBTFUL_DAMPING: Final = 0.1
 """Relative standard uncertainty of the damping above which it is called hardly identifiable."""
@@ -254,13 +258,31 @@ def _kept_modes(ring: Ring, modes: int | Literal["auto"], name: str) -> list[int
     sizes = ring.line_sizes()
     decaying.sort(key=lambda place: -sizes[place])
     if modes == "auto":
-        return decaying
+        return _possible_modes(ring, decaying)
     if len(decaying) < modes - 1:
         raise FitError(
             f"{name}: {modes} modes are asked for, and the record shows {1 + len(decaying)} above its noise; a larger "
             "release, or one at another place, may show the others"
         )
+    if _possible_modes(ring, decaying[: modes - 1]) != decaying[: modes - 1]:
+        raise FitError(
+            f"{name}: {modes} modes are asked for, but the ringing of one is so strong against the others that its "
+            "share would be more than the whole load; ask for fewer modes, or release at another place"
+        )
     return decaying[: modes - 1]
+
+
+def _possible_modes(ring: Ring, places: list[int]) -> list[int]:
+    """Those of some places in `Ring.lines` whose share of a load is less than the whole."""
+    decaying = [place for place, line in enumerate(ring.lines) if line.decay > 0]
+    heights = ring.modes()[0][:, 2]
+    kept = list(places)
+    while kept:
+        own = heights[[1 + decaying.index(place) for place in kept]]
+        if np.abs(own).max() < abs(heights[0] + own.sum()):
+            break
+        kept.pop(int(np.argmax(np.abs(own))))
+    return kept
 
 
 def _dynamics(ring: Ring, component: str, mass: float, uncertainty: float, *, kept: list[int]) -> Dynamics:
@@ -312,15 +334,16 @@ def _notes(ring: Ring, dynamics: Dynamics, recording: Recording, *, kept: list[i
     for place, (line, size) in enumerate(zip(ring.lines, ring.line_sizes(), strict=True)):
         if line.decay > 0 and place not in kept:
             notes.append(
-                f"a further mode at {line.frequency:.4g} Hz, {100 * size / ring.amplitude:.2g} % of the first, rings "
+                f"a further mode at {line.frequency:.4g} Hz, {_beside_the_first(size, ring)}, rings "
                 "in the record; it is fitted beside the first one but is not part of the dynamics, so forces near "
-                "that frequency will be wrong (--modes auto takes it up)"
+                f"that frequency will be wrong ({_way_to_take_it_up(ring, place)})"
             )
-    doubt = dynamics.uncertainty("damping") / dynamics.damping
-    if doubt > DOUBTFUL_DAMPING:
+    u = dynamics.uncertainty("damping")
+    if u > DOUBTFUL_DAMPING * dynamics.damping:
+        critical = 2 * dynamics.mass * 2 * np.pi * dynamics.natural_frequency
         notes.append(
-            f"the damping is hardly identifiable (u = {100 * doubt:.0f} %); forces at the natural frequency "
-            "carry that much"
+            f"the damping is hardly identifiable ({damping_text(dynamics.damping, u, critical=critical)}); forces at "
+            "the natural frequency carry that much"
         )
     if ring.colour > 2:
         notes.append(
@@ -346,21 +369,41 @@ def _notes(ring: Ring, dynamics: Dynamics, recording: Recording, *, kept: list[i
     return notes
 
 
+def _beside_the_first(size: float, ring: Ring) -> str:
+    """Say how strongly a further mode rings beside the first."""
+    part = size / ring.amplitude if ring.amplitude else np.inf
+    return f"{100 * part:.2g} % of the first" if part <= 1 else "as strong as the first or stronger"
+
+
+def _way_to_take_it_up(ring: Ring, place: int) -> str:
+    """Say which record or option makes a further mode part of the dynamics."""
+    if ring.shape == "free":
+        return "a record of a clean release from rest tells its share of a load, with --modes auto"
+    if place in _possible_modes(ring, [place]):
+        return "--modes auto takes it up"
+    return f"its share of a load {NOT_TOLD}: release at another place, or record for longer"
+
+
 def _amplitude_notes(dependence: AmplitudeDependence | None, component: str) -> list[str]:
     notes = []
     if dependence is not None and dependence.damping_depends:
         notes.append(
-            f"the damping of {component} depends on the amplitude: {100 * dependence.damping:+.2g} % (u = "
-            f"{100 * dependence.u_damping:.1g} %) from the smallest to the largest, as friction does; "
+            f"the damping of {component} depends on the amplitude: "
+            f"{_change(dependence.damping, dependence.u_damping)} from the smallest to the largest, as friction does; "
             "the damping found is a mean, and forces at the natural frequency are wrong by as much elsewhere"
         )
     if dependence is not None and dependence.frequency_depends:
         notes.append(
-            f"the frequency of {component} depends on the amplitude: {100 * dependence.frequency:+.2g} % (u = "
-            f"{100 * dependence.u_frequency:.1g} %) from the smallest to the largest: the spring is not linear; the "
-            "stiffness found is a mean"
+            f"the frequency of {component} depends on the amplitude: "
+            f"{_change(dependence.frequency, dependence.u_frequency)} from the smallest to the largest: the spring is "
+            "not linear; the stiffness found is a mean"
         )
     return notes
+
+
+def _change(part: float, u: float) -> str:
+    """Return a relative change in words; more than twice of what changes is more than a linear change can be."""
+    return f"{100 * part:+.2g} % (u = {100 * u:.1g} %)" if abs(part) <= MOST_CHANGE else "by more than itself"
 
 
 def _result(

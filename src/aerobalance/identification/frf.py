@@ -13,6 +13,7 @@ from scipy.stats import chi2 as chi_square
 from aerobalance.channel import Array
 from aerobalance.dynamics import Dynamics
 from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.wording import damping_text
 
 DOUBTFUL_DAMPING: Final = 0.1
 """Relative standard uncertainty of the damping above which it is called hardly identifiable."""
@@ -273,6 +274,11 @@ def _dynamics(
     )
 
 
+def _damping(dynamics: Dynamics) -> str:
+    critical = 2 * dynamics.mass * 2 * np.pi * dynamics.natural_frequency
+    return damping_text(dynamics.damping, dynamics.uncertainty("damping"), critical=critical)
+
+
 def _notes(table: ResponseTable, dynamics: Dynamics, *, chi2: float, freedom: int, probability: float) -> list[str]:
     """Say what is doubtful about the result."""
     notes = []
@@ -285,7 +291,7 @@ def _notes(table: ResponseTable, dynamics: Dynamics, *, chi2: float, freedom: in
     u = dynamics.uncertainty("damping")
     if u > DOUBTFUL_DAMPING * dynamics.damping:
         notes.append(
-            f"the damping is hardly identifiable here ({dynamics.damping:.3g} give or take {u:.2g}); forces near the "
+            f"the damping is hardly identifiable here ({_damping(dynamics)}); forces near the "
             "natural frequency inherit this uncertainty, slow forces do not"
         )
     if table.frequency.max() < dynamics.natural_frequency:

@@ -27,6 +27,7 @@ from aerobalance.identification.response import Problem
 from aerobalance.identification.spectra import excited, transform
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
+from aerobalance.wording import damping_text, share_text
 
 DOUBTFUL_DAMPING: Final = 0.1
 """Relative standard uncertainty of the damping above which it is called hardly identifiable."""
@@ -145,7 +146,7 @@ def identify_rig(
     )
     live = live_check(estimate, problem)
     notes = _notes(dynamics, estimate, problem=problem, live=live, component=component)
-    notes += _mass_notes(fitted.implied, value, looseness) + _left_out_notes(fitted.left_out)
+    notes += _mass_notes(fitted.implied, value, looseness) + _left_out_notes(fitted.left_out, modes)
     for note in notes:
         warnings.warn(f"{recording.name}: {note}", DoubtWarning, stacklevel=2)
     count = spectra.block_sum(np.ones(spectra.frequency.size))
@@ -263,14 +264,14 @@ def _mass_notes(implied: float | None, given: float | None, looseness: float) ->
     return [note]
 
 
-def _left_out_notes(mode: Mode | None) -> list[str]:
+def _left_out_notes(mode: Mode | None, modes: int | Literal["auto"]) -> list[str]:
     """Name the mode that the dynamics leave out."""
     if mode is None:
         return []
+    advice = f"no more than {MOST_MODES} are taken up" if modes == "auto" else "--modes auto looks for it"
     note = (
-        f"a further mode at {mode.natural_frequency:.4g} Hz, {100 * mode.share:.2g} % of a steady load, answers the "
-        "ground motion; it is not part of the dynamics, so forces near that frequency will be wrong (--modes auto "
-        "takes it up)"
+        f"a further mode at {mode.natural_frequency:.4g} Hz, {share_text(mode.share, 0.0)}, answers the ground "
+        f"motion; it is not part of the dynamics, so forces near that frequency will be wrong ({advice})"
     )
     return [note]
 
@@ -357,8 +358,10 @@ def _notes(
     u = dynamics.uncertainty("damping")
     correlation = float(abs(dynamics.covariance[2, 3]) / max(u * dynamics.uncertainty("delay"), 1e-300))
     if u > DOUBTFUL_DAMPING * dynamics.damping:
+        critical = 2 * dynamics.mass * 2 * np.pi * dynamics.natural_frequency
+        damping = damping_text(dynamics.damping, u, critical=critical)
         notes.append(
-            f"the damping is hardly identifiable here ({dynamics.damping:.3g} give or take {u:.2g}); forces near the "
+            f"the damping is hardly identifiable here ({damping}); forces near the "
             "natural frequency inherit this uncertainty, slow forces do not"
         )
     elif problem.delay is None and correlation > DOUBTFUL_CORRELATION:
@@ -378,7 +381,8 @@ def _notes(
         what = "one mode does not" if count == 1 else f"{count} modes do not"
         notes.append(
             f"{what} describe the response over the band used: what is left follows the ground motion "
-            f"({estimate.correlation / estimate.blocks:.2g} times as much as chance); name a band around the mode"
+            f"({estimate.correlation / estimate.blocks:.2g} times as much as chance); excite a narrower band about "
+            "the natural frequency"
         )
     excess = estimate.chi2 / estimate.degrees_of_freedom
     if estimate.coloured and excess > 1.5:

@@ -15,7 +15,7 @@ import numpy as np
 
 from aerobalance.channel import Array, Channel
 from aerobalance.components import is_gauge, si_unit
-from aerobalance.io import csv_file, hdf5_file, tdms_file
+from aerobalance.io import balfit_file, csv_file, hdf5_file, lvm_file, tdms_file, vol_file
 from aerobalance.io.channel_map import ChannelMap, load_channel_map, mapped_recording
 from aerobalance.io.clocks import of_one_length, on_one_clock
 from aerobalance.io.columns import Heading, RawColumns
@@ -23,7 +23,8 @@ from aerobalance.io.csv_file import read_table
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.map_template import map_text
 from aerobalance.io.table import Column, Table, recording_from, table_from
-from aerobalance.io.text_table import Layout
+from aerobalance.io.text_layout import Layout
+from aerobalance.io.text_table import describe_text, guess_encoding
 from aerobalance.io.units import conversion, conversion_for, edge_unit
 from aerobalance.problems import ReadError
 from aerobalance.recording import Force, Recording
@@ -37,12 +38,14 @@ __all__ = [
     "Column",
     "Format",
     "Table",
+    "as_it_went_in",
     "check_output",
     "column_names",
     "is_text",
     "load_channel_map",
     "read",
     "read_table",
+    "states_times",
     "template",
     "write_force",
     "write_loads",
@@ -78,14 +81,17 @@ class Format(Protocol):
         """Write columns under their headers, with what is known of them where the format has a place for it."""
 
 
-FORMATS: Final[tuple[Format, ...]] = (tdms_file, hdf5_file, csv_file)
+FORMATS: Final[tuple[Format, ...]] = (tdms_file, hdf5_file, lvm_file, csv_file)
 """The formats, in the order in which they are asked; text comes last, as it takes what the others leave."""
 
 _SIGNATURES: Final = (
     (b"TDSh", "the index that LabVIEW keeps beside a TDMS file (give the .tdms file itself)"),
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
     (b"MATLAB 5.0", "a MATLAB file"),
-    (b"PK\x03\x04", "a zip archive (a spreadsheet, perhaps)"),
+    (
+        b"PK\x03\x04",
+        "a zip archive (perhaps a spreadsheet: save it as CSV; aerobalance calibrate reads load schedules of .xlsx)",
+    ),
     (b"PAR1", "a Parquet file"),
     (b"ARROW1", "an Arrow file"),
     (b"MDF ", "an MDF file"),
@@ -95,7 +101,6 @@ _SIGNATURES: Final = (
     (b"\xff\xd8\xff", "a picture"),
     (b"    -1\n", "a universal file (UFF)"),
     (b"    -1\r\n", "a universal file (UFF)"),
-    (b"LabVIEW Measurement", "a LabVIEW measurement file (LVM)"),
     (b"{", "a JSON file"),
 )
 
@@ -133,12 +138,17 @@ def read(path: Path | str, *, channel_map: ChannelMap | None = None) -> Recordin
         columns = on_one_clock(columns) if clocked else of_one_length(columns)
         table = table_from(columns, missing_allowed=True)
         return recording_from(table, rate=columns.rate, ticks=columns.ticks)
-    raw = chosen.read_columns(file, channel_map.layout, wanted=channel_map.wanted)
+    layout = channel_map.layout
+    if chosen is lvm_file and layout.header_line is not None:
+        chosen = csv_file  # who gives the header line wants the plain text behind the headers
+    raw = chosen.read_columns(file, layout, wanted=channel_map.wanted)
     return mapped_recording(raw, channel_map)
 
 
-def column_names(path: Path | str) -> tuple[str, ...]:
+def column_names(path: Path | str, *, header_line: int | None = None) -> tuple[str, ...]:
     """Read the names of a file's columns: without units for a text file, ``group/channel`` for TDMS.
+
+    With `header_line` the file is read as text, its header in that line (0 for none).
 
     Raises
     ------
@@ -146,8 +156,8 @@ def column_names(path: Path | str) -> tuple[str, ...]:
         The file is of no known format, or has no header.
     """
     file = Path(path)
-    text = is_text(file)
-    found = _format(file).headings(file)
+    text = header_line is not None or is_text(file)
+    found = csv_file.headings(file, Layout(header_line=header_line)) if text else _format(file).headings(file)
     return tuple(heading.name if text else heading.label for heading in found if heading.label)
 
 
@@ -162,18 +172,8 @@ def is_text(path: Path | str) -> bool:
     return _format(Path(path)) is csv_file
 
 
-def template(path: Path | str) -> str:
-    """Write a channel map for a foreign file, made from its header, to be completed by hand.
-
-    Parameters
-    ----------
-    path
-        The foreign file.
-
-    Returns
-    -------
-    str
-        TOML with comments; every column that is not the time is a commented table.
+def states_times(path: Path | str) -> bool:
+    """Say whether a file has a column of times, which makes a recording of it; one that is no text is a recording.
 
     Raises
     ------
@@ -181,7 +181,38 @@ def template(path: Path | str) -> str:
         The file is of no known format, or has no header.
     """
     file = Path(path)
-    return map_text(file, _format(file).headings(file), text=is_text(file))
+    found = _format(file)
+    return found is not csv_file or any(heading.name == "time" or heading.time for heading in found.headings(file))
+
+
+def template(path: Path | str, *, header_line: int | None = None) -> str:
+    """Write a channel map for a foreign file, made from its header, to be completed by hand.
+
+    Parameters
+    ----------
+    path
+        The foreign file.
+    header_line
+        Line of the header of a text file, counted from 1, 0 for a file without; recognised where left out.
+
+    Returns
+    -------
+    str
+        TOML with comments: the clock and the layout as found, and a table for every column, commented where a person
+        has to say what it is.
+
+    Raises
+    ------
+    ReadError
+        The file is of no known format, or has no header.
+    """
+    file = Path(path)
+    if header_line is None:
+        found = _format(file)
+        if found is not csv_file:
+            return map_text(file, found.headings(file))
+    layout = Layout(header_line=header_line)
+    return map_text(file, csv_file.headings(file, layout), found=describe_text(file, layout))
 
 
 def _format(path: Path) -> Format:
@@ -197,11 +228,24 @@ def _format(path: Path) -> Format:
         raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
     known = ", ".join(form.NAME for form in FORMATS)
     seems = next((text for sign, text in _SIGNATURES if head.startswith(sign)), "")
+    if not seems and _is_schedule(head):
+        raise ReadError(
+            path, "", "is a load schedule and no recording; aerobalance calibrate makes a balance matrix of it"
+        )
     for form in FORMATS:
         if form.can_read(head, path) and not (form is csv_file and seems):
             return form
     seems = seems or "a binary file of an unknown kind"
     raise ReadError(path, "", f"seems to be {seems}; formats that can be read: {known}")
+
+
+def _is_schedule(head: bytes) -> bool:
+    """Whether a file begins as a load schedule of a calibration does that is no plain table."""
+    encoding = guess_encoding(head)
+    if encoding is None:
+        return False
+    text = head.decode(encoding, errors="replace")
+    return vol_file.can_read(text) or balfit_file.can_read(text)
 
 
 def check_output(path: Path | str) -> Path:
@@ -229,14 +273,19 @@ def _writer(path: Path) -> Format:
     raise ValueError(f"cannot write {path}: the ending {path.suffix!r} stands for no known format; allowed: {allowed}")
 
 
+def as_it_went_in(values: Array) -> Array:
+    """Give numbers as they were in their file before two changes of unit: 0.625 for 0.6250000000000001.
+
+    Fifteen digits are what a number keeps on the way, and more than any file of readings has.
+    """
+    return np.array([float(f"{value:.15g}") for value in values.tolist()], dtype=np.float64)
+
+
 def _time_column(recording: Recording) -> dict[str, Array]:
     """Time column of a recording as its file had it."""
     unit = recording.time_unit
     stamps = conversion(unit, expected="s").outside(recording.stamps)
-    if unit != "s":
-        # Fifteen digits are what a number keeps through a change of unit, so 0.625 ms comes out as it went in.
-        stamps = np.array([float(f"{stamp:.15g}") for stamp in stamps])
-    return {f"time [{unit}]": stamps}
+    return {f"time [{unit}]": stamps if unit == "s" else as_it_went_in(stamps)}
 
 
 def write_recording(path: Path | str, recording: Recording) -> None:
@@ -292,7 +341,7 @@ def _column(channel: Channel, recording: Recording) -> dict[str, Array]:
     unit = channel.file_unit or edge_unit(channel.name, channel.unit)
     change = conversion_for(channel.name, unit) if unit != channel.unit else None
     values = channel.values[recording.rows]
-    return {f"{channel.name} [{unit}]": values if change is None else change.outside(values)}
+    return {f"{channel.name} [{unit}]": values if change is None else as_it_went_in(change.outside(values))}
 
 
 def write_force(path: Path | str, recording: Recording, force: Force) -> None:
@@ -323,9 +372,17 @@ def write_force(path: Path | str, recording: Recording, force: Force) -> None:
         inside = si_unit(name)
         unit = (recording.channels[name].file_unit if name in recording else "") or inside
         change = conversion(unit, expected=inside)
-        columns[f"{name} [{unit}]"] = change.outside(force.values[recording.rows, index])
-        columns[f"u_{name} [{unit}]"] = change.outside(force.uncertainty[recording.rows, index])
+        values = change.outside(force.values[recording.rows, index])
+        u = change.outside(force.uncertainty[recording.rows, index])
+        columns |= _result(file, f"{name} [{unit}]", values, u, least=u)
     _writer(file).write_columns(file, columns)
+
+
+def _result(file: Path, label: str, values: Array, u: Array, *, least: Array) -> dict[str, Array]:
+    """Give a result and its standard uncertainty as columns: in a text with the digits that mean something."""
+    digits = csv_file.digits_for(least) if _writer(file) is csv_file else None
+    kept = (values, u) if digits is None else (csv_file.rounded(values, digits), csv_file.rounded(u, digits))
+    return {label: kept[0], f"u_{label}": kept[1]}
 
 
 def write_loads(path: Path | str, recording: Recording, felt: LoadsFelt) -> None:
@@ -352,8 +409,8 @@ def write_loads(path: Path | str, recording: Recording, felt: LoadsFelt) -> None
     columns = _time_column(recording)
     uncertainty = felt.uncertainty
     for index, (name, unit) in enumerate(zip(felt.components, felt.units, strict=True)):
-        columns[f"{name} [{unit}]"] = felt.values[recording.rows, index]
-        columns[f"u_{name} [{unit}]"] = uncertainty[recording.rows, index]
+        values, u = felt.values[recording.rows, index], uncertainty[recording.rows, index]
+        columns |= _result(file, f"{name} [{unit}]", values, u, least=np.append(u, felt.noise[index]))
     for channel in recording:
         if not is_gauge(channel.name) and channel.name != "excitation" and channel.name not in felt.components:
             columns.update(_column(channel, recording))

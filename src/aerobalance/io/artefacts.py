@@ -7,16 +7,19 @@ import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Final, NoReturn, TypedDict, TypeVar, Unpack
+from typing import Annotated, Any, ClassVar, Final, NoReturn, TypedDict, TypeVar, Unpack
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 
 from aerobalance import __version__
 from aerobalance.channel import Array
 from aerobalance.io.messages import first_fault
 from aerobalance.io.safe_write import replacing
 from aerobalance.problems import ReadError
+
+BY_HAND: Final = "by hand"
+"""Key of the validation's context under which stands whether a file was written by hand."""
 
 SCHEMA: Final = 1
 """Version of the structure of the artefacts."""
@@ -29,9 +32,26 @@ _Entry = TypeVar("_Entry")
 
 
 class Loose(BaseModel):
-    """Part of an artefact; keys that are not known are ignored."""
+    """Part of an artefact.
 
-    model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
+    A key that is not known is passed over where the program wrote the file, perhaps in another version, and refused
+    where a hand did, as it may be a slip of the pen.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    for_people: ClassVar[frozenset[str]] = frozenset()
+    """Keys that the program writes and does not read."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_what_is_not_read(cls, given: Any, info: ValidationInfo) -> Any:
+        if not isinstance(given, dict):
+            return given
+        known = {field.alias or name for name, field in cls.model_fields.items()}
+        if (info.context or {}).get(BY_HAND):
+            return {key: value for key, value in given.items() if key in known or key not in cls.for_people}
+        return {key: value for key, value in given.items() if key in known}
 
 
 class Value(Loose):
@@ -175,6 +195,9 @@ def _plain(item: object) -> object:
     raise ValueError(f"cannot write a {type(item).__name__} as JSON")
 
 
+IN_EVERY_FILE: Final = frozenset({"schema", "warnings", "provenance", "description", "comment"})
+"""Keys for people that every artefact may have."""
+
 _JSON_NAMES: Final = {list: "an array", str: "a string", int: "a number", float: "a number", bool: "true or false"}
 
 
@@ -207,6 +230,8 @@ def load(path: Path, kind: str, model: type[_Model]) -> _Model:
         raise ReadError(path, where, f"is broken or cut off JSON: {error.msg}; a {kind}.json is needed") from None
     except RecursionError:
         raise ReadError(path, "", f"is nested too deeply; a {kind}.json is needed") from None
+    except ValueError:  # the interpreter converts no whole number of more than 4300 digits
+        raise ReadError(path, "", f"holds a number of thousands of digits; a {kind}.json is needed") from None
     if not isinstance(given, dict):
         raise ReadError(
             path, "", f"holds {_JSON_NAMES.get(type(given), 'null')}, not an object; a {kind}.json is needed"
@@ -216,10 +241,16 @@ def load(path: Path, kind: str, model: type[_Model]) -> _Model:
     if "schema" in given and (given["schema"] != SCHEMA or isinstance(given["schema"], bool)):
         raise ReadError(path, "schema", f"is {given['schema']!r}; this program reads schema {SCHEMA}")
     try:
-        return model.model_validate(given)
+        return model.model_validate(given, context={BY_HAND: not _by_program(given)})
     except ValidationError as error:
         where, what = first_fault(error, model)
         raise ReadError(path, where, what) from None
+
+
+def _by_program(given: Mapping[str, Any]) -> bool:
+    """Whether this program wrote a file, in any version."""
+    origin = given.get("provenance")
+    return isinstance(origin, dict) and str(origin.get("program", "")).startswith("aerobalance ")
 
 
 def entries_of(

@@ -60,6 +60,21 @@ class _Matrix(artefacts.Loose):
 
 
 class _BalanceFile(artefacts.Loose):
+    for_people = artefacts.IN_EVERY_FILE | {
+        "calibration",
+        "model",
+        "way",
+        "points",
+        "series",
+        "components",
+        "unidentified_terms",
+        "unidentified_because",
+        "condition_number",
+        "tares",
+        "outliers",
+        "assumptions",
+    }
+
     kind: Literal["balance"] = "balance"
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1
     matrix: _Matrix

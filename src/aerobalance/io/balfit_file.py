@@ -18,7 +18,7 @@ from aerobalance.forms import BalanceType
 from aerobalance.io.balfit_symbols import Columns, columns_of
 from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, settle_capacities
 from aerobalance.io.safe_write import replacing
-from aerobalance.io.text_table import number_in, separator_of, split_line
+from aerobalance.io.text_cells import number_in, separator_of, split_line
 from aerobalance.io.units import Conversion, conversion
 from aerobalance.problems import DoubtWarning, ReadError
 from aerobalance.schedule import Schedule

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import tomllib
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
@@ -24,7 +23,9 @@ from aerobalance.io.clocks import of_one_length, on_one_clock
 from aerobalance.io.columns import RawColumn, RawColumns
 from aerobalance.io.messages import first_fault
 from aerobalance.io.table import Column, check_time, on_clock
-from aerobalance.io.text_table import SEPARATORS, Layout
+from aerobalance.io.text_cells import SEPARATORS
+from aerobalance.io.text_layout import Layout
+from aerobalance.io.toml_text import read_toml
 from aerobalance.io.units import Conversion, conversion, conversion_for
 from aerobalance.problems import DoubtWarning, ReadError
 from aerobalance.recording import Recording
@@ -50,7 +51,7 @@ class FileLayout(Strict):
     separator: Literal["comma", "semicolon", "tab", "space"] | None = None
     decimal: Literal[".", ","] | None = None
     header_line: Annotated[int, Field(ge=0)] | None = None
-    skip_lines: Annotated[int, Field(ge=0)] = 0
+    skip_lines: Annotated[int, Field(ge=0)] | None = None
     encoding: str | None = None
     sheet: str | None = None
 
@@ -156,6 +157,8 @@ class ChannelMap:
             header_line=self.file.header_line,
             skip_lines=self.file.skip_lines,
             encoding=self.file.encoding,
+            clocked=self.file.time is not None or self.file.rate is not None,
+            rate=self.file.rate,
         )
 
     @property
@@ -174,19 +177,13 @@ def load_channel_map(path: Path | str) -> ChannelMap:
         The file is no TOML, or has a key that is unknown, missing or not allowed; the message names the key.
     """
     file = Path(path)
-    try:
-        with file.open("rb") as stream:
-            given: dict[str, Any] = tomllib.load(stream)
-    except FileNotFoundError:
-        raise ReadError(file, "", "there is no such file") from None
-    except OSError as error:
-        raise ReadError(file, "", f"cannot be read: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ReadError(file, "", f"is no TOML: {error}") from None
+    given = read_toml(file, what="a channel map")
     try:
         contents = _Contents.model_validate(given)
     except ValidationError as error:
         where, what = first_fault(error, _Contents)
+        if where == "channels" and not given.get("channels"):
+            what += "; give one column or more a table [channels.NAME], NAME being what the column is"
         raise ReadError(file, where, what) from None
     chosen = ChannelMap(file, contents.file, contents.channels)
     _check(chosen)
@@ -287,7 +284,8 @@ def mapped_recording(raw: RawColumns, chosen: ChannelMap) -> Recording:
     raw = _on_own_clocks(raw, chosen) if own else of_one_length(raw)
     stamps, time_unit = _stamps(raw, chosen)
     channels = {name: _channel(raw, chosen, name) for name in chosen.channels}
-    recording = on_clock(raw.path, stamps, channels, time_unit=time_unit, rate=raw.rate)
+    rate, ticks = (raw.rate, raw.ticks) if own else (None, None)
+    recording = on_clock(raw.path, stamps, channels, time_unit=time_unit, rate=rate, ticks=ticks)
     derived = {name: channel.derivative for name, channel in chosen.channels.items() if channel.derivative}
     if not derived:
         return recording
@@ -307,6 +305,8 @@ def mapped_recording(raw: RawColumns, chosen: ChannelMap) -> Recording:
 
 def _on_own_clocks(raw: RawColumns, chosen: ChannelMap) -> RawColumns:
     """Put columns on one clock by what the file says of each."""
+    if raw.rate is not None or raw.time is not None:
+        return of_one_length(raw)
     if all(column.clock is None for column in raw.columns):
         raise ReadError(
             chosen.path, "file", f"needs {_EITHER}: {raw.path.name} does not state the rate of these columns itself"
@@ -320,12 +320,23 @@ def _stamps(raw: RawColumns, chosen: ChannelMap) -> tuple[Array, str]:
         if raw.rows < 2:
             raise ReadError(raw.path, "", f"has {raw.rows} row(s) of samples; a recording needs at least two")
         return np.arange(raw.rows) / chosen.file.rate, "s"
-    if chosen.file.time is None:
-        return raw.start + np.arange(raw.rows) / (raw.rate or np.nan), "s"
-    column = raw.find(chosen.file.time, where="header")
+    key = chosen.file.time or raw.time
+    if key is None:
+        rows = np.arange(raw.rows) if raw.ticks is None else raw.ticks
+        return raw.start + rows / (raw.rate or np.nan), "s"
+    column = raw.find(key, where="header")
+    if column.stamped and chosen.file.time_unit is not None:
+        raise ReadError(
+            chosen.path, "file.time_unit", f"does not go with {column.label!r}, which holds dates and times; remove it"
+        )
     unit = chosen.file.time_unit or column.unit
     if not unit:
-        raise ReadError(chosen.path, "file.time_unit", f"is needed: the header {column.label!r} does not say the unit")
+        raise ReadError(
+            chosen.path,
+            "file.time_unit",
+            f'is needed: the header {column.label!r} does not say the unit; put time_unit = "s" (or ms, us, min) '
+            "under [file]",
+        )
     try:
         change = conversion(unit, expected="s")
     except ValueError as error:

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from aerobalance.channel import AXES_BY_NAME, DIRECTIONS, Coupling, is_ground_acceleration, unit_inside
-from aerobalance.io.text_table import LARGEST
+from aerobalance.io.text_cells import LARGEST
 
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 NotBelow = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
@@ -40,6 +40,13 @@ class ChannelSettings(Strict):
     place: tuple[Number, Number, Number] | None = None
     place_uncertainty: NotBelow = 0.0
     axis: tuple[Number, Number, Number] | None = None
+
+    @field_validator("scale")
+    @classmethod
+    def _not_zero(cls, given: float) -> float:
+        if given == 0:
+            raise ValueError("must not be zero: every reading would become the same number; leave the channel out")
+        return given
 
     @field_validator("place", "axis", mode="before")
     @classmethod

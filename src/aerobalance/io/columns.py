@@ -56,6 +56,8 @@ class Heading:
         Whether the file states the column's own sampling rate.
     usable
         Whether the column holds numbers.
+    time
+        Whether the column was recognised as the time of every row.
     """
 
     label: str
@@ -65,6 +67,7 @@ class Heading:
     note: str = ""
     clocked: bool = False
     usable: bool = True
+    time: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +126,8 @@ class RawColumn:
         Time by which the readings lag the rows they stand in [s].
     sensing
         How the column was measured, where the file says it.
+    stamped
+        Whether the values are seconds made of date-time stamps.
     """
 
     label: str
@@ -134,6 +139,7 @@ class RawColumn:
     clock: Clock | None = None
     delay: float = 0.0
     sensing: Sensing = field(default_factory=Sensing)
+    stamped: bool = False
 
     @property
     def place(self) -> str:
@@ -160,6 +166,8 @@ class RawColumns:
     ticks
         Sample of the steady clock that each row stands for, shape (n,), increasing from 0, where `rate` is given;
         None where no sample is missing.
+    time
+        Number of the column that was recognised as the time of every row; None where none was, or where `rate` holds.
     """
 
     path: Path
@@ -168,6 +176,7 @@ class RawColumns:
     rate: float | None = None
     start: float = 0.0
     ticks: NDArray[np.intp] | None = None
+    time: int | None = None
 
     @property
     def rows(self) -> int:

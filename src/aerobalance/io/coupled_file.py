@@ -15,6 +15,7 @@ from aerobalance.components import COMPONENTS, si_unit
 from aerobalance.coupled import CoupledDynamics, RigidMass, hidden_names
 from aerobalance.dynamics import Dynamics
 from aerobalance.io.artefacts import (
+    IN_EVERY_FILE,
     Covariance,
     Finite,
     Loose,
@@ -80,6 +81,8 @@ class _Calibration(Loose):
 
 
 class _CoupledFile(Loose):
+    for_people = IN_EVERY_FILE | {"fit"}
+
     kind: Literal["coupled dynamics"] = "coupled dynamics"
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1
     components: Annotated[list[str], Field(min_length=1)]

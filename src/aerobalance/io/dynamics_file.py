@@ -11,6 +11,7 @@ from pydantic import Field
 from aerobalance.components import COMPONENTS, mass_unit
 from aerobalance.dynamics import MODE_PARAMETERS, PARAMETERS, Dynamics, Mode
 from aerobalance.io.artefacts import (
+    IN_EVERY_FILE,
     Covariance,
     Finite,
     Loose,
@@ -38,6 +39,8 @@ SHARE_AGREEMENT: Final = 1e-6
 class ListedMode(Loose):
     """What every dynamics.json says of a mode."""
 
+    for_people = frozenset({"units"})
+
     natural_frequency: Positive
     u_natural_frequency: NotNegative = 0.0
     damping_ratio: Finite
@@ -51,6 +54,8 @@ class _Mode(ListedMode):
 
 
 class _ComponentDynamics(Loose):
+    for_people = frozenset({"damping_ratio", "fit"})
+
     mass: PositiveValue
     stiffness: PositiveValue
     damping: NotNegativeValue
@@ -61,6 +66,8 @@ class _ComponentDynamics(Loose):
 
 
 class _DynamicsFile(Loose):
+    for_people = IN_EVERY_FILE
+
     kind: Literal["dynamics"] = "dynamics"
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1
     components: Annotated[dict[str, _ComponentDynamics], Field(min_length=1)]

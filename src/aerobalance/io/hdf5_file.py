@@ -29,7 +29,8 @@ from aerobalance.io.hdf5_layout import (
     status_row,
 )
 from aerobalance.io.safe_write import replacing
-from aerobalance.io.text_table import LARGEST, Layout, beyond_all_measure
+from aerobalance.io.text_cells import LARGEST, beyond_all_measure
+from aerobalance.io.text_layout import Layout
 from aerobalance.problems import DoubtWarning, ReadError
 
 if TYPE_CHECKING:

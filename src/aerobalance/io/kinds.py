@@ -48,7 +48,7 @@ def kind_of(path: Path) -> str:
     text = head.decode("utf-8", errors="replace")  # which is what the program writes
     artefact = _KIND.match(text)
     if artefact is not None:
-        return artefact[1]
+        return artefact[1].removeprefix("coupled ")  # both are dynamics to whoever names the file
     if _GENERATOR.search(text):
         return PAGE
     line = text.split("\n", 1)[0].rstrip("\r")

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from aerobalance.channel import QUANTITIES
-from aerobalance.components import is_gauge
+from aerobalance.io.channel_names import Proposal, proposals
 from aerobalance.io.columns import Heading
+from aerobalance.io.text_clock import is_time_name, is_time_unit
+from aerobalance.io.text_layout import TextLayout, separator_word
+from aerobalance.io.toml_text import quoted
 from aerobalance.io.units import readable
 
 
-def map_text(file: Path, headings: Sequence[Heading], *, text: bool = True) -> str:
+def map_text(file: Path, headings: Sequence[Heading], *, found: TextLayout | None = None) -> str:
     """Write a channel map for a foreign file, made from its headings, to be completed by hand.
 
     Parameters
@@ -21,66 +25,113 @@ def map_text(file: Path, headings: Sequence[Heading], *, text: bool = True) -> s
         The foreign file.
     headings
         What it says of its columns.
-    text
-        Whether it is a text file, for which separator and the like may be given.
+    found
+        How it is laid out, where it is a text file.
 
     Returns
     -------
     str
-        TOML with comments; every column that is not the time is a commented table.
+        TOML with comments; a column that is not the time is a table where its name and unit leave no doubt what it
+        is, and a commented table where a person has to say it.
     """
     clocked = any(heading.clocked for heading in headings)
-    time = None if clocked else next((heading for heading in headings if _is_time(heading)), None)
-    blocks = [_HEAD.format(names=", ".join(QUANTITIES), file=_quoted(file.name)[1:-1])]
-    if clocked:
-        blocks.append(_OWN_CLOCKS)
-    elif time is None:
-        blocks.append(
-            "# time = 1          # header text or number of the time column, or give the rate\nrate = 1000.0  # Hz"
-        )
-    else:
-        blocks.append(f"time = {_quoted(time.label)}")
-        if not time.unit:
-            blocks.append('time_unit = "s"')
-    blocks.append(f"{_TEXT_KEYS}\n\n{_CHANNEL_KEYS}" if text else f"\n{_CHANNEL_KEYS}")
-    named: set[str] = set()
-    for heading in headings:
-        if heading is not time:
-            known = heading.usable and heading.name not in named
-            known = known and (heading.name in QUANTITIES or is_gauge(heading.name))
-            named.add(heading.name)
-            blocks.append(_block(heading, known=known))
+    time = None if clocked else _time(headings)
+    blocks = [_HEAD.format(names=", ".join(QUANTITIES), file=quoted(file.name)[1:-1])]
+    blocks += [_OWN_CLOCKS] if clocked else _clock(headings, time, found)
+    blocks += [] if found is None else _layout(found)
+    blocks.append(f"\n{_CHANNEL_KEYS}")
+    labels = [heading.label for heading in headings]
+    headings = [heading if labels.count(heading.label) == 1 else replace(heading, label="") for heading in headings]
+    others = [heading for heading in headings if time is None or heading.number != time.number]
+    for heading, proposal in zip(others, proposals(others), strict=True):
+        blocks.append(_block(heading, proposal))
     return "\n".join(blocks)
 
 
-def _is_time(heading: Heading) -> bool:
-    return heading.name.lower().startswith("time") and (
-        not heading.unit or (readable(heading.unit) and heading.unit in ("s", "ms", "us", "min", "sec"))
+def _time(headings: Sequence[Heading]) -> Heading | None:
+    told = next((heading for heading in headings if heading.time), None)
+    named = (heading for heading in headings if heading.usable and is_time_name(heading.name))
+    return told or next((heading for heading in named if is_time_unit(heading.unit)), None)
+
+
+def _clock(headings: Sequence[Heading], time: Heading | None, found: TextLayout | None) -> list[str]:
+    """Lines of the clock, as far as the file says it; never a rate that it does not state."""
+    clock = None if found is None else found.clock
+    stated = None if found is None else found.stated
+    lines = []
+    if clock is not None and clock.rival is not None:
+        other = quoted(headings[clock.rival].label)
+        lines.append(
+            f"# column {clock.rival + 1} ({other}) is a time too, of another rate: a map for the channels of each"
+        )
+    if time is not None and not (clock is not None and clock.stamps and stated is not None):
+        key = _key(time)
+        note = "date and time; seconds since the first" if clock is not None and clock.stamps else ""
+        if clock is not None and clock.rate is not None and not note:
+            note = f"steps by {clock.interval:.6g} {clock.unit}: {clock.rate:.6g} Hz"
+        lines.append(f"time = {key}" + (f"  # {note}" if note else ""))
+        if not time.unit and not (clock is not None and clock.stamps):
+            step = "" if clock is None else f" (it steps by {clock.interval:.6g})"
+            lines.append(f'# time_unit = "?"  # unknown: the file does not say it{step}; s, ms, us or min')
+        return lines
+    if stated is not None:
+        lines.append(f"rate = {stated.rate!r}  # Hz; line {stated.line}: {_printable(stated.text)[:60]}")
+        return lines
+    lines.append("# No clock found: give one of these, and remove the # before it.")
+    lines.append("# time =             # header text or number of the column of times")
+    lines.append("# rate =             # samples per second [Hz]; only where nothing in the file says the time")
+    return lines
+
+
+def _layout(found: TextLayout) -> list[str]:
+    """Lines of the layout as found; a file that is laid out otherwise needs them changed, or left out."""
+    lines = [
+        f"header_line = {found.header_line}" + ("  # no header: columns by number" if not found.header_line else ""),
+        f"skip_lines = {found.skip_lines}  # lines between the header and the first row of numbers",
+        f"separator = {quoted(separator_word(found.separator))}",
+    ]
+    lines.append(
+        f'decimal = "{found.decimal}"' if found.decimal else '# decimal = "."  # no number at the head has one'
     )
+    lines.append(f"encoding = {quoted(found.encoding)}")
+    if found.header_line:
+        lines.append(
+            "# Without header_line and skip_lines each file's own are recognised, where preambles differ in length."
+        )
+    return lines
 
 
-def _quoted(text: str) -> str:
-    """Write a TOML string."""
-    escaped = "".join(
-        "\\\\" if sign == "\\" else '\\"' if sign == '"' else sign if sign.isprintable() else f"\\u{ord(sign):04x}"
-        for sign in text
-    )
-    return f'"{escaped}"'
+def _key(heading: Heading) -> str:
+    """How a map names a column: by its header, or its number."""
+    return str(heading.number) if not heading.label or heading.label == str(heading.number) else quoted(heading.label)
 
 
-def _block(heading: Heading, *, known: bool) -> str:
-    label, unit = heading.label, heading.unit
-    key = heading.name if known else f"column_{heading.number}"
-    note = "".join(sign if sign.isprintable() else " " for sign in heading.note)
-    lines = [f"[channels.{key}]" + (f"  # {note}" if note else "")]
-    lines.append(f"column = {_quoted(label) if label else heading.number}")
-    lines.append(f"unit = {_quoted(unit)}" if unit else 'unit = "N"  # the header does not say it')
-    return "\n".join(["", *(line if known else f"# {line}" for line in lines)])
+def _printable(text: str) -> str:
+    return "".join(sign if sign.isprintable() else " " for sign in text)
+
+
+def _block(heading: Heading, proposal: Proposal) -> str:
+    unit = heading.unit
+    if not heading.usable:
+        name = _printable(quoted(heading.label))
+        return f"\n# left out: column {heading.number} ({name}): {_printable(heading.note) or 'it holds text'}"
+    notes = [note for note in (_printable(heading.note),) if note]
+    if not proposal.name:
+        notes.append("unassigned" + (f"; perhaps {proposal.hint}" if proposal.hint else ""))
+    name = proposal.name or f"column_{heading.number}"
+    lines = [f"[channels.{name}]" + (f"  # {'; '.join(notes)}" if notes else ""), f"column = {_key(heading)}"]
+    if unit and readable(unit):
+        lines.append(f"unit = {quoted(unit)}")
+    elif unit:
+        lines.append(f"unit = {quoted(unit)}  # not a unit that is known: write what it is")
+    else:
+        lines.append(f'{"# " if proposal.name else ""}unit = "?"  # unknown: the file does not say it')
+    return "\n".join(["", *(line if proposal.name else f"# {line}" for line in lines)])
 
 
 _HEAD: Final = """\
-# Channel map for {file}.
-# Rename each table that is needed to what the channel is, and remove the "# " before it:
+# Channel map for {file}, as far as the file says what it holds.
+# Unassigned columns: put what it is for column_N, and remove the "# " before each line of its table:
 #   {names}
 # and r with any other component as the balance names it (rN1, rAxial) for a gauge output.
 # Any other name is passed on untouched. Columns without a table are ignored.
@@ -90,14 +141,7 @@ _HEAD: Final = """\
 _OWN_CLOCKS: Final = """\
 # The file states the rate of every channel; the fastest of those below gives the clock, slower ones are interpolated.
 # time = "group/channel"  # only where that is wrong: a channel that is the time, or
-# rate = 1000.0           # samples per second, for channels of one length"""
-
-_TEXT_KEYS: Final = """\
-# separator = "tab"   # comma, semicolon, tab, space; recognised if left out
-# decimal = "."       # or ","
-# header_line = 1     # 0: no header, columns by number
-# skip_lines = 0      # lines between the header and the first row of numbers
-# encoding = "utf-8" """
+# rate =                  # samples per second, for channels of one length"""
 
 _CHANNEL_KEYS: Final = """\
 # Every channel may have, beside column and unit:

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from aerobalance.components import STANDARD_GRAVITY, mass_unit, si_unit
 from aerobalance.io.artefacts import (
+    IN_EVERY_FILE,
     Covariance,
     Finite,
     Loose,
@@ -38,6 +39,17 @@ class _ComponentMass(Loose):
 
 class MassFile(Loose):
     """What every mass.json holds."""
+
+    for_people = IN_EVERY_FILE | {
+        "common_mass",
+        "centre_of_gravity",
+        "offsets",
+        "misalignment",
+        "residual_standard_deviation",
+        "agreement",
+        "unidentified",
+        "model",
+    }
 
     kind: Literal["mass"] = "mass"
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -25,9 +26,16 @@ def first_fault(error: ValidationError, model: type[BaseModel]) -> tuple[str, st
         return where, "is missing"
     if kind == "extra_forbidden":
         allowed = _fields(model, keys[:-1])
-        return where, "is not known" + (f"; allowed: {', '.join(allowed)}" if allowed else "")
+        near = get_close_matches(keys[-1], allowed, 1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        return where, "is not known" + meant + (f"; allowed: {', '.join(allowed)}" if allowed else "")
     said = fault["msg"].removeprefix("Value error, ")
-    said = said.replace("Input should be", "must be").replace("a valid ", "a ").replace("dictionary", "table")
+    said = (
+        said.partition(", unable to parse")[0]
+        .replace("Input should be", "must be")
+        .replace("a valid ", "a ")
+        .replace("dictionary", "table")
+    )
     return where, f"{said}, not {_shown(given)}"
 
 
@@ -46,14 +54,16 @@ def _shown(given: Any) -> str:
 def _fields(model: type[BaseModel], keys: list[str]) -> list[str]:
     """Names that are allowed at a place of a model."""
     current: Any = model
+    named = False
     for key in keys:
-        fields = getattr(current, "model_fields", None)
-        if fields is None:
-            return []
+        if named or key.isdecimal():  # the name of an entry or its number, and no key of the model
+            named = False
+            continue
+        fields = {field.alias or name: field for name, field in getattr(current, "model_fields", {}).items()}
         if key not in fields:
             return []
         annotation = fields[key].annotation
-        current = next((a for a in getattr(annotation, "__args__", ()) if hasattr(a, "model_fields")), annotation)
-        if getattr(annotation, "__origin__", None) is dict:
-            return list(current.model_fields)
-    return list(getattr(current, "model_fields", ()))
+        inner = getattr(annotation, "__args__", ())
+        current = next((part for part in inner if hasattr(part, "model_fields")), annotation)
+        named = getattr(annotation, "__origin__", None) is dict
+    return [field.alias or name for name, field in getattr(current, "model_fields", {}).items()]

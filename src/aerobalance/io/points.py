@@ -10,10 +10,11 @@ import numpy as np
 
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS, is_gauge
-from aerobalance.io import column_names, is_text, read, read_table
+from aerobalance.io import read, read_table, states_times
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.table import Table
 from aerobalance.problems import FitError, ReadError
+from aerobalance.recording import GAUGES_BECOME_LOADS
 from aerobalance.weighing import LoadPoints, StaticPoints, points_from_recordings
 
 Names = tuple[str, ...]
@@ -121,7 +122,7 @@ def _loads_of(path: Path, there: Iterable[str]) -> Names:
         gauges = any(is_gauge(name) for name in given)
         raise FitError(
             f"{path.name}: has none of the loads {', '.join(COMPONENTS)}; it has {', '.join(given)}"
-            + ("; gauge outputs must be turned into loads with the balance's matrix first" if gauges else "")
+            + (f"; {GAUGES_BECOME_LOADS}" if gauges else "")
         )
     return names
 
@@ -148,6 +149,6 @@ def _from_table(table: Table, names: Names) -> LoadPoints:
 def _is_recording(path: Path) -> bool:
     """Whether a file has a time column; a format that is no text is a recording."""
     try:
-        return not is_text(path) or "time" in column_names(path)
+        return states_times(path)
     except ReadError:
         return True

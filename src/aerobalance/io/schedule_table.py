@@ -24,7 +24,8 @@ from aerobalance.io.load_columns import (
 from aerobalance.io.schedule_columns import ScheduleColumn, columns_by_map, columns_by_name, header_by_map, pairs_in
 from aerobalance.io.schedule_names import FALSE, TRUE
 from aerobalance.io.sheet_cells import Row, Sheet, sheets_of
-from aerobalance.io.text_table import MISSING, Layout, number_in
+from aerobalance.io.text_cells import MISSING, number_in
+from aerobalance.io.text_layout import Layout
 from aerobalance.io.units import conversion, readable
 from aerobalance.problems import ReadError
 from aerobalance.schedule import Schedule
@@ -129,7 +130,7 @@ def framed(sheet: Sheet, layout: Layout, *, is_header: Callable[[Sequence[str]],
     rows = list(sheet.rows)
     if layout.header_line == 0:
         width = max((len(row.cells) for row in rows), default=0)
-        below = [row for row in rows if row.line > layout.skip_lines]
+        below = [row for row in rows if row.line > (layout.skip_lines or 0)]
         return Framed(0, tuple(str(i + 1) for i in range(width)), ("",) * width, tuple(below))
     if layout.header_line is not None:
         at = next((i for i, row in enumerate(rows) if row.line == layout.header_line), None)
@@ -138,7 +139,7 @@ def framed(sheet: Sheet, layout: Layout, *, is_header: Callable[[Sequence[str]],
     if at is None:
         return None
     labels, header = rows[at].cells, rows[at].line
-    rest = [row for row in rows[at + 1 :] if row.line > header + layout.skip_lines]
+    rest = [row for row in rows[at + 1 :] if row.line > header + (layout.skip_lines or 0)]
     units: tuple[str, ...] = ()
     notes: list[str] = []
     if rest and _are_units(rest[0].cells):

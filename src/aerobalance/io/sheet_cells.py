@@ -13,7 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from aerobalance.io.text_table import SEPARATORS, Layout, read_text
+from aerobalance.io.text_cells import SEPARATORS
+from aerobalance.io.text_layout import Layout
+from aerobalance.io.text_table import read_text
 from aerobalance.problems import ReadError
 
 WORKBOOK: Final = b"PK\x03\x04"

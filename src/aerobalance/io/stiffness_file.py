@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import tomllib
 import warnings
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -19,6 +18,7 @@ from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative
 from aerobalance.io.coupled_file import RigidMassPart, rigid_mass_from
 from aerobalance.io.messages import first_fault
+from aerobalance.io.toml_text import read_toml
 from aerobalance.problems import DoubtWarning, ReadError
 
 DOUBTFUL: Final = 5.0
@@ -142,7 +142,7 @@ def read_rigid_mass(path: Path | str) -> RigidMass:
         The file holds no such mass.
     """
     file = Path(path)
-    given = _toml(file) if file.suffix.lower() == ".toml" else _json(file)
+    given = read_toml(file, what="a description of a rigid mass") if file.suffix.lower() == ".toml" else _json(file)
     if isinstance(given.get("mass"), dict) and "mass" in given["mass"]:
         given = given["mass"]
     if "inertia" not in given or "centre" not in given:
@@ -160,18 +160,6 @@ def read_rigid_mass(path: Path | str) -> RigidMass:
         return rigid_mass_from(file, part)
     except ValueError as error:
         raise ReadError(file, "", str(error)) from None
-
-
-def _toml(file: Path) -> dict[str, Any]:
-    try:
-        with file.open("rb") as stream:
-            return tomllib.load(stream)
-    except FileNotFoundError:
-        raise ReadError(file, "", "there is no such file") from None
-    except OSError as error:
-        raise ReadError(file, "", f"cannot be read: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ReadError(file, "", f"is no TOML: {error}") from None
 
 
 def _json(file: Path) -> dict[str, Any]:

@@ -155,7 +155,7 @@ def _checked_name(path: Path, column: RawColumn, known: Mapping[str, Column]) ->
             path,
             where,
             f"the unit is missing; write name [unit], for example {column.name} [{example}]{allowed} "
-            "(or describe the file in a channel map)",
+            "(or describe the file in a channel map, which `aerobalance map FILE` makes)",
         )
     if column.name in known:
         raise ReadError(path, where, f"there is a column {column.name} already ({known[column.name].place})")
@@ -213,7 +213,8 @@ def _no_time(table: Table) -> NoReturn:
     raise ReadError(
         table.path,
         "header",
-        f"has no column time [s] (or ms, us), which a recording needs; it has {', '.join(table.columns)}",
+        f"has no column time [s] (or ms, us), which a recording needs; it has {', '.join(table.columns)}; give the "
+        "rate, or say which column is the time, in a channel map, which `aerobalance map FILE` makes",
     )
 
 

@@ -16,7 +16,9 @@ import numpy as np
 from aerobalance.channel import QUANTITIES, Array
 from aerobalance.components import is_gauge
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
-from aerobalance.io.text_table import LARGEST, Layout, beyond_all_measure
+from aerobalance.io.tdms_tasks import Stamped, seconds_after, start_stamps
+from aerobalance.io.text_cells import LARGEST, beyond_all_measure
+from aerobalance.io.text_layout import Layout
 from aerobalance.io.units import conversion, readable
 from aerobalance.problems import DoubtWarning, ReadError
 
@@ -62,7 +64,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
     A column's label is ``group/channel``; the channel's name alone will do where it is the only one. The unit is the
     property ``unit_string`` or ``NI_UnitDescription``, where that is a unit, or stands in the channel's name. The
     clock comes from ``wf_increment``, ``wf_start_offset`` and ``wf_start_time``; a channel without start time starts
-    with the first of the others.
+    with the first of the others, and channels of one task start together (see `aerobalance.io.tdms_tasks`).
 
     Parameters
     ----------
@@ -82,7 +84,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
     Warns
     -----
     DoubtWarning
-        The file was cut off while it was written.
+        The file was cut off while it was written; the start times of one task differ.
     """
     del layout
     with _opened(path) as file:
@@ -96,8 +98,14 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
             chosen = [entry for entry in entries if entry.number in numbers]
         for entry in chosen:
             _check_usable(path, entry)
-        origin = _origin(chosen)
-        columns = tuple(_column(entry, _values(path, entry), _clock(path, entry, origin)) for entry in chosen)
+        stamps, doubts = _stamps(entries, chosen)
+        origin = _origin([stamps.get(entry.number) for entry in chosen])
+        columns = tuple(
+            _column(entry, _values(path, entry), _clock(path, entry, stamps.get(entry.number), origin))
+            for entry in chosen
+        )
+    for text in doubts:
+        warnings.warn(f"{path.name}: {text}", DoubtWarning, stacklevel=4)
     return RawColumns(path, columns, range(1, max((column.values.size for column in columns), default=0) + 1))
 
 
@@ -112,7 +120,7 @@ def headings(path: Path) -> tuple[Heading, ...]:
     with _opened(path) as file:
         found = []
         for entry in _entries(path, file):
-            clock = _clock(path, entry, None)
+            clock = _clock(path, entry, None, None)
             fault = _fault(entry)
             rate = f"{1 / clock.interval:.9g} Hz" if clock is not None else "no rate stated"
             note = f"cannot be used: {fault}" if fault else f"{rate}, {entry.samples} samples"
@@ -331,15 +339,34 @@ def _without_infinities(path: Path, entry: _Entry, values: Array) -> Array:
     return found
 
 
-def _origin(entries: Sequence[_Entry]) -> Any:
+def _stamps(entries: Sequence[_Entry], chosen: Sequence[_Entry]) -> tuple[dict[int, Any], list[str]]:
+    """Return the stamp at which each channel starts, and what is doubtful about it."""
+    stamped = []
+    for entry in entries:
+        given = entry.channel.properties
+        stamp = given.get("wf_start_time")
+        stamped.append(
+            Stamped(
+                entry.number,
+                entry.channel.group_name,
+                entry.name,
+                given.get("wf_increment"),
+                given.get("wf_start_offset"),
+                entry.samples,
+                stamp if hasattr(stamp, "second_fractions") else None,
+            )
+        )
+    return start_stamps(stamped, [entry.number for entry in chosen])
+
+
+def _origin(stamps: Sequence[Any]) -> Any:
     """Return the earliest start time of the channels; None where none has one."""
-    stamps = [entry.channel.properties.get("wf_start_time") for entry in entries]
-    known = [stamp for stamp in stamps if hasattr(stamp, "second_fractions")]
+    known = [stamp for stamp in stamps if stamp is not None]
     return min(known, key=lambda stamp: (stamp.seconds, stamp.second_fractions), default=None)
 
 
-def _clock(path: Path, entry: _Entry, origin: Any) -> Clock | None:
-    """Return a channel's clock, by its properties; None where it states no rate."""
+def _clock(path: Path, entry: _Entry, stamp: Any, origin: Any) -> Clock | None:
+    """Return a channel's clock, by its properties and its start; None where it states no rate."""
     properties = entry.channel.properties
     if "wf_increment" not in properties:
         return None
@@ -366,10 +393,8 @@ def _clock(path: Path, entry: _Entry, origin: Any) -> Clock | None:
             f"must be above zero, from {_SHORTEST:g} to {_LONGEST:g} s, not {interval:.9g} s",
         )
     start = float(change.inside(numbers["wf_start_offset"]))
-    stamp = properties.get("wf_start_time")
-    if origin is not None and hasattr(stamp, "second_fractions"):
-        # Whole seconds and fractions apart, as both together leave only microseconds of a double.
-        start += (stamp.seconds - origin.seconds) + (stamp.second_fractions - origin.second_fractions) * 2.0**-64
+    if origin is not None and stamp is not None:
+        start += seconds_after(stamp, origin)
     return Clock(start, interval)
 
 

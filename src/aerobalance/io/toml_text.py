@@ -1,10 +1,72 @@
-"""TOML written: the other half of the standard library's reader."""
+"""TOML written, the other half of the standard library's reader; and read, where it may be anybody's."""
 
 from __future__ import annotations
 
 import json
+import re
+import tomllib
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
+
+from aerobalance.problems import ReadError
+
+LARGEST: Final = 1_000_000
+"""Bytes that a TOML file may have: no map, no set-up and no mass comes near."""
+
+_PART: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
+_LONG_KEY: Final = re.compile(rf"(?<![\w-]){_PART}(?:\.[ \t]*+{_PART}){{50}}")
+
+
+def read_toml(path: Path, *, what: str) -> dict[str, Any]:
+    """Read a TOML file that may hold anything.
+
+    Parameters
+    ----------
+    path
+        The file.
+    what
+        What it should be, for the message: ``a channel map``, say.
+
+    Raises
+    ------
+    ReadError
+        The file is missing, too large, or no TOML.
+    """
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(LARGEST + 1)
+    except FileNotFoundError:
+        raise ReadError(path, "", "there is no such file") from None
+    except (OSError, ValueError) as error:
+        raise ReadError(path, "", f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if len(head) > LARGEST:
+        raise ReadError(path, "", f"is larger than {LARGEST} bytes, which {what} is not")
+    try:
+        text = head.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ReadError(path, "", f"is no TOML: {error}") from None
+    return toml_in(text, path)
+
+
+def toml_in(text: str, path: Path | str) -> dict[str, Any]:
+    """Read TOML from a text of at most `LARGEST` letters; `path` is what messages call it.
+
+    Raises
+    ------
+    ReadError
+        It is no TOML, or would take the parser more than its length is worth.
+    """
+    long = _LONG_KEY.search(text)
+    if long is not None:
+        line = text.count("\n", 0, long.start()) + 1
+        raise ReadError(path, f"line {line}", "has a key of more than 50 parts joined by dots; no key here has")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ReadError(path, "", "is no TOML that can be read: it is nested too deeply") from None
+    except ValueError as error:  # a number of thousands of digits as well
+        raise ReadError(path, "", f"is no TOML: {' '.join(str(error).split())[:200]}") from None
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
@@ -32,16 +94,17 @@ def _table(lines: list[str], table: Mapping[str, Any], place: tuple[str, ...]) -
 
 def _key(key: str) -> str:
     bare = key.isascii() and key.replace("_", "a").replace("-", "a").isalnum()
-    return key if bare else _quoted(key)
+    return key if bare else quoted(key)
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
+    """Write a TOML string."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _value(value: Any) -> str:
     if isinstance(value, str):
-        return _quoted(value)
+        return quoted(value)
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, list | tuple):

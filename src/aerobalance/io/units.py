@@ -39,6 +39,8 @@ ALLOWED: Final = {
     "1": "1, %",
     "V": "V, mV, uV, kV",
     "degC": "degC, degF, K",
+    "kg": "kg, g, t, lb",
+    "kg*m": "kg*m, g*m, lb*ft",
 }
 """Units that may be given where the unit inside is the key; others of the same kind are read too."""
 
@@ -57,6 +59,8 @@ _MEASURES: Final = {
     "1": "a ratio",
     "V": "a voltage",
     "degC": "a temperature",
+    "kg": "a mass",
+    "kg*m": "a mass times its lever",
 }
 
 _EXPECTED: Final = {
@@ -297,6 +301,8 @@ _ROOTS: Final = {
     "1": "dimensionless",
     "V": "V",
     "degC": "K",
+    "kg": "kg",
+    "kg*m": "kg*m",
 }
 
 

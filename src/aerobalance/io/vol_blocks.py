@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.channel import Array
-from aerobalance.io.text_table import number_in, separator_of, split_line
+from aerobalance.io.text_cells import number_in, separator_of, split_line
 from aerobalance.problems import DoubtWarning, ReadError
 
 _SECTION: Final = re.compile(r"\[\s*(?P<title>[^\[\]]*?)\s*\]")

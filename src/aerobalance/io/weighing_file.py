@@ -22,6 +22,8 @@ UNITS: Final[Mapping[str, str]] = {"mass": "kg", "moment": "kg*m", "misalignment
 
 
 class _Agreement(artefacts.Loose):
+    for_people = frozenset({"agree"})
+
     chi2: NotNegative
     degrees_of_freedom: Annotated[int, Field(ge=1)]
     p_value: Annotated[float, Field(ge=0, le=1)]

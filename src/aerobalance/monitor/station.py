@@ -32,6 +32,9 @@ POLLED: Final = 0.1
 STARTING: Final = 60.0
 """Time that a recorder has to start [s]."""
 
+CLOSING: Final = 10.0
+"""Time that a recorder has to close its file, on a computer that is busy [s]."""
+
 UNWATCHED: Final = 20.0
 """Time after which a source begins although the charts do not follow it yet [s]."""
 
@@ -227,7 +230,7 @@ class Station:
         with self._lock:
             if self.recorder is None or not self.recording:
                 raise ValueError("no record is under way")
-            self.progress = self.recorder.stop("stopped by the operator")
+            self.progress = self.recorder.stop("stopped by the operator", timeout=CLOSING)
             self._ended(self.progress)
             return self.progress
 

@@ -17,6 +17,9 @@ CLEAR: Final = 5.0
 CERTAIN: Final = 6.0
 """Height that a step has at least, over the standard uncertainty of a sample."""
 
+LEVEL: Final = 3.0
+"""Height that a step has at least, over the standard deviation of the samples before it and of those after it."""
+
 _SHORTEST: Final = 4
 _DEEPEST: Final = 4
 
@@ -65,4 +68,5 @@ def _split(values: Array, uncertainty: float) -> int | None:
     split = int(np.argmax(inner)) + _SHORTEST
     height = abs(float(sums[split - 1])) * count / (split * (count - split))
     scatter = np.sqrt(max(0.0, float(centred @ centred) - float(inner.max())) / count)
-    return split if height > max(CLEAR * float(scatter), CERTAIN * uncertainty, 0.0) else None
+    level = max(float(values[:split].std()), float(values[split:].std()))
+    return split if height > max(CLEAR * float(scatter), LEVEL * level, CERTAIN * uncertainty) else None

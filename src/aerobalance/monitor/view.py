@@ -21,7 +21,7 @@ from aerobalance.coupled import CoupledDynamics
 from aerobalance.dynamics import Dynamics
 from aerobalance.fouling import ContactFinder
 from aerobalance.io.hdf5_layout import StoredChannel
-from aerobalance.io.text_table import LARGEST
+from aerobalance.io.text_cells import LARGEST
 from aerobalance.io.units import Conversion, conversion_for
 from aerobalance.load_envelope import LoadEnvelope
 from aerobalance.monitor.coupled_line import CoupledStream

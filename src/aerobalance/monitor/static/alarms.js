@@ -49,13 +49,15 @@ export function showAlarms() {
   if (!page.state) return;
   const first = worst(),
     more = open().length - 1,
-    high = first || page.lost ? null : nearest(),
+    high = first || page.lost || page.stale ? null : nearest(),
     at = $("alarm-state");
   const text = first
     ? wordsOf(first) + (more > 0 ? ` (+${more})` : "")
     : high
       ? `▲ ${high.name} at ${number(100 * high.share, 2)} % of its limit`
-      : "✓ no alarm";
+      : page.lost || page.stale
+        ? "– alarms not known"
+        : "✓ no alarm";
   if (at.textContent !== text) at.textContent = text;
   at.title = text;
   at.className = `pill ${first ? (first.acknowledged ? "bad" : "alarm") : high ? "high" : ""}`;

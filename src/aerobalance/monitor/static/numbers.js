@@ -73,7 +73,7 @@ function makeCard(name, small) {
     kind = small ? "" : "big ",
     of = (what) => element("span", { class: "u" }, ` ${what}`);
   const felt = element("span", { class: `${kind}value` }, parts.felt, of(unit)),
-    applied = element("span", { class: `${kind}value applied`, hidden: !own }, parts.applied, parts.doubt, of(unit));
+    applied = element("span", { class: `${kind}value applied`, hidden: !own }, parts.applied, parts.doubt, small ? "" : of(unit));
   parts.card = small
     ? element(
         "div",
@@ -158,7 +158,8 @@ function showEnvelope(found) {
 // What a mean is of: the time, or what has followed a step; that is told for some seconds, as nobody reads faster.
 function meaning(parts, kind, { step, seconds, least, largest, uncertainty = 0 }) {
   const spread = Math.max(largest - least, uncertainty),
-    range = `${rounded(least, spread)} to ${rounded(largest, spread)}`,
+    coarse = parts.small ? Math.max(10 * spread, 100 * uncertainty) : spread, // rows are narrow
+    range = `${rounded(least, coarse)} to ${rounded(largest, coarse)}`,
     now = performance.now();
   if (step) parts.step[kind] = { step, until: now + STEPPED };
   const last = parts.step[kind],
@@ -192,7 +193,8 @@ function showLoad(name, parts, reading) {
   if (halves[name]) words.push(`${number(reading.percent, 3)} % of half range`);
   const part = page.numbers.envelope?.parts[name];
   if (part !== undefined) words.push(`${number(100 * part, 2)} % in the envelope`);
-  parts.share.textContent = parts.small ? (words[0]?.split(" ").slice(0, 2).join(" ") ?? "") : words.join(", ");
+  const most = reading.limit === null ? reading.percent : 100 * reading.limit;
+  parts.share.textContent = parts.small ? (most === null ? "" : `${number(most, 2)} %`) : words.join(", ");
   parts.share.title = words.join(", ");
 }
 

@@ -65,8 +65,9 @@ function watch() {
   const lost = performance.now() - heardAt > SILENT || !page.state,
     age = newestMs === null ? null : clock() + offset - newestMs,
     stale = lost || (page.state?.source.state === "running" && age > STALE);
-  const changed = lost !== page.lost;
+  const changed = lost !== page.lost || stale !== page.stale;
   page.lost = counters.lost = lost;
+  page.stale = stale;
   counters.age = age;
   document.body.classList.toggle("lost", lost && newestMs !== null);
   document.body.classList.toggle("stale", stale && newestMs !== null);

@@ -216,7 +216,7 @@ async function showResult(task) {
       "tr",
       {},
       element("td", {}, name),
-      element("td", {}, item.si_unit),
+      element("td", {}, item.unit),
       cell(number(item.least)),
       cell(number(item.mean)),
       cell(number(item.largest)),

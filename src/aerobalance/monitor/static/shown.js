@@ -7,6 +7,7 @@ export const page = {
   marks: [],
   component: "",
   lost: true, // whether the server is out of reach, so that nothing shown is of now
+  stale: false, // whether the newest sample is older than it should be
   pressed: null, // the record that was asked for and is not yet in the state: its file, and when
 };
 

@@ -1,0 +1,95 @@
+"""Loads felt in the releases that dynamics are identified from, where gauge outputs were recorded."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from aerobalance.channel import Array
+from aerobalance.commands.balance_files import BalanceFiles
+from aerobalance.commands.loads import from_gauges
+from aerobalance.components import STANDARD_GRAVITY
+from aerobalance.matrix_errors import MatrixErrors
+from aerobalance.problems import DoubtWarning
+from aerobalance.recording import Recording
+from aerobalance.weighing.result import Weighing
+
+
+def releases_felt(
+    recordings: Sequence[Recording],
+    files: BalanceFiles,
+    weighing: Weighing | None,
+    *,
+    channel_map: Path | None,
+    counted: bool = True,
+) -> tuple[list[Recording], list[MatrixErrors]]:
+    """Loads felt in place of gauge outputs, and where the matrix was used for them, release by release.
+
+    What hangs on the balance does not change the ringing. But bridges that are curved ring as where they are, so the
+    weight in a zero that was read with the model on is put back, as far as a weighing knows it.
+
+    Parameters
+    ----------
+    recordings
+        Gauge outputs.
+    files
+        Balance matrix, zeros and tares.
+    weighing
+        What hangs on the balance; None where it is not known.
+    channel_map
+        Channel map of the zeros.
+    counted
+        Whether what the calibration leaves is to be counted, for which the matrix must hold it.
+    """
+    if weighing is None and files.zero and not files.as_they_are and not files.tare:
+        if files.model_on_zero != "off":
+            warnings.warn(
+                "the weight that hung on the balance while its zero was read is not known, so curved bridges are read "
+                "from where they are without it; give the mass.json of a weighing with --mass",
+                DoubtWarning,
+                stacklevel=2,
+            )
+        files = replace(files, model_on_zero="off")
+    hung = Hanging(weighing)
+    gravity = STANDARD_GRAVITY if weighing is None else weighing.gravity
+    found = [from_gauges(recording, files, hung, gravity=gravity, channel_map=channel_map) for recording in recordings]
+    if counted and not all(part.matrix.covariance.any() for _, part in found):
+        warnings.warn(
+            f"{files.balance.name} holds no covariance of its coefficients; what its calibration leaves in A and D "
+            "is not known",
+            DoubtWarning,
+            stacklevel=2,
+        )
+    errors = [
+        MatrixErrors(part.matrix, part.felt.components, part.felt.transform, part.felt.native) for _, part in found
+    ]
+    return [recording for recording, _ in found], errors
+
+
+@dataclass(frozen=True, slots=True)
+class Hanging:
+    """What a weighing says that hangs on the balance.
+
+    Attributes
+    ----------
+    weighing
+        The weighing; None where nothing is known.
+    """
+
+    weighing: Weighing | None
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Components that it was weighed along."""
+        return () if self.weighing is None else self.weighing.components
+
+    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
+        """Weight along one of them; gravity is that of the weighing, whatever is said."""
+        if self.weighing is None:
+            raise ValueError(f"the weight along {name} is not known")
+        loads = self.weighing.loads(pitch=pitch, roll=roll, offsets=False)
+        return np.asarray(loads[:, self.weighing.components.index(name)])

@@ -1,0 +1,99 @@
+"""Lines and cells of text tables: separators, numbers, date-time stamps and cells that hold nothing."""
+
+from __future__ import annotations
+
+import csv
+import re
+from functools import cache
+from typing import Final, Literal
+
+MISSING: Final = (
+    *("", "nan", "na", "n/a", "#n/a", "null", "none", "<na>", "-nan"),
+    *(f"{sign}{word}" for sign in ("", "+", "-") for word in ("inf", "infinity")),
+)
+"""Cells, in small, capital or mixed letters, that say that a sample is missing."""
+
+LARGEST: Final = 1e100
+"""Cells beyond this are no measurement, and their squares no number."""
+
+
+def beyond_all_measure(count: int, where: str) -> str:
+    """Say that cells or samples hold numbers beyond `LARGEST`, and what becomes of them."""
+    return (
+        f"{count} number(s) beyond {LARGEST:.0e} either way, which no reading is, the first in {where}: "
+        "they count as missing"
+    )
+
+
+SEPARATORS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
+"""Column separators that may be named in a channel map."""
+
+Kind = Literal["number", "stamp", "text", "missing"]
+"""What a cell holds."""
+
+_NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:[.,]\d+|\.)?|[.,]\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+_CLOCK: Final = r"(?P<hour>\d{1,2}):(?P<minute>\d{2}):(?P<second>\d{2}(?:[.,]\d+)?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
+_ZONE: Final = r"(?:Z|[+-]\d{2}:?\d{2})?"
+
+STAMPS: Final = {
+    "iso": rf"(?P<year>\d{{4}})[-/.](?P<month>\d{{1,2}})[-/.](?P<day>\d{{1,2}})[T ]\s*{_CLOCK}{_ZONE}",
+    "day first": rf"(?P<day>\d{{1,2}})\.(?P<month>\d{{1,2}})\.(?P<year>\d{{4}}|\d{{2}}),?\s+{_CLOCK}",
+    "with slashes": rf"(?P<month>\d{{1,2}})[/-](?P<day>\d{{1,2}})[/-](?P<year>\d{{4}}|\d{{2}}),?\s+{_CLOCK}",
+    "time of day": _CLOCK,
+}
+"""Ways to write a date with a time of day, or the time alone; with slashes the day may come before the month."""
+
+
+def separator_of(line: str) -> str:
+    """Recognise the separator from a header line: tab before semicolon before comma, brackets and quotes left out."""
+    bare = re.sub(r"\[[^\]]*\]|\"[^\"]*\"|\([^)]*\)", "", line)
+    return next((sign for sign in "\t;," if sign in bare), ",")
+
+
+def split_line(line: str, separator: str) -> list[str]:
+    """Split a line into cells; quoted cells may hold the separator, and a space stands for any number of them."""
+    if separator == " ":
+        return line.split()
+    if '"' not in line:
+        return line.split(separator) if line else []
+    try:
+        return next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:  # a cell of more than a hundred thousand characters
+        return line.split(separator)
+
+
+def kind_of(cell: str) -> Kind:
+    """Say what a cell holds, whichever its decimal sign."""
+    bare = cell.strip()
+    if _NUMBER.fullmatch(bare):
+        return "number"
+    if bare.lower() in MISSING:
+        return "missing"
+    return "stamp" if bare[:1].isdigit() and stamp_format(bare) else "text"
+
+
+def stamp_format(cell: str) -> str | None:
+    """Name the way of `STAMPS` in which a cell is written; None where it is no stamp."""
+    bare = cell.strip()
+    return next((name for name in STAMPS if len(bare) < 60 and stamp_pattern(name).fullmatch(bare)), None)
+
+
+@cache
+def stamp_pattern(name: str) -> re.Pattern[str]:
+    """Compile a way of `STAMPS`."""
+    return re.compile(STAMPS[name], re.ASCII)
+
+
+def number_in(cell: str, *, decimal: str = ".") -> float | None:
+    """Read the number in a cell; None where the cell holds none, or one that no reading is (beyond `LARGEST`)."""
+    if not number_pattern(decimal).fullmatch(cell):
+        return None
+    value = float(cell.strip().replace(decimal, "."))
+    return value if abs(value) <= LARGEST else None
+
+
+@cache
+def number_pattern(decimal: str) -> re.Pattern[str]:
+    """Compile the pattern of a cell that holds a number with this decimal sign."""
+    sign = re.escape(decimal)
+    return re.compile(rf"\s*[+-]?(\d+{sign}?\d*|{sign}\d+)([eE][+-]?\d+)?\s*", re.ASCII)

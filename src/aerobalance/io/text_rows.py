@@ -1,0 +1,226 @@
+"""Rows of a text table: the cells of the columns that are wanted, and where one is wrong."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.channel import Array
+from aerobalance.io.text_cells import LARGEST, MISSING, beyond_all_measure, number_pattern, split_line
+from aerobalance.io.text_layout import TextLayout
+from aerobalance.io.text_limits import check_quotes
+from aerobalance.problems import DoubtWarning, ReadError
+
+Lines = Sequence[int] | NDArray[np.intp]
+"""Line of every row, counted from 1."""
+
+_SPELT: Final = tuple(
+    {spelt for word in MISSING for spelt in (word, word.upper(), word.title(), word.replace("nan", "NaN"))}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """What is needed to read the cells.
+
+    Attributes
+    ----------
+    found
+        How the table is laid out.
+    chosen
+        Columns to read, counted from 0.
+    """
+
+    found: TextLayout
+    chosen: tuple[int, ...]
+
+    @property
+    def separator(self) -> str:
+        """Character between cells."""
+        return self.found.separator
+
+    @property
+    def decimal(self) -> str:
+        """Decimal sign."""
+        return self.found.decimal or "."
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return len(self.found.labels)
+
+    @property
+    def first(self) -> int:
+        """Line of the first row."""
+        return self.found.first
+
+    @property
+    def least(self) -> int:
+        """Number of cells that every row has."""
+        return self.width - self.found.optional
+
+
+def read_cells(
+    path: Path, body: bytes, grid: Grid, *, texts: Sequence[int] = ()
+) -> tuple[dict[int, Array], dict[int, list[str]], Lines]:
+    """Read the cells of the chosen columns.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    body
+        The rows, in UTF-8.
+    grid
+        Which columns, and how they are laid out.
+    texts
+        Columns whose cells are wanted as they stand; those of the others have to be numbers.
+
+    Returns
+    -------
+    numbers
+        Cells of each column of numbers, shape (n,); NaN where missing.
+    texts
+        Cells of the other columns, n of each; empty where missing.
+    lines
+        Line of every row, n of them.
+
+    Raises
+    ------
+    ReadError
+        A row has too few or too many cells, or a cell is no number.
+    """
+    import pandas as pd  # noqa: PLC0415 - half a second, and only reading text needs it
+
+    if not body or body.isspace():
+        return {i: np.empty(0) for i in grid.chosen}, {}, range(0)
+    if grid.separator != " ":
+        check_quotes(path, body, separator=grid.separator, first=grid.first)
+    body = _without_last_separators(body)
+    most = _check_shape(path, body, grid)
+    kept = [i for i in grid.chosen if i < most]
+    try:
+        frame = pd.read_csv(
+            io.BytesIO(body),
+            sep=r"\s+" if grid.separator == " " else grid.separator,
+            decimal=grid.decimal,
+            header=None,
+            names=list(range(most)),
+            usecols=kept,
+            index_col=False,
+            dtype={i: str if i in texts else np.float64 for i in kept},
+            na_values=list(_SPELT),
+            skipinitialspace=True,
+        )
+    except (ValueError, pd.errors.ParserError, OverflowError) as error:
+        _find_fault(path, body, grid, [i for i in grid.chosen if i not in texts], str(error))
+    frame = frame.reindex(columns=grid.chosen) if len(kept) < len(grid.chosen) else frame
+    numeric = [i for i in grid.chosen if i not in texts]
+    values = np.asfortranarray(
+        (frame[numeric] if texts else frame).to_numpy(dtype=np.float64, copy=True, na_value=np.nan)
+    )
+    lines = _lines(body, grid.first, values.shape[0])
+    large = np.argwhere(np.abs(values) > LARGEST)
+    if large.size:
+        row, column = large[0]
+        number = numeric[column]
+        where = f"line {lines[row]}, column {number + 1} ({grid.found.labels[number]!r})"
+        warnings.warn(f"{path.name}: {beyond_all_measure(len(large), where)}", DoubtWarning, stacklevel=6)
+        values[np.abs(values) > LARGEST] = np.nan
+    told = {i: frame[i].astype(object).fillna("").astype(str).to_list() for i in texts}
+    return {i: values[:, j] for j, i in enumerate(numeric)}, told, lines
+
+
+def _without_last_separators(body: bytes) -> bytes:
+    """Leave out last rows that hold nothing but separators, as spreadsheets write them."""
+    end = len(body)
+    while True:
+        last = body.rfind(b"\n", 0, max(0, end - 1)) + 1
+        if last == 0 or body[last:end].strip(b' ;,\t"\n'):
+            return body if end == len(body) else body[:end]
+        end = last
+
+
+def _check_shape(path: Path, body: bytes, grid: Grid) -> int:
+    """Make sure that rows have as many cells as the header, for the parser fills short ones up silently; the most."""
+    sign = grid.separator.encode()
+    rows = body.count(b"\n") + (not body.endswith(b"\n"))
+    even = body.count(sign) == rows * (grid.width - 1) or grid.least < grid.width
+    if not even or b'"' in body or grid.width == 1 or sign == b" ":
+        return _find_ragged(path, body, grid)
+    cells = np.frombuffer(body, dtype=np.uint8)
+    ends, marks = np.flatnonzero(cells == ord("\n")), np.flatnonzero(cells == ord(sign))
+    per_row = np.diff(np.concatenate(([0], np.searchsorted(marks, ends), [marks.size])))
+    if body.endswith(b"\n"):
+        per_row = per_row[:-1]
+    if ((per_row < grid.least - 1) | (per_row > grid.width - 1)).any():
+        return _find_ragged(path, body, grid)
+    return int(per_row.max()) + 1
+
+
+def _find_ragged(path: Path, body: bytes, grid: Grid) -> int:
+    """Refuse a row with too few or too many cells; the most that a row has."""
+    most = 0
+    for number, line in enumerate(body.decode().split("\n"), start=grid.first):
+        if not line.strip():
+            continue
+        found = len(split_line(line, grid.separator))
+        most = max(most, found)
+        if not grid.least <= found <= grid.width:
+            named = {",": "comma", ";": "semicolon", "\t": "tab", " ": "spaces"}.get(
+                grid.separator, repr(grid.separator)
+            )
+            raise ReadError(
+                path,
+                f"line {number}",
+                f"has {found} cell(s) ({line.strip()[:40]!r}), but the header has {grid.width}, separated by {named}; "
+                "every row needs one cell per column (empty where a sample is missing); if another line is the "
+                "header, put header_line under [file] of a channel map, which `aerobalance map FILE` makes",
+            )
+    return most
+
+
+def _find_fault(path: Path, body: bytes, grid: Grid, numeric: Sequence[int], reason: str) -> NoReturn:
+    """Find the cell that is no number, and say where it is."""
+    _find_ragged(path, body, grid)
+    number = number_pattern(grid.decimal)
+    for line, text in enumerate(body.decode().split("\n"), start=grid.first):
+        if not text.strip():
+            continue
+        cells = split_line(text, grid.separator)
+        for i in numeric:
+            if i < len(cells) and not number.fullmatch(cells[i]) and cells[i].strip().lower() not in MISSING:
+                where = f"line {line}, column {i + 1} ({grid.found.labels[i]!r})"
+                raise ReadError(path, where, no_number(cells[i], grid.decimal))
+    raise ReadError(path, "", f"cannot be read as a table of numbers: {reason}")
+
+
+def no_number(cell: str, decimal: str) -> str:
+    """Say what is wrong with a cell, what is allowed and what to do."""
+    other = "," if decimal == "." else "."
+    told = (
+        f'; if the decimal sign of this file is {other!r}, put decimal = "{other}" under [file] of a channel map, '
+        "which `aerobalance map FILE` makes"
+        if number_pattern(other).fullmatch(cell)
+        else ""
+    )
+    return (
+        f"{cell.strip()[:40]!r} is no number; allowed: numbers such as -12{decimal}5 or 1{decimal}2e-3, and an empty "
+        f"cell or NaN for a missing sample{told}"
+    )
+
+
+def _lines(body: bytes, first: int, rows: int) -> Lines:
+    """Line number of every row; blank lines are none."""
+    lines = body.rstrip(b"\n").count(b"\n") + 1
+    if lines == rows:
+        return range(first, first + rows)
+    full = [i for i, line in enumerate(body.split(b"\n"), start=first) if line.strip()]
+    return np.asarray(full[:rows], dtype=np.intp)

@@ -1,0 +1,92 @@
+"""Alarms stay until they are acknowledged."""
+
+from __future__ import annotations
+
+import pytest
+
+from aerobalance.load_envelope import Utilisation
+from aerobalance.monitor.alarms import Alarms
+from aerobalance.monitor.messages import Reading, Update, Watching
+from running_page import Running
+
+WATCHING = Watching(1, ("AF", "NF"), ("N", "N"), 1e3, 1, (), {"NF": 2000.0}, {"AF": (-1200.0, 500.0)}, {}, {})
+
+
+def reading(least, largest, state="over"):
+    return Reading((least + largest) / 2, least, largest, None, None, state)
+
+
+class Watched:
+    def __init__(self) -> None:
+        self.told = 0
+        self.alarms = Alarms(self._tell)
+
+    def _tell(self) -> None:
+        self.told += 1
+
+    def see(self, **changes):
+        """An update; what is open after it."""
+        self.alarms.watch(Update(0, 0.0, **changes), WATCHING)
+        return {one["what"]: one for one in self.alarms.shown["open"]}
+
+
+def test_an_alarm_is_kept_with_its_worst_until_it_is_acknowledged() -> None:
+    watched = Watched()
+    assert watched.see(readings={"AF": reading(-10, 10, "ok"), "NF": reading(-10, 10, "ok")}) == {}
+    assert watched.told == 0
+    (alarm,) = watched.see(readings={"AF": reading(-1300, 20)}).values()
+    assert (alarm["what"], alarm["text"], alarm["value"], alarm["unit"]) == ("AF", "below -1200 N", -1300, "N")
+    assert alarm["present"] and alarm["acknowledged"] is None and watched.told == 1
+    assert watched.see(readings={"AF": reading(-1500, 20)})["AF"]["value"] == -1500
+    alarm = watched.see(readings={"AF": reading(-1250, 20)})["AF"]
+    assert (alarm["value"], alarm["times"]) == (-1500, 1)
+    over = watched.see(readings={"AF": reading(-10, 10, "ok")})["AF"]
+    assert not over["present"]  # and still there
+    told = watched.told
+    assert watched.see(readings={"AF": reading(-10, 10, "ok")})["AF"] == over
+    assert watched.told == told
+    again = watched.see(readings={"AF": reading(0, 600)})["AF"]
+    assert (again["present"], again["times"], again["value"]) == (True, 2, -1500)
+    watched.see(readings={"AF": reading(-10, 10, "ok")})
+    watched.alarms.acknowledge()
+    shown = watched.alarms.shown
+    assert shown["open"] == [] and [one["what"] for one in shown["past"]] == ["AF"]
+    assert shown["past"][0]["acknowledged"] >= shown["past"][0]["began"]
+
+
+def test_an_alarm_that_is_acknowledged_goes_when_it_is_over() -> None:
+    watched = Watched()
+    watched.see(readings={"NF": reading(0, 2100)})
+    watched.alarms.acknowledge()
+    assert watched.see(readings={"NF": reading(0, 2100)})["NF"]["acknowledged"]
+    assert watched.see(readings={"NF": reading(0, 10, "ok")}) == {}
+    # the next one is a new one, to be acknowledged again
+    assert watched.see(readings={"NF": reading(0, 2100)})["NF"]["acknowledged"] is None
+
+
+def test_a_contact_between_two_updates_is_an_alarm() -> None:
+    watched = Watched()
+    alarms = watched.see(remarks=[(5, "contact", "x"), (9, "contact over", "x")], touching=False)
+    assert alarms["contact"]["present"]
+    assert not watched.see(touching=False)["contact"]["present"]
+
+
+def test_combined_loads_are_an_alarm() -> None:
+    watched = Watched()
+    used = Utilisation(1.2, "NF + PM", {"NF": 0.7, "PM": 0.5})
+    alarms = watched.see(envelope=used, readings={"AF": reading(0, 1, "ok")})
+    assert alarms["combined loads"]["value"] == pytest.approx(120)
+
+
+def test_an_alarm_of_the_rig_is_in_the_state_until_it_is_acknowledged(tmp_path) -> None:
+    with Running(tmp_path) as running:
+        running.wait(lambda state: state["numbers"].get("readings"))
+        assert running.post("control", name="touch", value=1.0).status_code == 200
+        running.wait(lambda state: any(one["present"] for one in state["alarms"]["open"]))
+        assert running.post("control", name="release", value=1.0).status_code == 200
+        state = running.wait(lambda state: not any(one["present"] for one in state["alarms"]["open"]))
+        assert [one["what"] for one in state["alarms"]["open"]] == ["contact"]
+        assert running.post("acknowledge").status_code == 200
+        state = running.client.get("/api/state").json()
+        assert state["alarms"]["open"] == []
+        assert [one["what"] for one in state["alarms"]["past"]] == ["contact"]

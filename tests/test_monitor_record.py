@@ -1,0 +1,154 @@
+"""The record button, names and lengths, what a record's files are, and replays, on the page's server."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from aerobalance.io.hdf5_contents import contents
+from aerobalance.monitor.folder import Folder
+from running_page import Running
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory):
+    with Running(tmp_path_factory.mktemp("project")) as page:
+        page.wait(lambda state: state["numbers"].get("estimates"))
+        yield page
+
+
+def ended(running):
+    return running.wait(lambda state: state["record"]["state"] == "ended")["record"]
+
+
+def test_a_record_begins_at_the_press_and_says_at_once_that_it_starts(running) -> None:
+    """The cable-cut rig gives 1600 samples a second in blocks of 20 ms; a viewer of its own tells when each came."""
+    feed = running.page.station.session.view()
+    feed.take()
+    states = []
+    said, running.page.station.changed = (
+        running.page.station.changed,
+        lambda: states.append(running.page.station.progress and running.page.station.progress.state),
+    )
+    pressed = time.time()
+    steady = time.monotonic()
+    try:
+        assert running.post("record", name="pressed", seconds=0.5, pressed=1e3 * pressed).status_code == 200
+    finally:
+        running.page.station.changed = said
+    assert states[0] == "starting"
+    ended(running)
+    blocks = [feed.take()]
+    while blocks[-1].received < steady:
+        blocks.append(feed.take())
+    feed.close()
+    expected = blocks[-1].end - (blocks[-1].received - steady) * 1600
+    found = contents(running.folder / "pressed.h5")
+    first = int(found.blocks["tick"][0])
+    print(f"first sample {(first - expected) / 1.6:.1f} ms after the press")  # noqa: T201
+    assert abs(first - expected) <= 0.1 * 1600
+    assert int(found.blocks["rows"].sum()) == 800
+
+
+def test_a_stop_while_the_recorder_starts_leaves_what_was_sampled_until_then(running) -> None:
+    station = running.page.station
+    station.running()
+    began = time.monotonic() - 2.0  # two seconds ago, which the source has kept
+    recorder = station.session.record(running.folder / "early.h5", setup=station.setup, asked=began)
+    progress = recorder.stop("enough", timeout=10.0)
+    took = time.monotonic() - began
+    assert progress.reason == "enough" and not progress.gaps
+    # two blocks of the source at the ends
+    assert 2.0 - 0.05 <= progress.seconds <= took
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"),
+    [
+        ("abc", "seconds: must be a number, not 'abc'"),
+        (-3, "seconds: must be greater than 0, not -3"),
+        (float("nan"), "seconds: must be a finite number, not nan"),
+        (0, "seconds: must be greater than 0, not 0"),
+    ],
+)
+def test_a_length_that_is_none_is_refused(running, seconds, said) -> None:
+    text = '{"name": "endless", "seconds": %s}' % (f'"{seconds}"' if isinstance(seconds, str) else repr(seconds))
+    answer = running.client.post("/api/record", content=text.replace("nan", "NaN"))
+    assert answer.status_code == 422
+    assert answer.json() == {"error": said, "where": "seconds"}
+    assert running.client.get("/api/state").json()["record"].get("file") != "endless.h5"
+
+
+def test_what_is_no_json_is_refused_in_words_of_the_project(running) -> None:
+    assert running.client.post("/api/record", content="{").json()["error"] == "the request is no JSON"
+
+
+@pytest.mark.parametrize("name", ["Prüfling Ä 1", "µ-run", "Прогон 3", "試験(2)", "Pru\u0308fling NFD", "12 °C"])
+def test_names_of_other_languages(tmp_path, name) -> None:
+    folder = Folder(tmp_path)
+    path = folder.new_recording(name)
+    path.write_bytes(b"x")
+    assert [item["name"] for item in folder.recordings()] == [path.name]
+    assert folder.recording(path.name) == path
+    with pytest.raises(ValueError, match="there already"):
+        folder.new_recording(name)
+
+
+@pytest.mark.parametrize(
+    "name", ["a\u202egpj.exe", "a\u200bb", "a\ud800b", "a/ü", "\u0308", "a" * 60 + "試" * 38, "a\u0000"]
+)
+def test_names_that_are_still_refused(tmp_path, name) -> None:
+    with pytest.raises(ValueError, match=r"no name for a file|longer than"):
+        Folder(tmp_path).new_recording(name)
+
+
+def test_zeros_are_told_with_their_unit(running) -> None:
+    running.post("zero")
+    running.wait(lambda state: state["zeros"])
+    text = running.page.board.marks[-1]["text"]
+    assert text.startswith("zero: AF -10") and text.endswith(" N")
+    running.post("clear_zero")
+
+
+def test_every_file_made_of_a_recording_is_listed_and_can_be_fetched(running) -> None:
+    assert running.post("record", name="Läufer 1", seconds=0.5).status_code == 200
+    ended(running)
+    for ending in ("-force.csv", "-dynamics.json", "-force.html", "-identified.html"):
+        (running.folder / f"Läufer 1{ending}").write_text(ending, encoding="utf-8")
+    listed = {item["name"]: item for item in running.client.get("/api/recordings").json()}["Läufer 1.h5"]
+    assert listed["files"] == ["Läufer 1-dynamics.json", "Läufer 1-force.csv"]
+    assert listed["reports"] == ["Läufer 1-identified.html", "Läufer 1-force.html"]
+    for name in [*listed["files"], *listed["reports"], "Läufer 1.h5"]:
+        answer = running.client.get(f"/file/{name}")
+        assert answer.status_code == 200
+        assert answer.content == (running.folder / name).read_bytes()
+        assert "attachment" in answer.headers["content-disposition"]
+    report = running.client.get("/report/Läufer 1-force.html")
+    assert report.status_code == 200
+    assert "sandbox" in report.headers["content-security-policy"]
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_a_replay_shorter_than_a_second_is_shown_whole(tmp_path, loop) -> None:
+    time_ = np.arange(640) / 1600
+    load = 100 * np.sin(2 * np.pi * 5 * time_)
+    table = np.column_stack([time_, load])
+    np.savetxt(tmp_path / "short.csv", table, delimiter=",", header="time [s],AF [N]", comments="", fmt="%.9f")
+    with Running(tmp_path) as running:
+        source = {"kind": "replay", "file": "short.csv", "loop": loop}
+        assert running.post("setup", setup={"source": source}).status_code == 200
+        if loop:
+            running.wait(lambda _: running.page.board.tick >= 3 * 640)
+            again = [mark["tick"] for mark in running.page.board.marks if "begins again" in mark["text"]]
+            assert again[:2] == [640, 1280]
+            assert running.client.get("/api/state").json()["source"]["state"] == "running"
+            return
+        running.wait(lambda state: state["source"]["state"] == "ended" and running.page.board.tick == 640)
+        shown = running.page.board.strips[0].since(0, 0)
+        assert shown.first == 0
+        np.testing.assert_allclose(shown.least[:, 0], load, atol=1e-4)
+        assert not any("cannot be watched" in item["text"] for item in running.page.station.messages)
+        # 0.4 s are two spans of 0.2 s: the page has had numbers
+        assert running.page.board.numbers["readings"]["AF"]["largest"] == pytest.approx(100, abs=1)

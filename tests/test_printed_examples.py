@@ -1,0 +1,118 @@
+"""Every example of the README and of ``--help`` runs as printed, in the folder that the demo wrote."""
+
+import re
+import shlex
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+
+from aerobalance.cli import main
+from aerobalance.cli.program import app
+from demo_run import demo_once
+
+README = Path(__file__).parents[1] / "README.md"
+WAIT = 60.0
+
+
+def from_readme():
+    """Lines of the README's code blocks that begin with the program's name, without their remarks."""
+    blocks = re.findall(r"^```\w*\n(.*?)^```", README.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    lines = [line.split("  #")[0].strip() for block in blocks for line in block.splitlines()]
+    return [line for line in lines if line.startswith("aerobalance ")]
+
+
+def from_help():
+    """The example under the help of every command and group."""
+    found, waiting = [], [typer.main.get_command(app)]
+    while waiting:
+        command = waiting.pop(0)
+        waiting += getattr(command, "commands", {}).values()
+        assert command.epilog, command.name
+        found.append(command.epilog.removeprefix("Example: "))
+    return list(dict.fromkeys(found))
+
+
+ENDLESS = {"monitor", "publish"}
+"""Commands that go on until they are told to end."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A copy of what the demo wrote: examples write into it."""
+    made = tmp_path_factory.mktemp("build") / "demo"
+    shutil.copytree(demo_once()[0], made)
+    return made
+
+
+def words_of(line):
+    """Words as a shell gives them."""
+    return [
+        name
+        for word in shlex.split(line)[1:]
+        for name in (sorted(path.name for path in Path.cwd().glob(word)) if "*" in word else [word])
+    ]
+
+
+def test_readme_leads_from_the_recorders_files_to_the_force(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    lines = from_readme()
+    assert 3 <= len(lines) <= 8
+    for line in lines:
+        assert main(words_of(line)) == 0, (line, capsys.readouterr().err)
+    assert lines[-1].split()[1] == "force"
+    force, truth = (np.loadtxt(name, delimiter=",", skiprows=1) for name in ("force.csv", "truth.csv"))
+    error, u = force[:, 1] - truth[:, 1], force[:, 2]
+    # the truth is that of the simulation; a third of the error is common to all samples, so its mean square scatters
+    assert np.sqrt(np.mean(error**2)) < 3 * np.sqrt(np.mean(u**2))
+    assert np.sqrt(np.mean(u**2)) < 1.0  # of a load of 200 N with gusts of 40 N through the resonance
+
+
+@pytest.mark.parametrize("line", [line for line in from_help() if line.split()[1] not in {*ENDLESS, "record", "demo"}])
+def test_example_of_help_runs_as_printed(line, folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(words_of(line)) == 0, capsys.readouterr().err
+    out = capsys.readouterr().out
+    assert out.strip()
+    if " -o " in line:
+        name = line.split(" -o ")[1].split()[0]
+        assert (folder / name).stat().st_size > 0
+        assert re.search(rf"^(written|replaced): {re.escape(name)}$", out, flags=re.MULTILINE)
+
+
+def test_example_of_the_demo_is_the_one_that_is_made():
+    assert "aerobalance demo --out build/demo" in from_help()
+    assert "$(BIN)/aerobalance demo --out build/demo" in (README.parent / "Makefile").read_text()
+
+
+def test_example_of_record_runs(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    (line,) = [line for line in from_help() if line.split()[1] == "record"]
+    assert main([*words_of(line), "--seconds", "1"]) == 0  # it takes as long as it records
+    assert "25000 samples" in capsys.readouterr().out
+    assert main(["info", line.split(" -o ")[1]]) == 0
+
+
+@pytest.mark.parametrize("name", sorted(ENDLESS))
+def test_example_without_an_end_runs_until_it_is_told_to_end(name, folder):
+    if name == "publish":
+        pytest.importorskip("opendaq", reason="openDAQ is an option that is not installed here")
+    (line,) = [line for line in from_help() if line.split()[1] == name]
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    # other programs of this computer may have the port that is printed
+    more = ["--port", str(port), *(["--no-browser"] if name == "monitor" else [])]
+    command = [sys.executable, "-u", "-m", "aerobalance.cli", *words_of(line), *more]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        said = running.stdout.readline()
+        running.send_signal(signal.SIGINT)
+        rest, err = running.communicate(timeout=WAIT)
+    assert running.returncode == 0, (said, rest, err)
+    assert str(port) in said
