@@ -179,4 +179,4 @@ class Trouble:
     text: str
 
 
-Answer = Watching | News | Zeros | Means | Trouble | LearnerWanted
+Answer = Watching | News | Zeros | Means | Trouble

@@ -1,0 +1,114 @@
+"""The command record, its recorder, its source, or all are killed: nothing on the disk is lost, nothing stays."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from at_work import blocks_of
+
+from aerobalance.cli import main
+from aerobalance.io.hdf5_file import read_blocks
+from seeds import new_seed
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")
+
+VICTIMS = ("main", "recorder", "source", "all")
+SECONDS = 300.0  # for a busy machine
+
+
+def state_of(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return "Z"
+
+
+def family(process, file):
+    """Numbers of the processes of a record, by what they do."""
+    found = {"main": process.pid}
+    for child in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split():
+        if b"resource_tracker" in Path(f"/proc/{child}/cmdline").read_bytes():
+            continue
+        handles = {str(handle.readlink()) for handle in Path(f"/proc/{child}/fd").iterdir()}
+        found["recorder" if str(file) in handles else "source"] = int(child)
+    return found
+
+
+@contextlib.contextmanager
+def begin(folder, name, temporary):
+    command = [sys.executable, "-m", "aerobalance.cli", "record", "--source", "simulated", "--rig", "cable_cut"]
+    environment = os.environ | {"TMPDIR": str(temporary)}
+    streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([*command, "-o", name], cwd=folder, env=environment, **streams) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def wait_until(holds, what):
+    limit = time.monotonic() + SECONDS
+    while not holds():
+        assert time.monotonic() < limit, what
+        time.sleep(0.05)
+
+
+def kill(folder, victim, number, enough):
+    """Kill once some blocks are on the disk; return how many there were."""
+    temporary = folder / "tmp"
+    temporary.mkdir(exist_ok=True)
+    file = folder / f"run{number}.h5"
+    with begin(folder, file.name, temporary) as process:
+        wait_until(lambda: blocks_of(file) >= enough, f"run {number} begins")
+        members = family(process, file)
+        assert set(members) == {"main", "recorder", "source"}
+        before = blocks_of(file)
+        for pid in members.values() if victim == "all" else [members[victim]]:
+            os.kill(pid, signal.SIGKILL)
+        error = process.communicate(timeout=SECONDS)[1]
+        wait_until(lambda: all(state_of(pid) == "Z" for pid in members.values()), f"run {number}: {victim} killed")
+    assert process.returncode == (1 if victim in ("recorder", "source") else -signal.SIGKILL), error
+    blocks = list(read_blocks(file))
+    assert len(blocks) >= before >= enough
+    assert all(samples is not None for _, samples in blocks)
+    ticks = np.cumsum([0, *(len(samples) for _, samples in blocks)])[:-1]
+    assert [tick - blocks[0][0] for tick, _ in blocks] == ticks.tolist()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert main(["info", str(file)]) == 0
+    return before
+
+
+def kill_in_turn(folder, count):
+    rng = np.random.default_rng(new_seed())
+    killed = dict.fromkeys(VICTIMS, 0)
+    for number in range(count):
+        victim = VICTIMS[number % len(VICTIMS)]
+        kill(folder, victim, number, int(rng.integers(1, 12)))
+        killed[victim] += 1
+        print(number, victim, flush=True)  # noqa: T201 - shown with -s
+    # a start removes what is left of those of whom nobody was left
+    with begin(folder, "last.h5", folder / "tmp") as process:
+        wait_until(lambda: blocks_of(folder / "last.h5") >= 1, "the last one begins")
+        assert len(list((folder / "tmp").glob("aerobalance-*"))) == 1
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(SECONDS) == 0
+    assert not list((folder / "tmp").glob("aerobalance-*"))
+    assert not list(folder.glob(".*"))  # nor second names of files
+    print(f"killed {killed}: every block was in its file")  # noqa: T201 - shown with -s
+
+
+def test_each_is_killed_once(tmp_path) -> None:
+    kill_in_turn(tmp_path, len(VICTIMS))
+
+
+@pytest.mark.long
+def test_fifty_kills(tmp_path) -> None:
+    kill_in_turn(tmp_path, 50)
