@@ -16,7 +16,6 @@ from aerobalance.channel import Array
 from aerobalance.fouling import Contact, ContactFinder
 from aerobalance.io.hdf5_layout import StoredChannel
 
-
 LATE: Final = 0.1
 """Time by which a record may begin after it was asked for without saying so [s]."""
 

@@ -19,7 +19,6 @@ from aerobalance.io.hdf5_file import can_read, read_blocks
 from aerobalance.io.units import conversion_for
 from aerobalance.problems import ReadError
 
-
 AGAIN: Final = "the recording begins again"
 """What is said of the time before the first sample of another round."""
 

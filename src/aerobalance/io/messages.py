@@ -27,7 +27,12 @@ def first_fault(error: ValidationError, model: type[BaseModel]) -> tuple[str, st
         allowed = _fields(model, keys[:-1])
         return where, "is not known" + (f"; allowed: {', '.join(allowed)}" if allowed else "")
     said = fault["msg"].removeprefix("Value error, ")
-    said = said.partition(", unable to parse")[0].replace("Input should be", "must be").replace("a valid ", "a ").replace("dictionary", "table")
+    said = (
+        said.partition(", unable to parse")[0]
+        .replace("Input should be", "must be")
+        .replace("a valid ", "a ")
+        .replace("dictionary", "table")
+    )
     return where, f"{said}, not {_shown(given)}"
 
 
