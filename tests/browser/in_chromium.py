@@ -72,6 +72,16 @@ class Operator:
         return self.view.evaluate("fetch('/api/setup').then((answer) => answer.json()).then((form) => form.text)")
 
 
+def in_sight(view, selector):
+    """Whether the middle of an element is where a press would meet it."""
+    return view.evaluate(
+        """(selector) => { const item = document.querySelector(selector), box = item.getBoundingClientRect();
+          const at = document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2);
+          return at !== null && (item === at || item.contains(at)); }""",
+        selector,
+    )
+
+
 @contextlib.contextmanager
 def page_in_chromium(folder, servers=None):
     """The page's program with a folder, and a browser: the browser, the address, and when the program was called.
@@ -90,7 +100,8 @@ def page_in_chromium(folder, servers=None):
             with sync_playwright() as playwright:
                 browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS)
                 yield browser, base, begin
-                process.send_signal(signal.SIGTERM)
+                if process.poll() is None:
+                    process.send_signal(signal.SIGTERM)
                 assert process.wait(60) == 0  # with the browser's viewers connected
                 browser.close()
         finally:

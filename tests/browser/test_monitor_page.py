@@ -123,9 +123,7 @@ def test_combined_loads_are_shown(operator) -> None:
     view.wait_for_selector("#envelope .state")
     assert view.inner_text("#envelope .state") in ("● inside", "▲ near its edge", "■ outside")
     operator.until("document.querySelectorAll('#numbers .share').length === 6")
-    operator.until(
-        "[...document.querySelectorAll('#numbers .share')].every((i) => i.title.includes('envelope'))"
-    )
+    operator.until("[...document.querySelectorAll('#numbers .share')].every((i) => i.title.includes('envelope'))")
     assert operator.said == []
 
 

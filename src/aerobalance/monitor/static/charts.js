@@ -102,7 +102,7 @@ export function ticks(low, high, count) {
     for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(k * step);
     return found;
   };
-  while (values().length < 2) step = nice(step / 2.1, 1);
+  for (let k = 0; k < 9 && values().length < 2; k++) step = nice(step / 3, 1); // the next finer one
   return { values: values(), places: Math.max(0, Math.min(5, -Math.floor(Math.log10(step) + 1e-9))) };
 }
 
