@@ -68,8 +68,8 @@ def check_columns(path: Path, labels: Sized) -> None:
         raise ReadError(
             path,
             "header",
-            f"has more than {MOST_COLUMNS} columns, which no recording has. Samples go down the file, a line each, and "
-            "channels across",
+            f"has more than {MOST_COLUMNS} columns, which no recording has. Samples go down the file, a line each, "
+            "and channels across",
         )
 
 

@@ -166,12 +166,13 @@ class Checks:
         if kind == "return" and self._station.setup.fouling.channel is not None:
             touched = f"closed {self._contacts} time(s)" if self._contacts else "did not close"
             text += f"; the contact circuit {touched} meanwhile"
-        self._show(kind, text, rows=rows, verdict=worst)
         self._station.note(text)
         for row in rows:
             note = f"{_NAMES[kind]} {row['verdict']}: {_words(row)}"
             self.notes.append(note)
             self._station.note(note, shown=False)
+        # shown after it is noted: who stops the record as soon as the result is there has the notes in it
+        self._show(kind, text, rows=rows, verdict=worst)
         bad = [_words(row) for row in rows if row["verdict"] != "passed"]
         self._station.say("; ".join([text, *bad]), kind="error" if bad else "done")
 
