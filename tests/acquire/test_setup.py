@@ -87,7 +87,7 @@ WRONG = {
     "unit of another kind": ('[channels.AF]\nunit = "kg"\n', ["channels.AF.unit", "[kg]", "a force", "lbf"]),
     "unit unknown": ('[channels.AF]\nunit = "Newtonx"\n', ["channels.AF.unit", "Newtonx"]),
     "sign": ("[channels.AF]\nsign = 2\n", ["channels.AF.sign", "1 or -1"]),
-    "scale zero": ("[channels.AF]\nscale = 0.0\n", ["channels.AF", "scale must not be zero"]),
+    "scale zero": ("[channels.AF]\nscale = 0.0\n", ["channels.AF.scale", "must not be zero", "leave the channel out"]),
     "corner alone": ("[channels.ground_acceleration]\ncorner = 1.0\n", ["corner", 'coupling = "ac"']),
     "coupling of a force": ('[channels.AF]\ncoupling = "dc"\n', ["channels.AF", "coupling is for accelerations"]),
     "name of a channel": ('[channels."A[F]"]\n', ["'A[F]' is no name"]),

@@ -169,12 +169,6 @@ class SetChannel(ChannelSettings, _Input):
 
     half_range: Above | None = None
 
-    @model_validator(mode="after")
-    def _consistent(self) -> SetChannel:
-        if self.scale == 0:
-            raise ValueError("scale must not be zero")
-        return self
-
 
 class Setup(Table):
     """A test set-up."""
