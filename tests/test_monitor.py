@@ -318,8 +318,9 @@ def test_a_slow_viewer_loses_no_peak() -> None:
 def test_samples_beyond_all_measure_count_as_missing(wild) -> None:
     source = source_of("six", seed=6)
     hello = Hello(tuple(source.channels), source.rate, True, "a source", ())
-    view = View(panel_of(rig_setup("six"), hello, Path(), {}))
-    plain = View(panel_of(rig_setup("six"), hello, Path(), {}))
+    setup = setup_from({"source": {"kind": "simulated", "rig": "six"}})
+    view = View(panel_of(setup, hello, Path(), {}))
+    plain = View(panel_of(setup, hello, Path(), {}))
     for number in range(60):
         block = source.read(1.0)
         spoiled, missing = block.samples.copy(), block.samples.copy()
@@ -512,6 +513,7 @@ def test_token() -> None:
     assert answer.status_code == 303
     assert "HttpOnly" in answer.headers["set-cookie"] and "SameSite=Strict" in answer.headers["set-cookie"]
     assert client.get("/").status_code == 200  # the client keeps the cookie
+    client.cookies.clear()
     client.cookies.set("aerobalance_8765", "a-secret-of-some-length")  # the token itself is none
     assert client.get("/").status_code == 401
 

@@ -23,7 +23,7 @@ from aerobalance.monitor.access import Door
 from aerobalance.monitor.crowd import LARGEST_HEAD, TIMES, Crowd, Patient
 from aerobalance.monitor.server import Page
 
-ENDING: Final = 1.5
+ENDING: Final = 1.1
 """Time within which everything has ended, once it was told to [s]."""
 
 _GRACE: Final = 0.5

@@ -41,7 +41,7 @@ UNWATCHED: Final = 20.0
 PATIENCE: Final = 0.2
 """Time that ending waits for what is under way [s]."""
 
-ENDING: Final = 1.2
+ENDING: Final = 0.9
 """Time that ending takes at most [s]."""
 
 MESSAGES: Final = 50
