@@ -222,7 +222,7 @@ export const plotOf = (canvas, axes) => {
 };
 
 // Times below the plot: from the newest sample (or the end of what is held) back, and by the clock.
-function timeAxis(paper, view, { end, zero, rate, seconds, clock }) {
+function timeAxis(paper, view, { end, zero, rate, seconds, clock, last: newest }) {
   const every = nice(seconds, view.width / 96),
     last = (end - zero) / rate,
     below = view.top + view.height;
@@ -231,7 +231,7 @@ function timeAxis(paper, view, { end, zero, rate, seconds, clock }) {
   for (let k = Math.floor(last / every + 1e-9); k * every >= last - seconds - 1e-9; k--) {
     const at = k * every,
       x = view.left + view.width * (1 - (last - at) / seconds),
-      text = k ? `−${Number(Math.abs(at).toPrecision(6))} s` : "now",
+      text = k ? `−${Number(Math.abs(at).toPrecision(6))} s` : newest,
       shown = Math.min(x, view.left + view.width - 22);
     paper.fillText(text, shown, below + 12);
     const time = clock(zero + at * rate);

@@ -75,6 +75,7 @@ function watch() {
   $("data-age").hidden = !stale || age === null;
   const text = age === null ? "" : `data are ${ageText(age)} old`;
   if ($("data-age").textContent !== text) $("data-age").textContent = text;
+  if (changed) redraw();
   if (changed || page.pressed) {
     showState();
     showAlarms();

@@ -321,7 +321,8 @@ export function draw() {
       return ms === null ? "" : clockTime(ms, places);
     };
   const { cursor, selection } = view,
-    all = { end, rate, seconds, now, marks, zero: newest, clock, cursor, selection };
+    last = held ? "pause" : page.stale ? "newest" : "now",
+    all = { end, rate, seconds, now, marks, zero: newest, last, clock, cursor, selection };
   const name = page.component || panel.names[0],
     place = panel.names.indexOf(name),
     force = panel.components.indexOf(page.component) + 1;
