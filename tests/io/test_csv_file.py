@@ -153,8 +153,10 @@ def test_force_keeps_time_text_name_and_unit(tmp_path):
     assert lines[0] == "time [ms],AF [lbf],u_AF [lbf],PM [in-lbf],u_PM [in-lbf]"
     assert [float(line.split(",")[0]) for line in lines[1:]] == [float(s) for i, s in enumerate(stamps) if i != 7]
     table = read_table(target)
-    np.testing.assert_allclose(table.values("AF"), values[recording.rows, 0], rtol=4.5e-16)
-    np.testing.assert_allclose(table.values("u_PM"), 1.0, rtol=4.5e-16)
+    np.testing.assert_allclose(
+        table.values("AF"), values[recording.rows, 0], rtol=0, atol=1e-3
+    )  # of an uncertainty of 1
+    np.testing.assert_allclose(table.values("u_PM"), 1.0, rtol=1e-3)
 
 
 def test_force_on_another_clock_is_refused(tmp_path):

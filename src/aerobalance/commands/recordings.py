@@ -61,7 +61,7 @@ def _channel_account(channel: Channel) -> Account:
     unit = channel.file_unit or edge_unit(channel.name, channel.unit)
     change = conversion_for(channel.name, unit) if unit != channel.unit else None
     outside = {
-        key: value if change is None or value is None else float(as_it_went_in(change.outside(np.array([value])))[0])
+        key: value if change is None or value is None else float(as_it_went_in(np.array([value]), change)[0])
         for key, value in inside.items()
     }
     return {

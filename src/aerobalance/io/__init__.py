@@ -25,7 +25,7 @@ from aerobalance.io.map_template import map_text
 from aerobalance.io.table import Column, Table, recording_from, table_from
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.text_table import describe_text, guess_encoding
-from aerobalance.io.units import conversion, conversion_for, edge_unit
+from aerobalance.io.units import Conversion, conversion, conversion_for, edge_unit
 from aerobalance.problems import ReadError
 from aerobalance.recording import Force, Recording
 
@@ -273,19 +273,21 @@ def _writer(path: Path) -> Format:
     raise ValueError(f"cannot write {path}: the ending {path.suffix!r} stands for no known format; allowed: {allowed}")
 
 
-def as_it_went_in(values: Array) -> Array:
-    """Give numbers as they were in their file before two changes of unit: 0.625 for 0.6250000000000001.
-
-    Fifteen digits are what a number keeps on the way, and more than any file of readings has.
-    """
-    return np.array([float(f"{value:.15g}") for value in values.tolist()], dtype=np.float64)
+def as_it_went_in(values: Array, change: Conversion) -> Array:
+    """Give numbers in the unit of their file: 0.625 for 0.6250000000000001, where inside both mean the same."""
+    outside = change.outside(values)
+    short = np.array([float(f"{value:.15g}") for value in outside.tolist()], dtype=np.float64)
+    return np.where(change.inside(short) == values, short, outside)
 
 
 def _time_column(recording: Recording) -> dict[str, Array]:
     """Time column of a recording as its file had it."""
     unit = recording.time_unit
     stamps = conversion(unit, expected="s").outside(recording.stamps)
-    return {f"time [{unit}]": stamps if unit == "s" else as_it_went_in(stamps)}
+    if unit != "s":
+        # Fifteen digits are what a number keeps through a change of unit, so 0.625 ms comes out as it went in.
+        stamps = np.array([float(f"{stamp:.15g}") for stamp in stamps])
+    return {f"time [{unit}]": stamps}
 
 
 def write_recording(path: Path | str, recording: Recording) -> None:
@@ -341,7 +343,7 @@ def _column(channel: Channel, recording: Recording) -> dict[str, Array]:
     unit = channel.file_unit or edge_unit(channel.name, channel.unit)
     change = conversion_for(channel.name, unit) if unit != channel.unit else None
     values = channel.values[recording.rows]
-    return {f"{channel.name} [{unit}]": values if change is None else as_it_went_in(change.outside(values))}
+    return {f"{channel.name} [{unit}]": values if change is None else as_it_went_in(values, change)}
 
 
 def write_force(path: Path | str, recording: Recording, force: Force) -> None:
