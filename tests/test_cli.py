@@ -290,7 +290,7 @@ def test_force_keeps_time_name_and_unit(unit, factor, here, capsys):
         assert (got[:, 2] > 0).all()
         part = json.loads(out)["components"]["AF"]
         assert [text.split()[0] for text in part["assumptions"]] == ["ground_acceleration", "pitch"]
-        assert part["mean"] == pytest.approx(got[:, 1].mean() * factor)
+        assert part["mean"] == pytest.approx(got[:, 1].mean() * factor, abs=5e-4 * factor * got[:, 2].min())
 
 
 def test_smoother_finds_the_force_that_was_let_go(here, capsys, seed):

@@ -261,7 +261,8 @@ def test_dash_is_standard_input_and_output(here):
     assert b"mass" in found.stderr
     wrong = subprocess.run([*program, "info", "-"], input=b"no,table\n1,x\n", capture_output=True, check=False)
     assert wrong.returncode == 2
-    assert wrong.stderr.startswith(b"error: standard input: ")
+    assert b"standard-input" not in wrong.stderr
+    assert b"\nerror: standard input: " in wrong.stderr
     assert sorted(path.name for path in here.iterdir()) == ["dynamics.json", "points.csv", "run.csv"]
 
 
@@ -350,7 +351,7 @@ BOMBS = {
     "deep.json": ("[" * 200_000, "deep.json: is nested too deeply"),
     "digits.toml": ("a = " + "9" * 5000, "digits.toml: holds a number of thousands of digits"),
     "deep.toml": ("a = " + "[" * 100_000, "deep.toml: is nested too deeply"),
-    "dots.toml": ("a." * 100_000 + "b = 1", "dots.toml: has a key of more than 50 parts"),
+    "dots.toml": ("a." * 100_000 + "b = 1", "has a key of more than 50 parts"),
     "large.toml": ("#" * 2_000_000, "large.toml: is larger than 1 MB"),
 }
 

@@ -83,7 +83,8 @@ def test_calibrate_gives_matrix_statistics_and_warnings(here, capsys, truth):
     assert list(account["components"]) == list(truth.components)
     for i, entry in enumerate(account["components"].values()):
         noise = 100 * 0.7e-3 / truth.output_scale[i]
-        assert 0.6 * noise < entry["residual_std_percent_of_capacity"] < 1.1 * noise
+        # some 200 degrees of freedom: a standard deviation scatters by 1 / sqrt(2 * 200), five times that
+        assert 0.75 * noise < entry["residual_std_percent_of_capacity"] < 1.25 * noise
         assert {"term", "value", "u", "t", "p", "vif", "percent_contribution"} == set(entry["terms"][0])
     covered = [entry["confirmation_within_two_u_percent"] for entry in account["components"].values()]
     # 95.4 % of six times 17 points, by chance +- 2.1 %, and one calibration differs from the next by 2.3 %: five times
@@ -356,7 +357,10 @@ def test_compare_takes_gauge_outputs(here, capsys, truth, seed, way):
     # the same way to the same loads: compare's deviation is that of the file that force writes
     table = np.genfromtxt("force.csv", delimiter=",", names=True)
     error = (table["AF_N"] - applied)[60:-60]
-    assert rows["this estimator"]["rms"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
+    assert rows["this estimator"]["rms"] == pytest.approx(
+        np.sqrt(np.mean(error**2)),
+        abs=5e-4 * table["u_AF_N"].min(),  # the file is rounded below that
+    )
     assert rows["raw reading"]["rms"] < 0.01 * CAPACITIES[5]  # the weight of the zero put on again, and taken off
 
 

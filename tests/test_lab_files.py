@@ -77,7 +77,7 @@ def files(folder, generator):
     values = {"mass": MASS, "stiffness": MASS * angular**2, "damping": 2 * RATIO * angular * MASS}
     entry = {key: {"value": value, "u": 0.0} for key, value in values.items()}
     entry["natural_frequency"] = {"value": FREQUENCY, "u": 0.0}
-    dynamics = {"kind": "dynamics", "schema_version": 1, "components": {"AF": entry}}
+    dynamics = {"kind": "dynamics", "components": {"AF": entry}}
     (folder / "dynamics.json").write_text(json.dumps(dynamics))
     return force[::20]
 

@@ -82,9 +82,9 @@ def test_set_up_form_tells_faults_beside_their_field(opened, operator) -> None:
     operator.open_setup()
     view.fill("#f-record-seconds", "-3")
     view.click("#setup-apply")
-    view.wait_for_selector(".field-error")
+    view.wait_for_selector("span.field-error")
     assert view.evaluate("document.activeElement.id") == "f-record-seconds"
-    assert "greater than 0" in view.inner_text(".field-error")
+    assert "greater than 0" in view.inner_text("span.field-error")
     operator.said.clear()  # Chromium notes the refused request
     view.fill("#f-record-seconds", "30")
     view.fill("#setup-name", "mine")

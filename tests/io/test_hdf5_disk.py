@@ -126,7 +126,7 @@ def test_a_recorder_that_finds_no_room_at_all_leaves_nothing(tmp_path) -> None:
 
 KILLED = """
 import os, sys, signal
-sys.path.insert(0, {folder!r})
+sys.path[:0] = {folders!r}
 from pathlib import Path
 from test_hdf5_file import make
 writer = make(Path({file!r}), [(0, {n})], finish=False)
@@ -136,7 +136,8 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 def killed(path, n=300):
     """A file whose writer was killed."""
-    code = KILLED.format(folder=str(Path(__file__).parent), file=str(path), n=n)
+    here = Path(__file__).parent
+    code = KILLED.format(folders=[str(here), str(here.parent)], file=str(path), n=n)
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
     with pytest.raises(OSError, match="already open for write"):
         h5py.File(path)

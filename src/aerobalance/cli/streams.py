@@ -80,9 +80,10 @@ def plain(text: str) -> str:
     """Call the streams by their names in a text."""
     if _STREAMS.folder is None:
         return text
-    return text.replace(f"{_STREAMS.folder}/standard-input", "standard input").replace(
-        str(_STREAMS.wanted), "standard output"
-    )
+    for path, name in ((_STREAMS.given, "standard input"), (_STREAMS.wanted, "standard output")):
+        if path is not None:
+            text = text.replace(str(path), name).replace(path.name, name)
+    return text
 
 
 def clean_up() -> None:

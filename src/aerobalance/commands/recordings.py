@@ -88,7 +88,7 @@ def summary(account: Account) -> str:
         )
         for name, found in account["channels"].items()
     ]
-    title = f"{account['file']}: {short(account['duration'])} s at {short(account['rate'])} Hz"
+    title = f"{account['file']}: {account['samples']} samples, {short(account['duration'])} s at {short(account['rate'])} Hz"
     heads = ("channel", "unit", "mean", "least", "largest", "noise", "missing", "saturated")
     lines = [table_text(title, heads, rows)]
     if account["gaps"]:

@@ -18,6 +18,7 @@ from aerobalance.io import (
     load_channel_map,
     read,
 )
+from aerobalance.io.held_file import refuse_held
 from aerobalance.io.kinds import EMPTY, kind_of
 from aerobalance.io.safe_write import OUTPUTS, reason_of
 from aerobalance.problems import DoubtWarning, FitError
@@ -74,8 +75,8 @@ def check_out(out: Path | None, *inputs: Path | None, kind: str = "") -> None:
     Raises
     ------
     ValueError
-        The output is an input, no ordinary file, something else than `kind` that exists, or in a folder that does not
-        exist.
+        The output is an input, no ordinary file, being recorded, something else than `kind` that exists, or in a
+        folder that does not exist.
     """
     if out is None:
         return
@@ -83,6 +84,7 @@ def check_out(out: Path | None, *inputs: Path | None, kind: str = "") -> None:
         _check_place(out, [file for file in inputs if file is not None])
     except OSError as error:
         raise ValueError(f"cannot use {error.filename or out}: {reason_of(error)}") from None
+    refuse_held(out)
     if OUTPUTS.active:
         OUTPUTS.wanted.append(out)
     if not OUTPUTS.replace and out.exists():

@@ -27,7 +27,8 @@ NAME: Final = "BALFIT load schedule"
 """What to call the format in messages."""
 
 _SIGN: Final = re.compile(
-    r"""^[\s",;]*(FILE_TYPE\s*"?\s*[,\t]|BALANCE_NAME\s*"?\s*[,\t])|^[ \t",]*(NZ|P|CP)-\w+\s*"?\s*[,\t]""", re.I | re.M
+    r"""^[ \t",;]*(FILE_TYPE\s*"?\s*[,\t]|BALANCE_NAME\s*"?\s*[,\t])|^[ \t",]*(NZ|P|CP)-\w+\s*"?\s*[,\t]""",
+    re.I | re.M,
 )
 _COMMENT: Final = re.compile(r'[\s"]*;')
 _KEYWORD: Final = re.compile(r"[A-Z][A-Z0-9]*(_[A-Z0-9]+)+|DESCRIPTION|COMMENT|DATE")

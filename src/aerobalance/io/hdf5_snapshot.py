@@ -14,6 +14,7 @@ import numpy as np
 
 from aerobalance.channel import Array
 from aerobalance.io.hdf5_contents import Contents, contents_of, opened
+from aerobalance.io.hdf5_guard import LIBVER
 from aerobalance.io.hdf5_layout import SCHEMA
 from aerobalance.problems import ReadError
 
@@ -59,7 +60,7 @@ class Snapshot:
         """Write all but the samples; return where these begin."""
         import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
 
-        with h5py.File(self._hull, "w", libver="latest") as file:
+        with h5py.File(self._hull, "w", libver=LIBVER) as file:
             file.attrs.update(dict(inside.attrs))
             file.attrs["schema_version"] = inside.attrs.get("schema_version", SCHEMA)
             for name in _TABLES:

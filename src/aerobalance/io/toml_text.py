@@ -41,7 +41,7 @@ def read_toml(path: Path, *, what: str) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise ReadError(path, "", f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if len(head) > LARGEST:
-        raise ReadError(path, "", f"is larger than {LARGEST} bytes, which {what} is not")
+        raise ReadError(path, "", f"is larger than {LARGEST / 1e6:g} MB, which {what} is not")
     try:
         text = head.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -64,9 +64,11 @@ def toml_in(text: str, path: Path | str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise ReadError(path, "", "is no TOML that can be read: it is nested too deeply") from None
-    except ValueError as error:  # a number of thousands of digits as well
+        raise ReadError(path, "", "is nested too deeply") from None
+    except tomllib.TOMLDecodeError as error:
         raise ReadError(path, "", f"is no TOML: {' '.join(str(error).split())[:200]}") from None
+    except ValueError:  # the interpreter converts no whole number of more than 4300 digits
+        raise ReadError(path, "", "holds a number of thousands of digits") from None
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
