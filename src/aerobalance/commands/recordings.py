@@ -88,7 +88,8 @@ def summary(account: Account) -> str:
         )
         for name, found in account["channels"].items()
     ]
-    title = f"{account['file']}: {account['samples']} samples, {short(account['duration'])} s at {short(account['rate'])} Hz"
+    length = f"{short(account['duration'])} s at {short(account['rate'])} Hz"
+    title = f"{account['file']}: {account['samples']} samples, {length}"
     heads = ("channel", "unit", "mean", "least", "largest", "noise", "missing", "saturated")
     lines = [table_text(title, heads, rows)]
     if account["gaps"]:
