@@ -13,7 +13,7 @@ import typer.main
 
 import aerobalance
 from aerobalance.channel import Channel
-from aerobalance.cli import app
+from aerobalance.cli.program import app
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.identification.decay import _kept_modes, _way_to_take_it_up, identify_decay
 from aerobalance.identification.onset import first_look
