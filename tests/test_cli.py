@@ -252,7 +252,7 @@ def test_info_tells_duration_rate_and_channels(here, capsys):
     assert account["channels"]["AF"]["unit"] == "N"
     code, out, _ = call(capsys, "info cut.csv")
     assert code == 0
-    assert out.startswith("cut.csv: 1.49937 s at 1600 Hz\n")
+    assert out.startswith("cut.csv: 2400 samples, 1.49937 s at 1600 Hz\n")
     assert re.search(r"^ AF +N( +-?\d\S*){4} +- +-$", out, re.MULTILINE)
 
 
