@@ -356,3 +356,22 @@ def test_what_is_no_saturation():
     }
     for name, values in cases.items():
         assert saturated(values).size == 0, (name, entropy)
+
+
+def test_rounded_stamps_tell_the_rate_by_their_turns():
+    # in whole seconds, from 0.4 s on: the turns to 1 and 2 s are 2000 samples apart, and tell the rate to 0.04 %
+    time = 0.4 + np.arange(4000) / 2000
+    with pytest.raises(FitError, match=r"rounded to 1 s, and its 2 turn\(s\) tell the sampling rate to 0.035 % only"):
+        Recording.from_columns(np.floor(time), {"AF": Channel("AF", time, "N")})
+    with pytest.raises(FitError, match=r"its 1 turn\(s\) tell the sampling rate not at all"):
+        Recording.from_columns(np.floor(time[:2000]), {"AF": Channel("AF", time[:2000], "N")})
+    time = 0.4 + np.arange(40_000) / 2000
+    with pytest.warns(DoubtWarning, match=r"2000 Hz \(known to 0.0006 %\)"):  # 20 turns over 38 000 samples
+        found = Recording.from_columns(np.floor(time), {"AF": Channel("AF", time, "N")})
+    assert found.rate == pytest.approx(2000, rel=6e-6)
+
+
+def test_a_stated_uncertainty_rests_on_no_limit():
+    values = np.clip(np.sin(np.arange(400) / 5), -0.7, 0.7)
+    assert Channel("AF", values, "N").saturated.any()
+    assert not Channel("u_AF", values, "N").saturated.any()

@@ -189,8 +189,11 @@ class Channel:
 
         A plateau is no saturation: a run of equal readings at the highest or lowest value counts where the
         readings on both sides of it, continued, would have gone well past the limit, and where that happens at
-        least twice. A single clipped peak cannot be told from a plateau and is not found.
+        least twice. A single clipped peak cannot be told from a plateau and is not found. A stated uncertainty
+        (``u_AF``) is no reading, and rests on no limit.
         """
+        if self.name.startswith("u_") and self.name[2:] in COMPONENTS:
+            return np.zeros(self.values.shape, dtype=bool)
         return _clipped(self.values, 1.0) | _clipped(self.values, -1.0)
 
     @property

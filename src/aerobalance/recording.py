@@ -194,9 +194,12 @@ def _steady_clock(stamps: Array, name: str) -> _Clock:
     rounded = departure > 1.0 and repeated > 0 and departure * interval <= resolution
     doubts = []
     if rounded:
+        interval, start, known = _between_turns(stamps, steps, name, resolution)
+        departure = float(np.abs((stamps - start) / interval - order).max())
         doubts.append(
-            f"the time column is rounded to {resolution:.3g} s, more than a sampling interval; the samples are taken "
-            f"as evenly spaced at {1 / interval:.6g} Hz, and a gap in them would not be seen"
+            f"the time column is rounded to {resolution:.3g} s, more than a sampling interval; the samples are "
+            f"taken as evenly spaced at {1 / interval:.6g} Hz (known to {100 * known:.1g} %), and a gap in them "
+            "would not be seen"
         )
     missing = int(order[-1]) + 1 - order.size
     if missing:
@@ -207,6 +210,31 @@ def _steady_clock(stamps: Array, name: str) -> _Clock:
     for doubt in doubts:
         warnings.warn(f"{name}: {doubt}", DoubtWarning, stacklevel=3)
     return _Clock(order, interval, start, departure, rounded)
+
+
+def _between_turns(stamps: Array, steps: Array, name: str, resolution: float) -> tuple[float, float, float]:
+    """Return interval and start of a clock whose stamps are rounded [s], and the relative uncertainty of its rate.
+
+    Only where a stamp turns to the next is the time known, to one interval: m turns over n samples tell the rate to
+    1 / (n sqrt(m)), from the variance of a uniform distribution. All stamps together would count the parts of the
+    first and the last one as well, whose lengths are chance.
+
+    Raises
+    ------
+    FitError
+        The turns are too few to tell the rate.
+    """
+    turns = np.flatnonzero(steps > 0) + 1
+    known = 1 / (float(turns[-1] - turns[0]) * np.sqrt(turns.size)) if turns.size > 1 else np.inf
+    if known > RATE_KNOWN:
+        how = f"to {100 * known:.2g} % only; allowed: {100 * RATE_KNOWN:.2g} %" if np.isfinite(known) else "not at all"
+        raise FitError(
+            f"{name}: the time column is rounded to {resolution:.3g} s, and its {turns.size} turn(s) tell the "
+            f"sampling rate {how}. Frequencies and masses would be wrong by as much and twice that: give the rate in "
+            "a channel map (rate = ... under [file], without time), or take a longer record"
+        )
+    interval, start, _ = _fitted(turns.astype(np.intp), stamps[turns])
+    return interval, start, known
 
 
 def _samples_jitter(stamps: Array, channels: Mapping[str, Channel], clock: _Clock, name: str) -> bool:
@@ -322,6 +350,9 @@ RATE_CHANGE_ALLOWED: Final = 0.05
 
 GAP_SUSPECTED: Final = 0.2
 """Departure from evenly spaced rows from which gaps are looked for: one sample lost from five departs by 0.21."""
+
+RATE_KNOWN: Final = 1e-4
+"""Relative uncertainty of the sampling rate up to which rounded time stamps are taken for a clock."""
 
 LARGEST_GAP_RATIO: Final = 20
 """Samples of the steady clock per row of the file beyond which the recording has to be cut at its gaps."""

@@ -56,7 +56,8 @@ Component = Annotated[
 ]
 Gravity = Annotated[float, typer.Option("--gravity", help="Local acceleration of gravity in m/s^2.", min=9.7, max=9.9)]
 Map = Annotated[
-    Path | None, typer.Option("--map", help="Channel map (TOML) that says what a foreign file's columns are.")
+    Path | None,
+    typer.Option("--map", callback=given, help="Channel map (TOML) that says what a foreign file's columns are."),
 ]
 Mass = Annotated[str, typer.Option("--mass", help="Moving mass in kg: a number (taken as exact) or a mass.json.")]
 Rec = Annotated[Path, typer.Argument(metavar="REC", callback=given, help="A recording; - is standard input.")]

@@ -143,6 +143,8 @@ def channel_map_for(path: Path, out: Path | None, *, header_line: int | None = N
         with replacing(out) as beside:
             beside.write_text(text, encoding="utf-8")
     columns = list(column_names(path, header_line=header_line))
-    said = f"{path.name}: channel map of {len(columns)} columns; fill in what the channels are, then check with info\n"
+    open_ones = text.count("# unassigned")
+    rest = f"{open_ones} wait for a person to say what they are" if open_ones else "all with a proposal"
+    said = f"{path.name}: channel map of {len(columns)} columns, {rest}; then check with info --map\n"
     account: Account = {"file": path.name, "columns": columns, "map": text}
     return {**account, "summary": text} if out is None else {**account, "summary": said, "details": text}

@@ -49,7 +49,8 @@ def releases_felt(
         if files.model_on_zero != "off":
             warnings.warn(
                 "the weight that hung on the balance while its zero was read is not known, so curved bridges are read "
-                "from where they are without it; give the mass.json of a weighing with --mass",
+                "from where they are without it; --mass with the mass.json of a weighing of all loads (weigh without "
+                "--component) tells it",
                 DoubtWarning,
                 stacklevel=2,
             )

@@ -257,9 +257,9 @@ def check_output(path: Path | str) -> Path:
         No format is written under this ending, or the folder does not exist.
     """
     file = Path(path)
-    _writer(file)
     if file.is_dir():
         raise ValueError(f"{file} is a folder; the name of a file is needed")
+    _writer(file)
     if not file.parent.is_dir():
         raise ValueError(f"cannot write {file}: there is no folder {file.parent}")
     return file

@@ -93,7 +93,8 @@ def _layout(found: TextLayout) -> list[str]:
     lines.append(
         f'decimal = "{found.decimal}"' if found.decimal else '# decimal = "."  # no number at the head has one'
     )
-    lines.append(f"encoding = {quoted(found.encoding)}")
+    if found.encoding != "ascii":  # plain letters are the same in all
+        lines.append(f"encoding = {quoted(found.encoding)}")
     if found.header_line:
         lines.append(
             "# Without header_line and skip_lines each file's own are recognised, where preambles differ in length."

@@ -190,7 +190,12 @@ def decoded(path: Path, encoding: str | None) -> tuple[bytes, str]:
         raw.decode(found)
     except (UnicodeDecodeError, LookupError) as error:
         if encoding is not None:
-            raise ReadError(path, "", f"is not in the encoding {encoding!r} of the channel map: {error}") from None
+            raise ReadError(
+                path,
+                "",
+                f"is not in the encoding {encoding!r} of the channel map: {error}; without `encoding` there "
+                "it is recognised",
+            ) from None
         if found != "utf-8":
             raise ReadError(path, "", f"is cut off or damaged: it begins as {found} text, but {error}") from None
         # The first letter that is no UTF-8 comes late: the head alone does not tell.
@@ -203,7 +208,8 @@ def decoded(path: Path, encoding: str | None) -> tuple[bytes, str]:
     if nul >= 0:
         line = raw.count(b"\n", 0, nul) + 1
         raise ReadError(path, f"line {line}", "holds zero bytes: the file is damaged, or no text; allowed: numbers")
-    return raw, found
+    # what is plain in all encodings does not tell which one the other files of the same recorder have
+    return raw, "ascii" if found == "utf-8" and raw.isascii() else found
 
 
 def _decodes(raw: bytes, encoding: str) -> bool:
