@@ -407,3 +407,12 @@ def test_repeated_time_stamps_are_named(here, capsys):
     code, _, err = call(capsys, "info", "twice.csv")
     assert code == 0
     assert "samples 200 and 201 are both at 0.199 s" in err
+
+
+def test_a_reader_that_has_seen_enough_is_no_failure(here):
+    rows = (f"{i / 1000:.3f},{i}.125" for i in range(20_000))  # more than a pipe holds
+    Path("long.csv").write_text("\n".join(["time [s],AF [N]", *rows]) + "\n")
+    line = f"{sys.executable} -m aerobalance.cli convert long.csv -o - | head -n 1; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+    assert (done.returncode, "Error" in done.stderr) == (0, False), done.stderr
+    assert done.stdout.count("\n") == 1

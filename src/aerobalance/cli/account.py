@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -57,6 +59,17 @@ def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> N
         raise
     finally:
         OUTPUTS.end()
+    try:
+        _answer(account, manner)
+        sys.stdout.flush()
+    except BrokenPipeError:  # whoever reads it has seen enough; the parser would take it for a failure
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _answer(account: dict[str, Any], manner: Manner) -> None:
+    """Print the account, or pass on the result itself and print the account beside it."""
+    from aerobalance.io.safe_write import OUTPUTS
+
     texts = {key: account.pop(key, "") for key in FOR_PEOPLE}
     if OUTPUTS.written:
         account["outputs"] = [streams.plain(str(path)) for path in OUTPUTS.written]
@@ -65,7 +78,7 @@ def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> N
     if manner.as_json:
         from aerobalance.io.artefacts import json_text
 
-        typer.echo(json_text(account), nl=False, err=piped)
+        typer.echo(streams.plain(json_text(account)), nl=False, err=piped)
         return
     parts = [texts["summary"].rstrip()]
     if manner.verbose:
