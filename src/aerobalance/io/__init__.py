@@ -22,6 +22,7 @@ from aerobalance.io.columns import Heading, RawColumns
 from aerobalance.io.csv_file import read_table
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.map_template import map_text
+from aerobalance.io.opening import opened_file
 from aerobalance.io.table import Column, Table, recording_from, table_from
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.text_table import describe_text, guess_encoding
@@ -217,15 +218,8 @@ def template(path: Path | str, *, header_line: int | None = None) -> str:
 
 def _format(path: Path) -> Format:
     """Find the format of a file by its content."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(65536)
-    except FileNotFoundError:
-        raise ReadError(path, "", "there is no such file") from None
-    except IsADirectoryError:
-        raise ReadError(path, "", "is a folder; a file is needed") from None
-    except OSError as error:
-        raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+    with opened_file(path) as file:
+        head = file.read(65536)
     known = ", ".join(form.NAME for form in FORMATS)
     seems = next((text for sign, text in _SIGNATURES if head.startswith(sign)), "")
     if not seems and _is_schedule(head):

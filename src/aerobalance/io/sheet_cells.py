@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from aerobalance.io.opening import opened_file
 from aerobalance.io.text_cells import SEPARATORS
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.text_table import read_text
@@ -94,15 +95,8 @@ def is_workbook(path: Path) -> bool:
     ReadError
         The file cannot be opened, or is a workbook of the old kind.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(OLD_WORKBOOK))
-    except FileNotFoundError:
-        raise ReadError(path, "", "there is no such file") from None
-    except IsADirectoryError:
-        raise ReadError(path, "", "is a folder; a file is needed") from None
-    except OSError as error:
-        raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+    with opened_file(path) as file:
+        head = file.read(len(OLD_WORKBOOK))
     if head == OLD_WORKBOOK:
         raise ReadError(path, "", "is an old Excel workbook (.xls); save it as .xlsx or as CSV")
     return head.startswith(WORKBOOK)

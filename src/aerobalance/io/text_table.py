@@ -14,6 +14,7 @@ import numpy as np
 
 from aerobalance.channel import Array
 from aerobalance.io.columns import RawColumn, RawColumns, split_label
+from aerobalance.io.opening import opened_file
 from aerobalance.io.text_cells import MISSING, number_in, separator_of, split_line
 from aerobalance.io.text_clock import seconds_of
 from aerobalance.io.text_layout import Layout, TextLayout, recognise
@@ -154,16 +155,9 @@ def read_text(path: Path, encoding: str | None = None) -> str:
 
 
 def _bytes(path: Path) -> bytes:
-    try:
-        with path.open("rb") as stream:
-            check_first_line(path, stream)
-            raw = stream.read()
-    except FileNotFoundError:
-        raise ReadError(path, "", "there is no such file") from None
-    except IsADirectoryError:
-        raise ReadError(path, "", "is a folder; a file is needed") from None
-    except OSError as error:
-        raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+    with opened_file(path) as stream:
+        check_first_line(path, stream)
+        raw = stream.read()
     check_lines(path, raw)
     return raw
 
