@@ -149,7 +149,7 @@ def _of_dynamics(part: dict) -> list[float]:
 
 def test_a_weight_that_is_not_known_is_told(found: Found) -> None:
     files = BalanceFiles.of(found.folder / "balance.json", zero=[found.folder / "zero.h5"])
-    with pytest.warns(DoubtWarning, match="give the mass.json of a weighing"):
+    with pytest.warns(DoubtWarning, match="--mass with the mass.json of a weighing of all loads"):
         releases_felt([read(found.releases[0])], files, None, channel_map=None)
 
 
