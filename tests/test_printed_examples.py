@@ -15,6 +15,8 @@ import typer
 
 from aerobalance.cli import main
 from aerobalance.cli.program import app
+from aerobalance.io.dynamics_file import read_dynamics
+from aerobalance.published import CABLE_CUT
 from demo_run import demo_once
 
 README = Path(__file__).parents[1] / "README.md"
@@ -75,6 +77,11 @@ def test_readme_leads_from_the_recorders_files_to_the_force(folder, monkeypatch,
     for line in lines:
         assert main(words_of(line)) == 0, (line, capsys.readouterr().err)
     assert lines[-1].split()[1] == "force"
+    made = read_dynamics("dynamics.json")["AF"]
+    for name in ("mass", "stiffness", "damping"):
+        value, u = getattr(made, name), made.uncertainty(name)
+        # the rig's own values; one of three leaves five of its standard uncertainties once in 600 000 demos
+        assert abs(value - getattr(CABLE_CUT.dynamics, name)) < 5 * u, (name, value, u)
     force, truth = (np.loadtxt(name, delimiter=",", skiprows=1) for name in ("force.csv", "truth.csv"))
     error, u = force[:, 1] - truth[:, 1], force[:, 2]
     # the truth is that of the simulation; a third of the error is common to all samples, so its mean square scatters

@@ -146,7 +146,7 @@ def loads_felt(
     middle = balance.sensitivity(np.median(native[known], axis=0)[None, :])[0]
     covariance = _static_covariance(balance, native, zero, channels)
     components, moments, T = _form_of(balance, form)
-    values = native @ T.T
+    values = native @ T.T if zero.operating_point is None else (native - zero.operating_point) @ T.T
     calibration = np.sqrt(np.maximum(np.einsum("ij,njk,ik->ni", T, covariance, T), 0.0))
     if tare is not None:
         values = values - tare[0]

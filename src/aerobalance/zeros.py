@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -20,6 +20,9 @@ from aerobalance.recording import Recording
 CLEARLY: Final = 0.5
 """Distance of a zero from the natural zeros, over that from them under the weight, below which it was read without."""
 
+MOVED: Final = 0.05
+"""Distance of a zero from the natural zeros, over the calibrated span, up to which it may be drift since then."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GaugeZero:
@@ -34,8 +37,11 @@ class GaugeZero:
     drift
         Change from the beginning to the end of the run, shape (c,) [mV/V]; zero where no closing zero was read.
     weight, pull
-        Weight that was taken out, shape (6,) along NF PM SF YM RM AF [N, N*m], and the pull of gravity that made it;
-        zero where none was.
+        Weight that was taken out and stays in the loads, shape (6,) along NF PM SF YM RM AF [N, N*m], and the pull of
+        gravity that made it; zero where none was.
+    operating_point
+        Loads in the balance's own components that the zero was read under beyond `weight`, shape (c,) [N, N*m]: curved
+        bridges are read from there, and the loads count from there. Zero where none are known.
     """
 
     values: Array
@@ -44,6 +50,7 @@ class GaugeZero:
     drift: Array
     weight: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
     pull: PullOnZero = field(default_factory=PullOnZero)
+    operating_point: Array | None = None
 
 
 def gauge_table(recording: Recording, balance: BalanceMatrix) -> tuple[Array, tuple[Channel, ...]]:
@@ -96,11 +103,57 @@ def gauge_zero(
 
 
 def without_weight(zero: GaugeZero, balance: BalanceMatrix) -> GaugeZero:
-    """Take the model's weight, that of the zero, out of the outputs that were read under it."""
-    if not zero.weight.any():
+    """Zero less what the bridges read by its weight and operating point, at the sum of both."""
+    under = in_own_components(zero.weight, balance)
+    if zero.operating_point is not None:
+        under = under + zero.operating_point
+    if not under.any():
         return zero
-    outputs = balance.outputs(_native(zero.weight, balance)[None, :])[0]
-    return replace(zero, values=zero.values - outputs, source=f"{zero.source}, less the weight")
+    outputs = balance.outputs(under[None, :])[0]
+    source = f"{zero.source}, less the weight" if zero.weight.any() else zero.source
+    return replace(zero, values=zero.values - outputs, source=source)
+
+
+def seen_on_zero(zero: GaugeZero, balance: BalanceMatrix) -> Array:
+    """Loads that a zero was read under, by its distance from the calibration's natural zeros, shape (c,) [N, N*m].
+
+    They are in the balance's own components, and as wrong as the bridges' zeros have moved since the calibration: good
+    enough to tell where on their curves bridges are, not to weigh. Nothing without natural zeros, or where the
+    distance is no more than bridges move in years.
+    """
+    nothing = np.zeros(len(balance.components))
+    if balance.natural_zero is None:
+        return nothing
+    seen = balance.loads((zero.values - balance.natural_zero)[None, :]).loads[0]
+    size = np.ptp(np.array(balance.calibrated), axis=0)
+    clear = np.isfinite(seen).all() and np.max(np.abs(seen) / size) > MOVED
+    return seen if clear else nothing
+
+
+def beyond_weight(point: Array, weight: Array, known: Collection[str], balance: BalanceMatrix) -> Array:
+    """Loads at an operating point along the components whose weight is not known, shape (c,) [N, N*m].
+
+    Parameters
+    ----------
+    point
+        Loads on the zero in the balance's own components, shape (c,) [N, N*m].
+    weight
+        What is known of them along NF PM SF YM RM AF, shape (6,) [N, N*m].
+    known
+        Components along which that is.
+    balance
+        The balance matrix.
+    """
+    if balance.direct is None:
+        return np.where([name in known for name in balance.components], 0.0, point)
+    others = np.where([name in known for name in COMPONENTS], weight, balance.direct @ point)
+    return np.asarray(np.linalg.solve(balance.direct, others - weight))
+
+
+def change_of_sensitivity(point: Array, balance: BalanceMatrix) -> float:
+    """Largest change of the matrix from no load to an operating point, shape (c,), as part of full range."""
+    at = balance.sensitivity(np.stack([np.zeros_like(point), point]))
+    return float(np.max(np.abs((at[1] - at[0]) * balance.output_scale / balance.load_scale[:, None])))
 
 
 def reads_no_weight(zero: GaugeZero, weight: Array, balance: BalanceMatrix) -> bool:
@@ -112,10 +165,12 @@ def reads_no_weight(zero: GaugeZero, weight: Array, balance: BalanceMatrix) -> b
         return False
     size = np.ptp(np.array(balance.calibrated), axis=0)
     seen = balance.loads((zero.values - balance.natural_zero)[None, :]).loads[0]
-    return bool(np.linalg.norm(seen / size) < CLEARLY * np.linalg.norm((seen - _native(weight, balance)) / size))
+    return bool(
+        np.linalg.norm(seen / size) < CLEARLY * np.linalg.norm((seen - in_own_components(weight, balance)) / size)
+    )
 
 
-def _native(weight: Array, balance: BalanceMatrix) -> Array:
+def in_own_components(weight: Array, balance: BalanceMatrix) -> Array:
     """Weight along NF PM SF YM RM AF in the balance's own components, shape (c,)."""
     if balance.direct is not None:
         return np.linalg.solve(balance.direct, weight).astype(np.float64)

@@ -7,19 +7,28 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
 from aerobalance.balance import BalanceMatrix
 from aerobalance.channel import Array
 from aerobalance.commands.shared import recording_of
-from aerobalance.components import COMPONENTS
+from aerobalance.components import COMPONENTS, si_unit
 from aerobalance.gravity import Attitudes, PullOnZero
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
-from aerobalance.zeros import GaugeZero, gauge_zero, reads_no_weight, without_weight
+from aerobalance.zeros import (
+    GaugeZero,
+    beyond_weight,
+    change_of_sensitivity,
+    gauge_zero,
+    in_own_components,
+    reads_no_weight,
+    seen_on_zero,
+    without_weight,
+)
 
 ModelOnZero = Literal["auto", "on", "off"]
 
@@ -78,6 +87,17 @@ class BalanceFiles:
         return [str(path) for path in self.zero] == ["none"]
 
 
+FORCES: Final = tuple(name for name in COMPONENTS if si_unit(name) == "N")
+
+CURVED: Final = 0.001
+"""Change of sensitivities, as part of range, from which it is told that a weight on the zero is not known."""
+
+USUAL_WEIGHT: Final = 0.3
+"""Weight over range that a model may well have."""
+
+_NOTHING: Final = np.zeros(len(COMPONENTS))
+
+
 class Carried(NamedTuple):
     """What hung on the balance while its zero was read, along the components.
 
@@ -89,11 +109,17 @@ class Carried(NamedTuple):
         Pull of gravity on it.
     doubt
         What is doubtful about it, or nothing.
+    known
+        Components along which the weight is known.
+    guess
+        What it would be along the other forces if it were one mass at the balance's centre, shape (6,) [N, N*m].
     """
 
     weight: Array
     pull: PullOnZero
     doubt: str = ""
+    known: tuple[str, ...] = COMPONENTS
+    guess: Array = _NOTHING
 
 
 def zeros_before(files: BalanceFiles, channel_map: Path | None) -> list[Recording]:
@@ -135,9 +161,9 @@ def zero_of(
     zero = gauge_zero(before, matrix, after=after)
     if files.mass is not None:
         on_zero = partial(_weighed, mass=files.mass)
-    if files.model_on_zero == "off" or on_zero is None:
+    if files.model_on_zero == "off":
         return zero
-    carried = on_zero(before)
+    carried = Carried(_NOTHING, PullOnZero(), known=()) if on_zero is None else on_zero(before)
     if files.model_on_zero == "auto" and reads_no_weight(zero, carried.weight, matrix):
         warnings.warn(
             f"{zero.source} reads as the natural zeros of the calibration do, without the weight: it is taken as read "
@@ -148,7 +174,41 @@ def zero_of(
         return zero
     if carried.doubt:
         warnings.warn(carried.doubt, DoubtWarning, stacklevel=4)
-    return without_weight(replace(zero, weight=carried.weight, pull=carried.pull), matrix)
+    return without_weight(_under(zero, carried, matrix), matrix)
+
+
+def _under(zero: GaugeZero, carried: Carried, matrix: BalanceMatrix) -> GaugeZero:
+    """Zero with the loads it was read under: the weight that is known, and where curved bridges were beyond it."""
+    point = beyond_weight(seen_on_zero(zero, matrix), carried.weight, carried.known, matrix)
+    if matrix.natural_zero is None and not set(carried.known) >= set(FORCES):
+        guessed = np.where([name in carried.known for name in COMPONENTS], carried.weight, carried.guess)
+        point = beyond_weight(in_own_components(guessed, matrix), carried.weight, carried.known, matrix)
+        _say_what_is_guessed(zero, point, carried, matrix)
+    return replace(zero, weight=carried.weight, pull=carried.pull, operating_point=point if point.any() else None)
+
+
+def _say_what_is_guessed(zero: GaugeZero, point: Array, carried: Carried, matrix: BalanceMatrix) -> None:
+    """Warn where the weight on a zero is not known and bridges are so curved that it matters."""
+    usual = np.diag(USUAL_WEIGHT * matrix.load_scale)
+    change = max(change_of_sensitivity(share, matrix) for share in ([point] if point.any() else usual))
+    if change < CURVED:
+        return
+    if point.any():
+        others = ", ".join(name for name in FORCES if name not in carried.known)
+        text = (
+            f"{zero.source}: the weight along {others} while this zero was read is not known; that of the same mass "
+            f"at the centre of the balance is taken. It changes sensitivities by up to {100 * change:.2g} % of range. "
+            "Natural zeros in the calibration would tell it"
+        )
+    else:
+        text = (
+            f"{zero.source}: the weight that hung on the balance while this zero was read is not known, and the "
+            f"bridges are curved: {100 * USUAL_WEIGHT:g} % of the range would change sensitivities by up to "
+            f"{100 * change:.2g} % of range. Give the mass.json of a weighing of all loads (weigh without "
+            "--component) with --mass, or say --model-on-zero off if there was none; natural zeros in the calibration "
+            "tell it too"
+        )
+    warnings.warn(text, DoubtWarning, stacklevel=5)
 
 
 def stand_in(zero: GaugeZero | None, recordings: Sequence[Recording], matrix: BalanceMatrix) -> GaugeZero | None:
@@ -179,7 +239,7 @@ def _weighed(recordings: Sequence[Recording], *, mass: Path) -> Carried:
     weight[[COMPONENTS.index(name) for name in weighing.components]] = np.mean(
         [np.nanmean(table, axis=0) for table in loads], axis=0
     )
-    return Carried(weight, PullOnZero.of(attitudes, gravity=weighing.gravity))
+    return Carried(weight, PullOnZero.of(attitudes, gravity=weighing.gravity), known=weighing.components)
 
 
 def attitudes_of(recording: Recording) -> Attitudes:

@@ -4,21 +4,30 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
 from aerobalance.balance import TOLERANCE, BalanceMatrix
 from aerobalance.channel import Array
 from aerobalance.commands.answers import rounded, short
-from aerobalance.commands.balance_files import BalanceFiles, Carried, attitudes_of, stand_in, zero_of, zeros_before
+from aerobalance.commands.balance_files import (
+    FORCES,
+    BalanceFiles,
+    Carried,
+    attitudes_of,
+    stand_in,
+    zero_of,
+    zeros_before,
+)
 from aerobalance.commands.known import Known
 from aerobalance.commands.shared import Account, check_out, doubts, recording_of, table_text
-from aerobalance.components import COMPONENTS
+from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.forms import Form
-from aerobalance.gravity import PullOnZero
+from aerobalance.gravity import PullOnZero, gravity_share
 from aerobalance.io import check_output, write_loads
 from aerobalance.io.balance_file import write_balance
 from aerobalance.io.balfit_matrix import write_balfit_matrix
@@ -28,7 +37,14 @@ from aerobalance.io.weighing_file import read_weighing
 from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_loads, with_loads
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
-from aerobalance.weighing import LoadPoints, points_from_recordings
+from aerobalance.weighing import LoadPoints, Weighing, points_from_recordings, weigh_components
+from aerobalance.zeros import GaugeZero
+
+SETTLED: Final = 1e-9
+"""Change of a zero from round to round, over the outputs at full load, at which the weight in it is settled."""
+
+MOST_ROUNDS: Final = 20
+"""Rounds of weighing after which what is left is taken as it is: a round leaves some percent of the last change."""
 
 
 def convert_matrix(path: Path, out: Path) -> Account:
@@ -96,6 +112,31 @@ class Hung(Protocol):
         """Weight along a component at given attitudes, shape (n,) [N, N*m]."""
 
 
+@dataclass(frozen=True, slots=True)
+class Hanging:
+    """What a weighing says that hangs on the balance.
+
+    Attributes
+    ----------
+    weighing
+        The weighing; None where nothing is known.
+    """
+
+    weighing: Weighing | None
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Components that it was weighed along."""
+        return () if self.weighing is None else self.weighing.components
+
+    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
+        """Weight along one of them; gravity is that of the weighing, whatever is said."""
+        if self.weighing is None:
+            raise ValueError(f"the weight along {name} is not known")
+        loads = self.weighing.loads(pitch=pitch, roll=roll, offsets=False)
+        return np.asarray(loads[:, self.weighing.components.index(name)])
+
+
 class Reduction(NamedTuple):
     """Loads felt, and the balance matrix that they were worked out with."""
 
@@ -136,9 +177,7 @@ def from_gauges(
     if files.mass is not None:
         raise ValueError("the weight comes from the mass in the dynamics; --mass would take it off twice")
 
-    def carried(zeros: Sequence[Recording]) -> Carried:
-        return _carried_on_zero(zeros, known, gravity=gravity, pitched="pitch" in recording)
-
+    carried = partial(_carried_on_zero, known=known, gravity=gravity, pitched="pitch" in recording)
     felt, matrix = reduced(recording, files, channel_map=channel_map, on_zero=None if files.tare else carried)
     if "pitch" not in recording and not any(channel.coupling == "dc" for channel in recording):
         felt = _from_its_zero(felt)
@@ -209,7 +248,19 @@ def _carried_on_zero(zeros: Sequence[Recording], known: Hung, *, gravity: float,
     for row, (pitch, roll) in zip(weights, attitudes, strict=True):
         for name in known.components:
             row[COMPONENTS.index(name)] = np.nanmean(known.weight(name, pitch=pitch, roll=roll, gravity=gravity))
-    return Carried(weights.mean(axis=0), PullOnZero.of(attitudes, gravity=gravity), doubt)
+    pull = PullOnZero.of(attitudes, gravity=gravity)
+    guess = _mass_of(known, gravity) * pull.acceleration
+    return Carried(weights.mean(axis=0), pull, doubt, known.components, guess)
+
+
+def _mass_of(known: Hung, gravity: float) -> float:
+    """Mass by the first force that it is known along [kg], zero where it is by none."""
+    oblique = np.array([np.pi / 4])  # all forces feel the weight there
+    for name in FORCES:
+        if name in known.components:
+            share = gravity_share(name, pitch=oblique, roll=oblique)
+            return float(known.weight(name, pitch=oblique, roll=oblique, gravity=gravity)[0] / (gravity * share[0]))
+    return 0.0
 
 
 def _weight(
@@ -239,10 +290,14 @@ def weighed_loads(
     paths: Sequence[Path],
     files: BalanceFiles,
     *,
+    gravity: float = STANDARD_GRAVITY,
     channel_map: Path | None = None,
     names: tuple[str, ...] | None = None,
 ) -> LoadPoints:
     """Static points of the loads felt, for weighing.
+
+    Curved bridges read a load by what else hangs on them, so the weight that was on the balance while its zero was
+    read is put back: that of a first weighing, then that of the next, until it changes no more.
 
     The error of the matrix is no noise: it goes with the load, so it can pass for a mass, an offset or a tilt. A
     smooth error of u over n points counts like noise of u sqrt(n) a point. Where neither the run nor the calibration
@@ -253,21 +308,68 @@ def weighed_loads(
         raise ValueError("weighing takes --zero alone: tares and closing zeros would take off what is weighed")
     recordings = [recording_of(path, channel_map) for path in paths]
     matrix = read_matrix(files.balance)
-    zero = zero_of(files, zeros_before(files, channel_map), matrix, channel_map)
-    zero = stand_in(zero, recordings, matrix)
-    felt = [loads_felt(recording, matrix, zero=zero) for recording in recordings]
+    before = zeros_before(files, channel_map)
+    known: Hung = Hanging(None)
+    if before and files.model_on_zero != "off":
+        known = _settled(recordings, before, files, matrix, gravity=gravity, channel_map=channel_map)
+    on_zero = partial(_carried_on_zero, known=known, gravity=gravity, pitched=True)
+    zero = zero_of(files, before, matrix, channel_map, on_zero=on_zero)
+    felt = _felt(recordings, matrix, zero)
     components = tuple(name for name in felt[0].components if name in COMPONENTS and (names is None or name in names))
     if not components:
         raise FitError(
             f"the balance has {', '.join(felt[0].components)}; weighing needs "
             f"{', '.join(names or COMPONENTS)}, for which the calibration lacks the gauges' distances"
         )
-    points = points_from_recordings(
-        [with_loads(recording, item) for recording, item in zip(recordings, felt, strict=True)], components
-    )
+    points = _points(recordings, felt, components)
     smooth = np.sqrt(np.mean([smooth_variance(item, matrix) for item in felt], axis=0))
     own = smooth[[felt[0].components.index(name) for name in components]] * np.sqrt(len(points.pitch))
     return replace(points, noise=np.hypot(0.0 if points.noise is None else points.noise, own))
+
+
+def _felt(recordings: Sequence[Recording], matrix: BalanceMatrix, zero: GaugeZero | None) -> list[LoadsFelt]:
+    zero = stand_in(zero, recordings, matrix)
+    return [loads_felt(recording, matrix, zero=zero) for recording in recordings]
+
+
+def _points(recordings: Sequence[Recording], felt: Sequence[LoadsFelt], components: tuple[str, ...]) -> LoadPoints:
+    return points_from_recordings(
+        [with_loads(recording, item) for recording, item in zip(recordings, felt, strict=True)], components
+    )
+
+
+def _settled(
+    recordings: Sequence[Recording],
+    before: Sequence[Recording],
+    files: BalanceFiles,
+    matrix: BalanceMatrix,
+    *,
+    gravity: float,
+    channel_map: Path | None,
+) -> Hung:
+    """What hangs on the balance, by weighing with the weight of the weighing before in the zero; nothing if it fails.
+
+    The weight changes sensitivities by some percent of themselves, so each round leaves some percent of the error of
+    the one before.
+    """
+    known = Hanging(None)
+    last = np.full(len(matrix.components), np.inf)
+    scale = matrix.output_scale
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)  # what is doubtful is told of the last round
+        for _ in range(MOST_ROUNDS):
+            on_zero = partial(_carried_on_zero, known=known, gravity=gravity, pitched=True)
+            zero = zero_of(files, before, matrix, channel_map, on_zero=on_zero)
+            if zero is None or np.max(np.abs(zero.values - last) / scale) < SETTLED:
+                break
+            last = zero.values
+            felt = _felt(recordings, matrix, zero)
+            components = tuple(name for name in felt[0].components if name in COMPONENTS)
+            try:
+                known = Hanging(weigh_components(_points(recordings, felt, components), gravity=gravity))
+            except (FitError, ValueError):
+                return Hanging(None)
+    return known
 
 
 def loads(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from aerobalance.channel import Array
 from aerobalance.commands.balance_files import BalanceFiles
-from aerobalance.commands.loads import from_gauges
+from aerobalance.commands.loads import Hanging, from_gauges
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.matrix_errors import MatrixErrors
 from aerobalance.problems import DoubtWarning
@@ -30,7 +29,7 @@ def releases_felt(
     """Loads felt in place of gauge outputs, and where the matrix was used for them, release by release.
 
     What hangs on the balance does not change the ringing. But bridges that are curved ring as where they are, so the
-    weight in a zero that was read with the model on is put back, as far as a weighing knows it.
+    weight in a zero that was read with the model on is put back, as far as a weighing or natural zeros tell it.
 
     Parameters
     ----------
@@ -45,16 +44,6 @@ def releases_felt(
     counted
         Whether what the calibration leaves is to be counted, for which the matrix must hold it.
     """
-    if weighing is None and files.zero and not files.as_they_are and not files.tare:
-        if files.model_on_zero != "off":
-            warnings.warn(
-                "the weight that hung on the balance while its zero was read is not known, so curved bridges are read "
-                "from where they are without it; --mass with the mass.json of a weighing of all loads (weigh without "
-                "--component) tells it",
-                DoubtWarning,
-                stacklevel=2,
-            )
-        files = replace(files, model_on_zero="off")
     hung = Hanging(weighing)
     gravity = STANDARD_GRAVITY if weighing is None else weighing.gravity
     found = [from_gauges(recording, files, hung, gravity=gravity, channel_map=channel_map) for recording in recordings]
@@ -82,28 +71,3 @@ def with_sensitivity_error(recording: Recording, component: str, errors: MatrixE
     channel = recording.channel(component)
     known = replace(channel, relative_uncertainty=float(np.hypot(channel.relative_uncertainty, relative)))
     return replace(recording, channels={**recording.channels, component: known})
-
-
-@dataclass(frozen=True, slots=True)
-class Hanging:
-    """What a weighing says that hangs on the balance.
-
-    Attributes
-    ----------
-    weighing
-        The weighing; None where nothing is known.
-    """
-
-    weighing: Weighing | None
-
-    @property
-    def components(self) -> tuple[str, ...]:
-        """Components that it was weighed along."""
-        return () if self.weighing is None else self.weighing.components
-
-    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
-        """Weight along one of them; gravity is that of the weighing, whatever is said."""
-        if self.weighing is None:
-            raise ValueError(f"the weight along {name} is not known")
-        loads = self.weighing.loads(pitch=pitch, roll=roll, offsets=False)
-        return np.asarray(loads[:, self.weighing.components.index(name)])

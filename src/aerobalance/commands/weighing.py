@@ -53,7 +53,7 @@ def weigh(
         if files is None:
             points = read_points(paths, names, channel_map=chosen)
         else:
-            points = weighed_loads(paths, files, channel_map=channel_map, names=names)
+            points = weighed_loads(paths, files, gravity=gravity, channel_map=channel_map, names=names)
         if len(points.components) > 1:
             weighing = weigh_components(points, gravity=gravity)
             settings: Account = {"components": points.components, "gravity": gravity}
