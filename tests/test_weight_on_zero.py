@@ -95,6 +95,19 @@ def test_weighing_puts_back_the_weight_that_its_zero_was_read_under(
     assert found["value"] == pytest.approx(stand.mass, rel=1e3 * ROUNDED), seed
 
 
+@pytest.mark.parametrize("natural_zeros", [True, False])
+def test_weighing_knows_a_zero_of_the_bare_balance(tmp_path: Path, natural_zeros: bool) -> None:
+    rng, seed = fresh()
+    stand = Stand(tmp_path, rng, natural_zeros=natural_zeros)
+    paths = [stand.at_rest(f"pitch_{number}", angle) for number, angle in enumerate(ANGLES)]
+    bare = stand.record("zero", np.zeros((50, 6)), np.zeros(50))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        account = weigh(paths, None, files=BalanceFiles.of(tmp_path / "balance.json", zero=[bare]))
+    assert account["components"]["AF"]["mass"]["value"] == pytest.approx(stand.mass, rel=1e3 * ROUNDED), seed
+    assert [text for text in [*account["warnings"], *map(str, said)] if "model off" in text], seed
+
+
 def test_natural_zeros_tell_where_bridges_are_where_no_weighing_does(tmp_path: Path) -> None:
     rng, seed = fresh()
     stand = Stand(tmp_path, rng, natural_zeros=True)

@@ -157,6 +157,7 @@ def weigh(
     gravity: Gravity = STANDARD_GRAVITY,
     balance: MaybeBalance = None,
     zero: Zero = None,
+    model_on_zero: OnZero = ModelOnZero.AUTO,
     channel_map: Map = None,
     as_json: Json = False,
     verbose: Verbose = False,
@@ -164,10 +165,6 @@ def weigh(
 ) -> None:
     """Find mass and centre of gravity from readings at several pitch (and roll) angles."""
     from aerobalance.commands import weighing
-    from aerobalance.commands.balance_files import BalanceFiles
-
-    if balance is None and zero:
-        raise ValueError("--zero goes with --balance: it is a zero of gauge outputs")
 
     show(
         lambda: weighing.weigh(
@@ -175,7 +172,7 @@ def weigh(
             out,
             component=component,
             gravity=gravity,
-            files=None if balance is None else BalanceFiles.of(balance, zero=zero),
+            files=gauge_files(balance, zero, model_on_zero, None, None),
             channel_map=channel_map,
         ),
         Manner(as_json, verbose, replace),

@@ -38,7 +38,7 @@ from aerobalance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_l
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
 from aerobalance.weighing import LoadPoints, Weighing, points_from_recordings, weigh_components
-from aerobalance.zeros import GaugeZero
+from aerobalance.zeros import CLEARLY, GaugeZero
 
 SETTLED: Final = 1e-9
 """Change of a zero from round to round, over the outputs at full load, at which the weight in it is settled."""
@@ -309,9 +309,19 @@ def weighed_loads(
     recordings = [recording_of(path, channel_map) for path in paths]
     matrix = read_matrix(files.balance)
     before = zeros_before(files, channel_map)
-    known: Hung = Hanging(None)
+    known = Hanging(None)
     if before and files.model_on_zero != "off":
-        known = _settled(recordings, before, files, matrix, gravity=gravity, channel_map=channel_map)
+        found = _settled(recordings, before, files, matrix, gravity=gravity, channel_map=channel_map)
+        if found is None:
+            warnings.warn(
+                f"{before[0].name} was read without what is weighed, as the offsets say: it is taken as read with the "
+                "model off; --model-on-zero on or off says which",
+                DoubtWarning,
+                stacklevel=2,
+            )
+            files = replace(files, model_on_zero="off")
+        else:
+            known = found
     on_zero = partial(_carried_on_zero, known=known, gravity=gravity, pitched=True)
     zero = zero_of(files, before, matrix, channel_map, on_zero=on_zero)
     felt = _felt(recordings, matrix, zero)
@@ -346,11 +356,11 @@ def _settled(
     *,
     gravity: float,
     channel_map: Path | None,
-) -> Hung:
+) -> Hanging | None:
     """What hangs on the balance, by weighing with the weight of the weighing before in the zero; nothing if it fails.
 
     The weight changes sensitivities by some percent of themselves, so each round leaves some percent of the error of
-    the one before.
+    the one before. None where the first weighing says that nothing hung there while the zero was read.
     """
     known = Hanging(None)
     last = np.full(len(matrix.components), np.inf)
@@ -362,14 +372,37 @@ def _settled(
             zero = zero_of(files, before, matrix, channel_map, on_zero=on_zero)
             if zero is None or np.max(np.abs(zero.values - last) / scale) < SETTLED:
                 break
-            last = zero.values
             felt = _felt(recordings, matrix, zero)
             components = tuple(name for name in felt[0].components if name in COMPONENTS)
             try:
                 known = Hanging(weigh_components(_points(recordings, felt, components), gravity=gravity))
             except (FitError, ValueError):
                 return Hanging(None)
+            if not np.isfinite(last).all() and files.model_on_zero == "auto" and _bare(known.weighing, before, matrix):
+                return None
+            last = zero.values
     return known
+
+
+def _bare(weighing: Weighing | None, zeros: Sequence[Recording], matrix: BalanceMatrix) -> bool:
+    """Whether offsets that were found with the zero as it was read are clearly those of a zero without the weight.
+
+    Read under the weight, a zero leaves no load at its own attitude; without it, the weight. Natural zeros tell it
+    better, where there are any.
+    """
+    if weighing is None or matrix.natural_zero is not None:
+        return False
+    attitudes = [attitudes_of(zero) for zero in zeros]
+    weight, left, u = (
+        np.mean([np.nanmean(table, axis=0) for table in tables], axis=0)
+        for tables in (
+            [weighing.loads(pitch=pitch, roll=roll, offsets=False) for pitch, roll in attitudes],
+            [weighing.loads(pitch=pitch, roll=roll) for pitch, roll in attitudes],
+            [weighing.uncertainty(pitch=pitch, roll=roll) for pitch, roll in attitudes],
+        )
+    )
+    largest = int(np.argmax(np.abs(weight) * [name in FORCES for name in weighing.components]))
+    return bool(left[largest] / weight[largest] > CLEARLY and u[largest] < CLEARLY / 2 * abs(weight[largest]))
 
 
 def loads(
