@@ -75,7 +75,7 @@ def test_stiffness_and_damping_of_varied_balances():
 @pytest.mark.slow
 def test_scatter_is_the_cramer_rao_bound_and_is_what_is_stated():
     generator, seed = fresh()
-    draws, noise, exact = trials(50, 200), 10.0, release(2.0)
+    draws, noise, exact = trials(25, 200), 10.0, release(2.0)
     found, scores = np.empty((draws, 2)), np.empty((draws, 2))
     truth = np.array([T128.stiffness, T128.damping])
     for draw in range(draws):
