@@ -241,6 +241,33 @@ def test_zero_leaves_the_weight() -> None:
     assert view.zeros()["AF"] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_zero_under_a_weight_reads_curved_bridges_from_where_they_are() -> None:
+    seed = new_seed()
+    rng = np.random.default_rng(seed)
+    balance = replace(random_balance(seed), natural_zero=rng.uniform(-0.05, 0.05, 6))
+    hung = rng.uniform(0.2, 0.5, 6) * balance.load_scale
+    added = rng.uniform(-0.3, 0.3, 6) * balance.load_scale
+    channels = tuple(StoredChannel(name=f"r{name}", unit="uV/V") for name in balance.gauges)
+    view = View(Panel(channels, 1000.0, True, {}, {}, {}, balance=balance))
+
+    def shown(native: np.ndarray) -> dict:
+        outputs = balance.outputs(np.tile(native, (400, 1))) + balance.natural_zero
+        view.feed(Block(400 * shown.blocks, 1e3 * outputs, 0.0))
+        shown.blocks += 1
+        return view.take().readings
+
+    shown.blocks = 0
+    for _ in range(3):
+        shown(hung)
+    view.set_zeros(view.zeros())
+    expected = balance.direct @ added
+    for _ in range(3):
+        readings = shown(hung + added)
+    for place, name in enumerate(COMPONENTS):
+        # the iteration ends at 1e-9 of capacity or below
+        assert readings[name].mean == pytest.approx(expected[place], rel=1e-6, abs=1e-4), seed
+
+
 def test_loads_from_gauge_outputs() -> None:
     seed = new_seed()
     balance = random_balance(seed)

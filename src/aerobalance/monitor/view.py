@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -31,6 +31,7 @@ from aerobalance.monitor.steady import newest_steady
 from aerobalance.motion import AXES
 from aerobalance.strips import Extremes
 from aerobalance.waterfall import RunningSpectrum
+from aerobalance.zeros import GaugeZero, beyond_weight, seen_on_zero, without_weight
 
 FINEST: Final = 1e-3
 """Length of the shortest bin of a chart [s]."""
@@ -194,14 +195,33 @@ class View:
         if not self._means:
             raise ValueError("there are no readings yet to take the zero from")
         means = np.mean(self.means, axis=0)
+        weights = {name: line.weight(means) for name, line in self.lines.items()}
         found = {}
         for place, name in enumerate(self.panel.names):
-            weight = self.lines[name].weight(means) if name in self.lines else 0.0
-            if name in self.panel.loads:  # its gauges are zeroed, which takes the weight off
-                found[name] = -weight
-            elif (name in COMPONENTS or is_gauge(name)) and np.isfinite(means[place]):
-                found[name] = float(means[place] + self._offsets[place] - weight)
-        return found
+            if name not in self.panel.loads and (name in COMPONENTS or is_gauge(name)) and np.isfinite(means[place]):
+                found[name] = float(means[place] + self._offsets[place] - weights.get(name, 0.0))
+        return found | self._zeros_of_gauges(found, weights)
+
+    def _zeros_of_gauges(self, read: Mapping[str, float], weights: Mapping[str, float]) -> dict[str, float]:
+        """Zeros of the gauges less what they read by the weight, and those of the loads that are made of them.
+
+        Curved bridges are read from where the weight has brought them: known along components whose force is worked
+        out, and along the others by the distance from the natural zeros. The latter load counts from there.
+        """
+        balance, loads = self.panel.balance, self.panel.loads
+        if balance is None:
+            return {}
+        names = [f"r{gauge}" for gauge in balance.gauges]
+        if not all(name in read for name in names):
+            return {}
+        nothing = np.zeros(len(names))
+        zero = GaugeZero(np.array([read[name] for name in names]), nothing, "the last second", nothing)
+        weight = np.array([weights.get(name, 0.0) if name in loads else 0.0 for name in COMPONENTS])
+        point = beyond_weight(seen_on_zero(zero, balance), weight, weights, balance)
+        under = without_weight(replace(zero, weight=weight, operating_point=point), balance)
+        beyond = point if balance.direct is None else balance.direct @ point
+        given = dict(zip(names, under.values.tolist(), strict=True))
+        return given | dict(zip(loads, np.asarray(beyond).tolist(), strict=True))
 
     @property
     def means(self) -> Array:
