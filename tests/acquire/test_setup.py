@@ -120,7 +120,7 @@ def test_wrong_set_up_says_what_and_where(name, tmp_path) -> None:
 def test_files_that_are_no_set_up(tmp_path) -> None:
     with pytest.raises(ReadError, match="there is no such file"):
         load_setup(tmp_path / "none.toml")
-    with pytest.raises(ReadError, match="cannot be read"):
+    with pytest.raises(ReadError, match="is a folder; a file is needed"):
         load_setup(tmp_path)
     large = tmp_path / "large.toml"
     large.write_bytes(b"#" * 1_000_001)

@@ -248,7 +248,7 @@ def test_every_truncation_is_refused(tmp_path):
 def test_missing_file_and_folder(tmp_path):
     with pytest.raises(ReadError, match="no such file"):
         read_dynamics(tmp_path / "none.json")
-    with pytest.raises(ReadError, match="cannot be read"):
+    with pytest.raises(ReadError, match="is a folder; a file is needed"):
         read_mass(tmp_path)
     with pytest.raises(ReadError, match=r"no such file|cannot be read"):
         write_dynamics(tmp_path / "d.json", {}, inputs=[tmp_path / "none.csv"])

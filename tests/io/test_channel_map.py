@@ -311,7 +311,7 @@ def test_missing_or_binary_map(tmp_path):
     (tmp_path / "map.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ReadError, match="is no TOML"):
         load_channel_map(tmp_path / "map.toml")
-    with pytest.raises(ReadError, match="cannot be read"):
+    with pytest.raises(ReadError, match="is a folder; a file is needed"):
         load_channel_map(tmp_path)
 
 

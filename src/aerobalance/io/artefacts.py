@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationIn
 from aerobalance import __version__
 from aerobalance.channel import Array
 from aerobalance.io.messages import first_fault
+from aerobalance.io.opening import opened_file
 from aerobalance.io.safe_write import replacing
 from aerobalance.problems import ReadError
 
@@ -154,11 +155,8 @@ def digest(path: Path) -> str:
     ReadError
         It cannot be read.
     """
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+    with opened_file(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_json(path: Path | str, payload: Mapping[str, object]) -> None:
@@ -209,12 +207,10 @@ def load(path: Path, kind: str, model: type[_Model]) -> _Model:
     ReadError
         The file is no such JSON.
     """
+    with opened_file(path) as file:
+        content = file.read()
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise ReadError(path, "", "there is no such file") from None
-    except OSError as error:
-        raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise ReadError(path, "", f"is no JSON text; a {kind}.json is needed") from None
     if not text.strip():

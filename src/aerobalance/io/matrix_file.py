@@ -7,7 +7,7 @@ from pathlib import Path
 from aerobalance.balance import BalanceMatrix
 from aerobalance.io.balance_file import read_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix, read_balfit_matrix
-from aerobalance.problems import ReadError
+from aerobalance.io.opening import opened_file
 
 
 def is_matrix(path: Path) -> bool:
@@ -28,10 +28,5 @@ def read_matrix(path: Path) -> BalanceMatrix:
 
 
 def _head(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            return file.read(4096).decode("latin-1").replace("\x00", "")
-    except FileNotFoundError:
-        raise ReadError(path, "", "there is no such file") from None
-    except OSError as error:
-        raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+    with opened_file(path) as file:
+        return file.read(4096).decode("latin-1").replace("\x00", "")

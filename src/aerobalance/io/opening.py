@@ -4,27 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from aerobalance.problems import ReadError
 
 
 @contextmanager
-def opened_file(path: Path) -> Iterator[BinaryIO]:
+def opened_file(path: Path) -> Iterator[BufferedReader]:
     """Open a file for reading its bytes.
 
     Raises
     ------
     ReadError
-        It is missing, a folder, or cannot be read.
+        It is missing, a folder, or cannot be opened or read.
     """
     try:
-        with path.open("rb") as stream:
+        stream = path.open("rb")
+    except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
+        raise _refusal(path, error) from None
+    with stream:
+        try:
             yield stream
-    except FileNotFoundError:
-        raise ReadError(path, "", "there is no such file") from None
-    except IsADirectoryError:
-        raise ReadError(path, "", "is a folder; a file is needed") from None
-    except OSError as error:
-        raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+        except OSError as error:
+            raise _refusal(path, error) from None
+
+
+def _refusal(path: Path, error: OSError | ValueError) -> ReadError:
+    if isinstance(error, FileNotFoundError):
+        return ReadError(path, "", "there is no such file")
+    if isinstance(error, IsADirectoryError):
+        return ReadError(path, "", "is a folder; a file is needed")
+    return ReadError(path, "", f"cannot be read: {getattr(error, 'strerror', None) or error}")

@@ -18,6 +18,7 @@ from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative
 from aerobalance.io.coupled_file import RigidMassPart, rigid_mass_from
 from aerobalance.io.messages import first_fault
+from aerobalance.io.opening import opened_file
 from aerobalance.io.toml_text import read_toml
 from aerobalance.problems import DoubtWarning, ReadError
 
@@ -99,12 +100,12 @@ def _of_json(file: Path) -> tuple[list[str], list[str], Array, Array]:
 
 
 def _of_csv(file: Path) -> tuple[list[str], list[str], Array, Array]:
+    with opened_file(file) as stream:
+        content = stream.read()
     try:
-        text = file.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise ReadError(file, "", "there is no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ReadError(file, "", f"cannot be read: {error}") from None
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ReadError(file, "", f"is no text in UTF-8: {error}") from None
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
     if not lines:
         raise ReadError(file, "", "is empty; a header with the six components and a row for each are needed")
@@ -163,12 +164,10 @@ def read_rigid_mass(path: Path | str) -> RigidMass:
 
 
 def _json(file: Path) -> dict[str, Any]:
+    with opened_file(file) as stream:
+        content = stream.read()
     try:
-        given = json.loads(file.read_bytes().decode("utf-8-sig"))
-    except FileNotFoundError:
-        raise ReadError(file, "", "there is no such file") from None
-    except OSError as error:
-        raise ReadError(file, "", f"cannot be read: {error.strerror or error}") from None
+        given = json.loads(content.decode("utf-8-sig"))
     except ValueError as error:
         raise ReadError(file, "", f"is no JSON: {error}") from None
     if not isinstance(given, dict):

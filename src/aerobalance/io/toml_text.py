@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from aerobalance.io.opening import opened_file
 from aerobalance.problems import ReadError
 
 LARGEST: Final = 1_000_000
@@ -33,13 +34,8 @@ def read_toml(path: Path, *, what: str) -> dict[str, Any]:
     ReadError
         The file is missing, too large, or no TOML.
     """
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(LARGEST + 1)
-    except FileNotFoundError:
-        raise ReadError(path, "", "there is no such file") from None
-    except (OSError, ValueError) as error:
-        raise ReadError(path, "", f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    with opened_file(path) as stream:
+        head = stream.read(LARGEST + 1)
     if len(head) > LARGEST:
         raise ReadError(path, "", f"is larger than {LARGEST / 1e6:g} MB, which {what} is not")
     try:
