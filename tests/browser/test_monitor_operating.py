@@ -199,6 +199,18 @@ def test_the_chart_is_looked_into_by_keyboard(operator) -> None:
     assert operator.said == []
 
 
+def test_pause_says_when_it_was_pressed(operator) -> None:
+    view = operator.view
+    view.mouse.move(0, 0)  # not over a chart, which would have it drawn
+    time.sleep(1.0)
+    view.click("#pause")
+    operator.until("document.getElementById('look-line').innerText.startsWith('Paused at ')")
+    assert view.is_visible("#look-line")
+    view.click("#pause")
+    operator.until("document.getElementById('look-line').hidden")
+    assert operator.said == []
+
+
 def test_the_scale_comes_back_after_a_cut_and_can_be_locked(operator) -> None:
     view = operator.view
     view.select_option("#window", "2")

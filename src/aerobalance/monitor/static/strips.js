@@ -85,6 +85,7 @@ export function hold() {
   if (held || !page.panel) return;
   held = rings.map((ring) => ring.copy());
   heldTick = view.end = newestTick;
+  later(); // nothing new that comes has it drawn: "Paused at ..." and the time axis
 }
 
 export function live() {
