@@ -152,7 +152,10 @@ def test_soft_loads_come_back_as_from_all_channels() -> None:
         assert 0.88 < covered < 0.995, f"{name}, seed {seed}"
         assert "other components show" in estimate.method
         assert estimate.shared is not None
-        assert estimate.noise == pytest.approx(balance.noise * balance.half_range[place], rel=0.03)
+        # it is judged from the upper half of the spectrum: n / 4 powers, each as uncertain as it is large, so five
+        # standard deviations are 5 / sqrt(n); a soft load still puts up to a percent there
+        off = 5 / np.sqrt(simulation.recording.samples) + 0.01
+        assert estimate.noise == pytest.approx(balance.noise * balance.half_range[place], rel=off), f"seed {seed}"
 
 
 def test_what_is_left_is_as_noisy_as_said() -> None:
