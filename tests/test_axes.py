@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from aerobalance.axes import PLACEMENT, WIND_NAMES, Frame, ResolvedLoads, coefficients, wind_loads
-from aerobalance.components import COMPONENTS, MOMENTS
-from aerobalance.coupled import VECTORS, RigidMass
+from aerobalance.components import COMPONENTS, MOMENTS, VECTORS
+from aerobalance.coupled import RigidMass
 from aerobalance.problems import DoubtWarning
 from aerobalance.weighing.model import misalignment_matrix
 from seeds import new_seed

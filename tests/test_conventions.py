@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from aerobalance.axes import Frame
-from aerobalance.components import COMPONENTS, MOMENTS
-from aerobalance.coupled import VECTORS
+from aerobalance.components import COMPONENTS, MOMENTS, VECTORS
 from aerobalance.gravity import weight_direction
 from aerobalance.ground_sensors import row_of
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from aerobalance.channel import AXES_BY_NAME, Channel
-from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
-from aerobalance.coupled import VECTORS, RigidMass
+from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, VECTORS
+from aerobalance.coupled import RigidMass
 from aerobalance.ground_fit import GroundFit
 from aerobalance.ground_sensors import ground_sensors
 from aerobalance.motion import GroundMotion

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aerobalance.channel import Array
-from aerobalance.components import COMPONENTS, MOMENTS
-from aerobalance.coupled import VECTORS
+from aerobalance.components import COMPONENTS, MOMENTS, VECTORS
 from aerobalance.problems import DoubtWarning
 
 WIND_NAMES: Final[Mapping[str, str]] = {"NF": "L", "SF": "Y", "AF": "D", "PM": "PM", "YM": "YM", "RM": "RM"}

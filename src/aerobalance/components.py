@@ -15,6 +15,16 @@ COMPONENTS: Final = ("NF", "PM", "SF", "YM", "RM", "AF")
 MOMENTS: Final = ("PM", "YM", "RM")
 """The components that are moments [N*m]; the others are forces [N]."""
 
+VECTORS: Final = {
+    "NF": (0, 0, 1),
+    "SF": (0, 1, 0),
+    "AF": (1, 0, 0),
+    "PM": (0, 1, 0),
+    "YM": (0, 0, -1),
+    "RM": (-1, 0, 0),
+}
+"""Direction of every component along aft, right, up: of the force, or of the right-handed turn of the moment."""
+
 STANDARD_GRAVITY: Final = 9.80665
 """Standard acceleration of gravity [m/s^2] (3rd CGPM, 1901); used where no local value is given."""
 

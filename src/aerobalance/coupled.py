@@ -20,19 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 
 from aerobalance.channel import Array
-from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
+from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, VECTORS
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.gravity import pull_of_gravity
-
-VECTORS: Final = {
-    "NF": (0, 0, 1),
-    "SF": (0, 1, 0),
-    "AF": (1, 0, 0),
-    "PM": (0, 1, 0),
-    "YM": (0, 0, -1),
-    "RM": (-1, 0, 0),
-}
-"""Direction of every component along aft, right, up: of the force, or of the right-handed turn of the moment."""
 
 MASS_PARAMETERS: Final = (
     "mass",

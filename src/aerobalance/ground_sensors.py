@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.channel import AXES_BY_NAME, Array, Channel, is_ground_acceleration
-from aerobalance.components import COMPONENTS, MOMENTS
-from aerobalance.coupled import VECTORS
+from aerobalance.components import COMPONENTS, MOMENTS, VECTORS
 from aerobalance.motion import bridged
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning, FitError

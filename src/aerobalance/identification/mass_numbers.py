@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from aerobalance.channel import Array
-from aerobalance.components import COMPONENTS, MOMENTS
-from aerobalance.coupled import VECTORS, RigidMass
+from aerobalance.components import COMPONENTS, MOMENTS, VECTORS
+from aerobalance.coupled import RigidMass
 
 NUMBERS: Final = 10
 """How many: mass [kg], mass times centre [kg*m], and the inertia's aa, rr, uu, ar, au, ru about the balance's centre
