@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from aerobalance.channel import Array
 from aerobalance.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
 from aerobalance.dynamics import Dynamics
+from aerobalance.linalg import root_of
 from aerobalance.problems import FitError
 
 
@@ -20,15 +21,6 @@ def drawn_numbers(generator: np.random.Generator, covariance: Array, draws: int)
     """Draws of normal numbers, shape (draws, p), whose mean is zero and whose covariance is exactly that given."""
     root = root_of(covariance)
     return np.asarray(_normals(generator, root.shape[1], draws) @ root.T)
-
-
-def root_of(covariance: Array) -> Array:
-    """A root of a covariance, shape (p, rank): worked out from the correlations, as the units lie decades apart."""
-    deviation = np.sqrt(np.diag(covariance))
-    unit = np.where(deviation > 0, deviation, 1.0)
-    level, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
-    kept = level > 1e-14 * max(float(level.max(initial=0.0)), 0.0)
-    return np.asarray(unit[:, None] * vectors[:, kept] * np.sqrt(level[kept]))
 
 
 def _normals(generator: np.random.Generator, count: int, draws: int) -> Array:

@@ -18,8 +18,8 @@ from aerobalance.components import COMPONENTS
 from aerobalance.contributions import Contribution, Systematic
 from aerobalance.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
 from aerobalance.decoupling import FINE, LoneComponent, finer
-from aerobalance.draws import root_of
 from aerobalance.estimate import Job, Through
+from aerobalance.linalg import root_of
 from aerobalance.motion import Unknown
 from aerobalance.platform_motion import PlatformMotion
 
