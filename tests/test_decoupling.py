@@ -10,8 +10,8 @@ from scipy.linalg import matrix_balance
 
 from aerobalance.channel import Array
 from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_record import later
-from aerobalance.decoupling import LoneComponent, finer
+from aerobalance.decoupling import LoneComponent
+from aerobalance.resampling import finer, later
 from aerobalance.rigs.six_balance import CoupledBalance, random_balance
 from aerobalance.rigs.six_bending import Bending, bending_dynamics
 from seeds import fresh, new_seed

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from aerobalance.channel import Array
 from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_record import CoupledRecord, at_instants, bridged
+from aerobalance.coupled_record import CoupledRecord
 from aerobalance.estimate import ForceEstimate
 from aerobalance.force import Fitted, Method, by_smoother, estimated, noise_of_job
 from aerobalance.hum import Hum
 from aerobalance.lone_job import LoneJob, load_felt, mass_rows
 from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.recording import Recording
+from aerobalance.resampling import at_instants, bridged
 from aerobalance.shared_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
 
 PASSES: Final = 2

@@ -13,10 +13,11 @@ from typing import Final
 import numpy as np
 
 from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_record import CoupledRecord, bridged
+from aerobalance.coupled_record import CoupledRecord
 from aerobalance.dynamics import Mode
 from aerobalance.estimate import ForceEstimate
 from aerobalance.recording import Recording
+from aerobalance.resampling import bridged
 from aerobalance.resonance import Averaged, missing_mode
 from aerobalance.steps import columns_of
 from aerobalance.wording import frequency_text

@@ -9,16 +9,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from aerobalance.channel import Array, Channel
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.coupled import CoupledDynamics
-from aerobalance.decoupling import FINE, LoneComponent, interpolated
+from aerobalance.decoupling import LoneComponent
 from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import FEWEST_SAMPLES
 from aerobalance.lone_job import LoneJob, load_felt, mass_rows
@@ -28,14 +25,9 @@ from aerobalance.noise_spectrum import NoiseSpectrum
 from aerobalance.platform_motion import PlatformMotion
 from aerobalance.problems import DoubtWarning, FitError
 from aerobalance.recording import Recording
+from aerobalance.resampling import EXACT, at_instants, bridged, later
 from aerobalance.sensing import corrected
 from aerobalance.shared_noise import SharedNoise
-
-AROUND: Final = 200
-"""Samples either side of a gap from which it is filled at first."""
-
-EXACT: Final = 1e-9
-"""Share of a channel's variance that its samples are taken to be exact to when a gap is filled."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,57 +263,6 @@ def noise_covariance(channels: Sequence[Channel], filled: Array) -> Array:
     # between independent channels it scatters by 1 / sqrt(2 m) over m ordinates; one in 1e8 passes this
     correlation[np.abs(correlation) < 4 / np.sqrt(upper.shape[0])] = 0.0
     return np.outer(deviation, deviation) * correlation
-
-
-def bridged(loads: Array) -> Array:
-    """Loads with their gaps filled from the samples around them, shape (samples, n).
-
-    The best guess of a process with the record's own autocovariance: straight lines would look like sudden forces.
-    """
-    filled = loads.copy()
-    index = np.arange(loads.shape[0])
-    for column in filled.T:
-        gap = ~np.isfinite(column)
-        if not gap.any():
-            continue
-        column[gap] = np.interp(index[gap], index[~gap], column[~gap])
-        mean = column.mean()
-        power = np.abs(np.fft.rfft(column - mean, 2 * column.size)) ** 2
-        covariance = np.fft.irfft(power)[: column.size] / column.size
-        for first, last in _runs(gap):
-            known = index[max(first - AROUND, 0) : last + AROUND]
-            known = known[~gap[known]]
-            across = covariance[np.abs(known[:, None] - known)] + EXACT * covariance[0] * np.eye(known.size)
-            weights = np.linalg.solve(across, covariance[np.abs(known[:, None] - np.arange(first, last))])
-            column[first:last] = mean + weights.T @ (column[known] - mean)
-    return filled
-
-
-def _runs(gap: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First sample of every gap and the first one after it."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], gap, [False]])))
-    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
-
-
-def at_instants(loads: Array, channels: Sequence[Channel], *, to: Channel, interval: float) -> Array:
-    """Loads at the instants at which one channel was sampled, shape (samples, n)."""
-    late = [channel.delay - to.delay for channel in channels]
-    if not any(late):
-        return loads
-    return np.column_stack([later(column, by, interval=interval) for column, by in zip(loads.T, late, strict=True)])
-
-
-def later(series: Array, by: float, *, interval: float) -> Array:
-    """A band-limited series, shape (samples, ...), at instants that are later by so much [s].
-
-    Less than a sample beyond its ends it goes on as it goes there; farther out it is held.
-    """
-    if not by or not series.any():
-        return series
-    count = series.shape[0]
-    fine = interpolated(series)[: FINE * (count - 1) + 1]
-    place = np.clip(np.arange(count) + by / interval, -1.0, float(count))
-    return np.asarray(CubicSpline(np.arange(fine.shape[0]) / FINE, fine)(place))
 
 
 def _at_rest(platform: PlatformMotion, dynamics: CoupledDynamics, lone: LoneComponent) -> GroundMotion:

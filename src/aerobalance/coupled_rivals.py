@@ -17,7 +17,7 @@ from aerobalance.channel import Array, Channel
 from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.coupled_force import filled_by, reconstruct_coupled
-from aerobalance.coupled_record import CoupledRecord, bridged
+from aerobalance.coupled_record import CoupledRecord
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.estimate import ForceEstimate, Job
 from aerobalance.force import estimated
@@ -25,6 +25,7 @@ from aerobalance.motion import GroundMotion
 from aerobalance.prior import learn
 from aerobalance.problems import FitError
 from aerobalance.recording import Recording
+from aerobalance.resampling import bridged
 from aerobalance.rivals import (
     THIS,
     ZERO_PHASE,

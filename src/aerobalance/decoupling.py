@@ -20,31 +20,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.signal import resample_poly
 
 from aerobalance.channel import Array
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.dynamics import Dynamics, Mode
 from aerobalance.elimination import Eliminated, modes_of, shares_of, stable_factor
-
-FINE: Final = 4
-"""Steps into which a sampling interval is divided where readings drive a balance between samples."""
-
-SHARPNESS: Final = 12.0
-"""Parameter of the Kaiser window of the interpolation.
-
-It leaves errors below 3e-6 up to 0.3 of the sampling rate. A component may feel a hundred times the force that is to
-be found in another.
-"""
-
-EDGE: Final = 12
-"""Samples at either end of a record that the window of the band-limited interpolation reaches beyond."""
+from aerobalance.resampling import FINE, finer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,32 +225,3 @@ def _balance(component: str, modes: Sequence[Mode], common: Array) -> Dynamics:
     ]
     single = Dynamics(component, mass=w0**-2, stiffness=1.0, damping=2 * first.damping_ratio / w0)
     return single.with_modes(*further)
-
-
-def interpolated(series: Array) -> Array:
-    """Series (samples, c) on a clock `FINE` times as fast, band-limited; shape (FINE samples, c)."""
-    first = series[:1]
-    fine = np.asarray(
-        first + resample_poly(series - first, FINE, 1, axis=0, window=("kaiser", SHARPNESS), padtype="line")
-    )
-    # near the ends the window reaches beyond the record: a spline through the samples there knows better
-    count = series.shape[0]
-    near, part = min(EDGE, count), min(4 * EDGE, count)
-    clock = np.arange(part)
-    fine[: FINE * near] = CubicSpline(clock, series[:part])(np.arange(FINE * near) / FINE)
-    late = np.arange(FINE * (count - near), FINE * count) / FINE - (count - part)
-    fine[FINE * (count - near) :] = CubicSpline(clock, series[count - part :])(np.minimum(late, part - 1))
-    return fine
-
-
-def finer(series: Array) -> Array:
-    """The same, such that straight lines between its points do it no harm.
-
-    Straight lines between samples lose (w h)^2 / 12 of a sine of angular frequency w; a twelfth of the second
-    difference, taken off beforehand, gives it back, and what is lost is (w h)^4 / 240.
-    """
-    count = series.shape[0]
-    fine = interpolated(series)
-    bend = np.diff(fine[: FINE * (count - 1) + 1], 2, axis=0) / 12
-    fine[: FINE * (count - 1) + 1] -= np.concatenate([bend[:1], bend, bend[-1:]])
-    return fine

@@ -1,7 +1,7 @@
 r"""Modes of a balance driven by series as they come in, from sample to sample.
 
 A mode 1 / (1 + d s + a s^2) is driven by u + s v. Between samples u and v are interpolated band-limited to a clock
-`FINE` times as fast, and straight there, as `aerobalance.decoupling.finer` does with a whole record; the response at
+`FINE` times as fast, and straight there, as `aerobalance.resampling.finer` does with a whole record; the response at
 the samples is then exactly
 
     y_k = tr y_(k-1) - det y_(k-2) + sum over t of g_t u_(k+t) + h_t v_(k+t),
@@ -20,8 +20,8 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from aerobalance.channel import Array
-from aerobalance.decoupling import FINE, SHARPNESS
 from aerobalance.dynamics import Mode
+from aerobalance.resampling import FINE, SHARPNESS
 
 REACH: Final = 10
 """Samples on either side that an interpolated value is made from."""
@@ -134,7 +134,7 @@ def _fine_step(generator: Array, gain: Array, step: float) -> tuple[Array, Array
 def _between(shift: float) -> tuple[Array, int]:
     """Weights of samples in a series on the fine clock over the interval up to a sample, shape (FINE + 1, t).
 
-    As `aerobalance.decoupling.finer` makes it: a twelfth of the second difference is taken off, so that straight lines
+    As `aerobalance.resampling.finer` makes it: a twelfth of the second difference is taken off, so that straight lines
     between its points do no harm. The first weight is that of the sample of the number returned beside them.
     """
     weights, first = interpolation(shift)

@@ -17,11 +17,12 @@ from aerobalance.channel import Array, Channel
 from aerobalance.components import COMPONENTS
 from aerobalance.contributions import Contribution, Systematic
 from aerobalance.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
-from aerobalance.decoupling import FINE, LoneComponent, finer
+from aerobalance.decoupling import LoneComponent
 from aerobalance.estimate import Job, Through
 from aerobalance.linalg import root_of
 from aerobalance.motion import Unknown
 from aerobalance.platform_motion import PlatformMotion
+from aerobalance.resampling import FINE, finer
 
 FAINT: Final = 1e-3
 """Rms of an error in a reading over its noise that is nothing beside it."""

@@ -29,7 +29,7 @@ from aerobalance.components import STANDARD_GRAVITY
 from aerobalance.contributions import Noise, Systematic
 from aerobalance.coupled import CoupledDynamics
 from aerobalance.coupled_force import filled_by
-from aerobalance.coupled_record import CoupledRecord, bridged
+from aerobalance.coupled_record import CoupledRecord
 from aerobalance.draws import drawn_coupled, drawn_dynamics, drawn_numbers
 from aerobalance.dynamics import Dynamics
 from aerobalance.estimate import ForceEstimate, Job
@@ -39,6 +39,7 @@ from aerobalance.motion import GroundMotion
 from aerobalance.prior import Learned, Reading
 from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Recording
+from aerobalance.resampling import bridged
 from aerobalance.smoothing import Estimator
 from aerobalance.steps import Step, shape_of
 from aerobalance.uncertainty import noise_power, scalars

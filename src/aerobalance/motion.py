@@ -13,12 +13,12 @@ from scipy.signal import resample_poly
 
 from aerobalance.channel import Array, Channel
 from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.decoupling import SHARPNESS
 from aerobalance.dynamics import Dynamics
 from aerobalance.gravity import Pull
 from aerobalance.noise import channel_noise
 from aerobalance.problems import DoubtWarning
 from aerobalance.recording import Recording
+from aerobalance.resampling import SHARPNESS
 from aerobalance.sensing import corrected, divided, high_pass
 
 FINE: Final = 8

@@ -26,10 +26,11 @@ from scipy.ndimage import minimum_filter1d
 from scipy.signal import oaconvolve
 
 from aerobalance.channel import Array
-from aerobalance.decoupling import EDGE, LoneComponent
+from aerobalance.decoupling import LoneComponent
 from aerobalance.dynamics import Dynamics
 from aerobalance.noise_spectrum import ShapedNoise
 from aerobalance.prior import Learned, Reading, bridged
+from aerobalance.resampling import EDGE
 from aerobalance.shaping import ShapingFilter
 from aerobalance.spectrum import Periodogram
 

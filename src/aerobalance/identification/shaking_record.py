@@ -11,7 +11,6 @@ from scipy.signal import detrend
 
 from aerobalance.channel import Array
 from aerobalance.components import COMPONENTS
-from aerobalance.coupled_record import bridged, later
 from aerobalance.ground_sensors import ground_sensors
 from aerobalance.identification.free_motion import Complex
 from aerobalance.identification.mass_numbers import NUMBERS, mass_basis, turning_basis
@@ -22,6 +21,7 @@ from aerobalance.noise import channel_noise
 from aerobalance.platform_motion import PlatformMotion
 from aerobalance.problems import FitError
 from aerobalance.recording import Recording
+from aerobalance.resampling import bridged, later
 from aerobalance.sensing import corrected
 
 BLOCK: Final = 32
