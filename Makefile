@@ -63,7 +63,7 @@ $(READY): requirements/runtime.txt requirements/build.txt pyproject.toml
 	$(INSTALL) --require-hashes -r requirements/runtime.txt -r requirements/build.txt
 	$(INSTALL) --no-build-isolation --no-deps -e .
 	# compiled here once, so that the first page does not wait for it
-	$(BIN)/python -c "from aerobalance.monitor.engine import warm_up; warm_up()"
+	$(BIN)/python -c "from aerobalance.app.monitor.engine import warm_up; warm_up()"
 	touch $@
 
 $(TEST_READY): $(READY) requirements/test.txt

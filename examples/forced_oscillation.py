@@ -19,11 +19,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.integrate import cumulative_trapezoid
 
-from aerobalance.components import COMPONENTS, MOMENTS
-from aerobalance.coupled_force import reconstruct_coupled
-from aerobalance.derivatives import regress
-from aerobalance.platform_motion import PlatformMotion
-from aerobalance.rigs import Band, SixComponentRig, broadband, oscillation, random_balance, random_motion
+from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.motion.platform import PlatformMotion
+from aerobalance.recording.components import COMPONENTS, MOMENTS
+from aerobalance.simulation import Band, SixComponentRig, broadband, oscillation, random_balance, random_motion
+from aerobalance.uncertainty.regression import regress
 
 RATE, DURATION = 2500.0, 2.0  # Hz, s: 14 cycles of pitch, 22 of yaw
 BANDWIDTH = 80.0  # far above both, so that nothing of the derivatives is lost [Hz]

@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from aerobalance.derivatives import regress
-from aerobalance.dynamics import Dynamics
-from aerobalance.force import reconstruct
-from aerobalance.identification.decay import identify_decay
-from aerobalance.recording import Recording
-from aerobalance.rigs import CableCut, Sensor, band_noise
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.force import reconstruct
+from aerobalance.identification.free_decay.fit import identify_decay
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import CableCut, Sensor, band_noise
+from aerobalance.uncertainty.regression import regress
 
 RATE, DURATION, RELEASE, RELEASES = 1000.0, 3.5, 1.0, 4  # Hz, s, s, and how many wind on
 BANDWIDTH, INNER = 40.0, slice(150, -150)  # Hz; a band-limited force is less sure where the record breaks off

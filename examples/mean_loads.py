@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from aerobalance.components import COMPONENTS, si_unit
-from aerobalance.coupled_force import reconstruct_coupled
-from aerobalance.derivatives import regress
-from aerobalance.rigs import Band, SixComponentRig, broadband, random_balance, random_motion, together
+from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.recording.components import COMPONENTS, si_unit
+from aerobalance.simulation import Band, SixComponentRig, broadband, random_balance, random_motion, together
+from aerobalance.uncertainty.regression import regress
 
 RATE, DURATION = 3000.0, 0.3  # Hz, s
 INNER = slice(75, -75)  # the mean of 0.25 s; where the record breaks off, the force is less sure

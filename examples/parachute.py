@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from aerobalance.dynamics import Dynamics
-from aerobalance.force import reconstruct
-from aerobalance.rigs import CableCut, Sensor, band_noise
-from aerobalance.uncertainty import scalars
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.force import reconstruct
+from aerobalance.simulation import CableCut, Sensor, band_noise
+from aerobalance.uncertainty.budget import scalars
 
 RATE, DURATION = 2000.0, 1.2  # Hz, s
 BALANCE = Dynamics("AF", mass=20.0, stiffness=20.0 * (2 * np.pi * 45) ** 2, damping=0.01 * 2 * 20.0 * 2 * np.pi * 45)

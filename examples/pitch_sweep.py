@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from aerobalance.axes import ResolvedLoads, coefficients, wind_loads
-from aerobalance.components import COMPONENTS, MOMENTS
-from aerobalance.coupled_force import reconstruct_coupled
-from aerobalance.derivatives import regress
-from aerobalance.rigs import Band, SixComponentRig, broadband, random_balance, random_motion
-from aerobalance.rigs.six_signals import BaseMotion
+from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.recording.components import COMPONENTS, MOMENTS
+from aerobalance.recording.frames import ResolvedLoads, coefficients, wind_loads
+from aerobalance.simulation import Band, SixComponentRig, broadband, random_balance, random_motion
+from aerobalance.simulation.six_signals import BaseMotion
+from aerobalance.uncertainty.regression import regress
 
 RATE, DURATION, HOLD = 2500.0, 2.0, 0.15  # Hz, s, and s of rest before and after the sweep
 FIRST, LAST, LEVER = np.radians(-4.0), np.radians(12.0), 0.3  # rad, m

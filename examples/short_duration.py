@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from aerobalance.derivatives import regress
-from aerobalance.dynamics import Dynamics
-from aerobalance.force import reconstruct
-from aerobalance.rigs import CableCut, Sensor, band_noise
-from aerobalance.rivals import Settings, low_pass, raw_reading
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.force import reconstruct
+from aerobalance.simulation import CableCut, Sensor, band_noise
+from aerobalance.uncertainty.regression import regress
+from aerobalance.validation.baselines import Settings, low_pass, raw_reading
 
 RATE, DURATION = 25_000.0, 0.05  # Hz, s
 BALANCE = Dynamics("AF", mass=4.0, stiffness=4.0 * (2 * np.pi * 320) ** 2, damping=0.005 * 2 * 4.0 * 2 * np.pi * 320)

@@ -6,8 +6,8 @@ from tempfile import mkdtemp
 
 import pytest
 
-from aerobalance.demo import run_demo
-from aerobalance.problems import DoubtWarning
+from aerobalance.app.demos.demo import run_demo
+from aerobalance.recording.errors import DoubtWarning
 from seeds import new_seed, running
 
 

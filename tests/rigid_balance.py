@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.linalg import eigh
 
-from aerobalance.channel import Array
-from aerobalance.components import COMPONENTS
-from aerobalance.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS
 
 HALF_RANGE = np.array([2000.0, 150.0, 800.0, 80.0, 60.0, 500.0])
 RANGES = dict(zip(COMPONENTS, HALF_RANGE.tolist(), strict=True))

@@ -6,12 +6,12 @@ import time
 
 from starlette.testclient import TestClient
 
-from aerobalance.acquire.simulated import RigSettings, SimulatedSource
-from aerobalance.monitor.access import Door
-from aerobalance.monitor.folder import Folder
-from aerobalance.monitor.server import Page
-from aerobalance.monitor.setups import rig_setup
-from aerobalance.monitor.station import Beginning
+from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
+from aerobalance.app.monitor.access import Door
+from aerobalance.app.monitor.folder import Folder
+from aerobalance.app.monitor.server import Page
+from aerobalance.app.monitor.setups import rig_setup
+from aerobalance.app.monitor.station import Beginning
 from seeds import new_seed
 
 BASE = "http://127.0.0.1:8765"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from aerobalance import _term_kernels as kernels
-from aerobalance.balance import BalanceMatrix
-from aerobalance.channel import Array
-from aerobalance.rigs.calibration_stand import CAPACITIES, SimulatedCalibration
-from aerobalance.terms import codes
+from aerobalance.balance import _term_kernels as kernels
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.terms import codes
+from aerobalance.recording.channel import Array
+from aerobalance.simulation.calibration_stand import CAPACITIES, SimulatedCalibration
 
 
 def tare_bound(balance: BalanceMatrix, run: SimulatedCalibration, *, noise: float) -> Array:

@@ -12,16 +12,16 @@ import pytest
 import typer.main
 
 import aerobalance
-from aerobalance.channel import Channel
-from aerobalance.cli.program import app
-from aerobalance.dynamics import Dynamics, Mode
-from aerobalance.identification.decay import _kept_modes, _way_to_take_it_up, identify_decay
-from aerobalance.identification.onset import first_look
-from aerobalance.identification.ring import Line, fit_ring
-from aerobalance.misfit import Misfit, misfit_of
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.wording import damping_text, frequency_text, percent_text, share_text
+from aerobalance.app.cli.program import app
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.identification.free_decay.event import first_look
+from aerobalance.identification.free_decay.fit import _kept_modes, _way_to_take_it_up, identify_decay
+from aerobalance.identification.free_decay.waveform import Line, fit_ring
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.recording.wording import damping_text, frequency_text, percent_text, share_text
+from aerobalance.validation.model_check import Misfit, misfit_of
 
 SOURCE = Path(aerobalance.__file__).parent
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from aerobalance.angle_turning import turning_by_angles
-from aerobalance.channel import Channel
-from aerobalance.commands.known import Coupled
-from aerobalance.components import COMPONENTS
-from aerobalance.coupled_force import reconstruct_coupled
-from aerobalance.problems import DoubtWarning
-from aerobalance.rigs import SixComponentRig
-from aerobalance.rigs.six_balance import random_balance
-from aerobalance.rigs.six_components import SixSimulation
-from aerobalance.rigs.six_signals import Band, random_motion
+from aerobalance.app.commands.known import Coupled
+from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.simulation import SixComponentRig
+from aerobalance.simulation.six_balance import random_balance
+from aerobalance.simulation.six_components import SixSimulation
+from aerobalance.simulation.six_signals import Band, random_motion
+from aerobalance.validation.unmeasured_rotation import turning_by_angles
 from seeds import fresh
 
 DURATION = 1.0

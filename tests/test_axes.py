@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from aerobalance.axes import PLACEMENT, WIND_NAMES, Frame, ResolvedLoads, coefficients, wind_loads
-from aerobalance.components import COMPONENTS, MOMENTS, VECTORS
-from aerobalance.coupled import RigidMass
-from aerobalance.problems import DoubtWarning
-from aerobalance.weighing.model import misalignment_matrix
+from aerobalance.balance.weighing.model import misalignment_matrix
+from aerobalance.dynamics.coupled import RigidMass
+from aerobalance.recording.components import COMPONENTS, MOMENTS, VECTORS
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.frames import PLACEMENT, WIND_NAMES, Frame, ResolvedLoads, coefficients, wind_loads
 from seeds import new_seed
 
 NF, PM, SF, YM, RM, AF = range(6)

@@ -11,12 +11,12 @@ import scipy.optimize
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerobalance import _term_kernels as kernels
-from aerobalance.balance import BalanceMatrix
-from aerobalance.components import COMPONENTS
-from aerobalance.forms import FORMS, Form, Geometry, between_forms, role_of, to_direct
-from aerobalance.rigs.calibration_stand import CAPACITIES, random_balance
-from aerobalance.terms import KINDS, codes, terms_of
+from aerobalance.balance import _term_kernels as kernels
+from aerobalance.balance.load_formats import FORMS, Form, Geometry, between_forms, role_of, to_direct
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.terms import KINDS, codes, terms_of
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.simulation.calibration_stand import CAPACITIES, random_balance
 from seeds import generator
 
 MODELS = ("linear", "quadratic", "abs", "27", "96")
@@ -255,7 +255,7 @@ def test_output_of_many_samples_is_that_of_few(monkeypatch: pytest.MonkeyPatch) 
     matrix = random_balance(int(rng.integers(2**31)))
     loads = some_loads(rng, 23)
     whole, covariance = matrix.outputs(loads), matrix.load_covariance(loads)
-    monkeypatch.setattr("aerobalance.balance.CHUNK", 5)
+    monkeypatch.setattr("aerobalance.balance.matrix.CHUNK", 5)
     np.testing.assert_allclose(matrix.outputs(loads), whole, rtol=0, atol=1e-14)
     np.testing.assert_array_equal(matrix.load_covariance(loads), covariance)
     assert matrix.outputs(loads[:0]).shape == (0, 6)

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from aerobalance.balance import BalanceMatrix
-from aerobalance.calibration.doubts import doubt_quality
-from aerobalance.calibration.fit import Calibration, calibrate
-from aerobalance.calibration.quality import assess
-from aerobalance.calibration.regression import regress
-from aerobalance.channel import Array
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, SimulatedCalibration, random_balance
-from aerobalance.schedule import Schedule
-from aerobalance.terms import terms_of
+from aerobalance.balance.calibration.fit import Calibration, calibrate
+from aerobalance.balance.calibration.fit_warnings import doubt_quality
+from aerobalance.balance.calibration.quality import assess
+from aerobalance.balance.calibration.regression import regress
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.schedule import Schedule
+from aerobalance.balance.terms import terms_of
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, SimulatedCalibration, random_balance
 from seeds import generator, seed_from, trials
 from tare_bound import tare_bound
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from aerobalance.balance import BalanceMatrix, TemperatureEffect
-from aerobalance.calibration.drift import SIGNIFICANCE, compare_calibrations
-from aerobalance.calibration.fit import calibrate
-from aerobalance.problems import FitError
-from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from aerobalance.schedule import Schedule
+from aerobalance.balance.calibration.comparison import SIGNIFICANCE, compare_calibrations
+from aerobalance.balance.calibration.fit import calibrate
+from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
+from aerobalance.balance.schedule import Schedule
+from aerobalance.recording.errors import FitError
+from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from seeds import generator, seed_from
 
 FALSE_ALARM = 1e-6

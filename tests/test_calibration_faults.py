@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.calibration.fit import calibrate
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from aerobalance.schedule import Schedule
+from aerobalance.balance.calibration.fit import calibrate
+from aerobalance.balance.schedule import Schedule
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from seeds import generator
 
 NOISE = 0.7e-3

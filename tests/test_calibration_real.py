@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.calibration.fit import Calibration, calibrate
-from aerobalance.calibration.quality import assess
+from aerobalance.balance.calibration.fit import Calibration, calibrate
+from aerobalance.balance.calibration.quality import assess
+from aerobalance.balance.terms import terms_of
 from aerobalance.io.schedule import read_schedule
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.terms import terms_of
+from aerobalance.recording.errors import DoubtWarning, FitError
 from seeds import generator
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "internal-balance"

@@ -13,11 +13,9 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from aerobalance import __version__, calibration_report
-from aerobalance.balance import TemperatureEffect
-from aerobalance.calibration.fit import Calibration, calibrate
-from aerobalance.calibration.quality import Outlier, Quality, assess
-from aerobalance.calibration_figures import (
+from aerobalance import __version__
+from aerobalance.app.reports import calibration_report
+from aerobalance.app.reports.calibration_figures import (
     MARKERS,
     MOST_STYLES,
     _mark_outliers,
@@ -26,10 +24,13 @@ from aerobalance.calibration_figures import (
     series_key,
     series_style,
 )
-from aerobalance.calibration_report import _terms, write_calibration_report
-from aerobalance.page import PLACE_HOLDERS, decimals, empty_figure, fixed
-from aerobalance.problems import ReadError
-from aerobalance.rigs.calibration_stand import CalibrationStand, random_balance
+from aerobalance.app.reports.calibration_report import _terms, write_calibration_report
+from aerobalance.app.reports.page import PLACE_HOLDERS, decimals, empty_figure, fixed
+from aerobalance.balance.calibration.fit import Calibration, calibrate
+from aerobalance.balance.calibration.quality import Outlier, Quality, assess
+from aerobalance.balance.matrix import TemperatureEffect
+from aerobalance.recording.errors import ReadError
+from aerobalance.simulation.calibration_stand import CalibrationStand, random_balance
 from html_pages import Balanced
 from seeds import new_seed
 

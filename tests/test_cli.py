@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, filtfilt
 
-from aerobalance.cli import main
+from aerobalance.app.cli import main
 from seeds import new_seed
 
 MASS, STIFFNESS, DAMPING = 177.87, 3.4e7, 3000.0

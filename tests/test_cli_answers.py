@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.channel import Channel
-from aerobalance.cli import main
-from aerobalance.commands.answers import rounded
-from aerobalance.commands.weighing import mass_number
+from aerobalance.app.cli import main
+from aerobalance.app.commands.answers import rounded
+from aerobalance.app.commands.weighing import mass_number
 from aerobalance.io import read_table, write_force
-from aerobalance.recording import Force, Recording
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.recording import Force, Recording
 
 HAND_MADE = {
     "components": {"AF": {"mass": {"value": 42.0}, "stiffness": {"value": 5.6e6}, "damping": {"value": 250.0}}}
@@ -220,7 +220,7 @@ def test_an_input_is_never_replaced(here, capsys):
 
 LIMITED = """
 import resource, sys
-from aerobalance.cli import run
+from aerobalance.app.cli import run
 resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, resource.RLIM_INFINITY))
 run()
 """
@@ -250,7 +250,7 @@ def test_a_late_failure_says_what_was_written(here):
 
 
 def test_dash_is_standard_input_and_output(here):
-    program = [sys.executable, "-m", "aerobalance.cli"]
+    program = [sys.executable, "-m", "aerobalance.app.cli"]
     given = Path("run.csv").read_bytes()
     done = subprocess.run([*program, "convert", "-", "-o", "-"], input=given, capture_output=True, check=True)
     assert np.array_equal(np.loadtxt(io.BytesIO(done.stdout), delimiter=",", skiprows=1).T, columns())
@@ -297,7 +297,7 @@ def test_a_component_may_be_written_small_and_a_flag_takes_no_value(here, capsys
 
 def test_shells_complete_the_commands(here):
     done = subprocess.run(
-        [sys.executable, "-m", "aerobalance.cli"],
+        [sys.executable, "-m", "aerobalance.app.cli"],
         env={"PATH": "", "PYTHONPATH": ":".join(sys.path), "_AEROBALANCE_COMPLETE": "complete_bash"}
         | {"COMP_WORDS": "aerobalance iden", "COMP_CWORD": "1"},
         capture_output=True,
@@ -412,7 +412,7 @@ def test_repeated_time_stamps_are_named(here, capsys):
 def test_a_reader_that_has_seen_enough_is_no_failure(here):
     rows = (f"{i / 1000:.3f},{i}.125" for i in range(20_000))  # more than a pipe holds
     Path("long.csv").write_text("\n".join(["time [s],AF [N]", *rows]) + "\n")
-    line = f"{sys.executable} -m aerobalance.cli convert long.csv -o - | head -n 1; exit ${{PIPESTATUS[0]}}"
+    line = f"{sys.executable} -m aerobalance.app.cli convert long.csv -o - | head -n 1; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
     assert (done.returncode, "Error" in done.stderr) == (0, False), done.stderr
     assert done.stdout.count("\n") == 1

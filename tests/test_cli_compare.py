@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance import tables
-from aerobalance.channel import Channel
-from aerobalance.cli import main
-from aerobalance.commands.compare import compare
-from aerobalance.dynamics import Mode
+from aerobalance.app.cli import main
+from aerobalance.app.commands.compare import compare
+from aerobalance.app.demos import tables
+from aerobalance.dynamics.single import Mode
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
-from aerobalance.published import CABLE_CUT, TABLE_1, TABLE_2
-from aerobalance.recording import Recording
-from aerobalance.rigs import CableCut, Sensor, band_noise
-from aerobalance.rivals import RIVALS, THIS, TUNED
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import CableCut, Sensor, band_noise
+from aerobalance.simulation.published import CABLE_CUT, TABLE_1, TABLE_2
+from aerobalance.validation.baselines import RIVALS, THIS, TUNED
 from seeds import new_seed
 
 T128 = CABLE_CUT.dynamics

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.cli import main
-from aerobalance.rigs import Sweep, VibrationRig
+from aerobalance.app.cli import main
+from aerobalance.simulation import Sweep, VibrationRig
 
 MASS, FREQUENCY, RATIO = 20.0, 25.0, 0.01
 SENSITIVITY = np.array([[0.01, 0.002], [-0.001, 0.05]])

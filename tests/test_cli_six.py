@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.cli import main
-from aerobalance.components import COMPONENTS
+from aerobalance.app.cli import main
 from aerobalance.io import read, write_recording
 from aerobalance.io.coupled_file import write_coupled
-from aerobalance.rigs import SixComponentRig
-from aerobalance.rigs.six_balance import CoupledBalance, random_balance
-from aerobalance.rigs.six_components import Release, SixSimulation
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.simulation import SixComponentRig
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
+from aerobalance.simulation.six_components import Release, SixSimulation
 from seeds import new_seed
 
 

@@ -12,18 +12,18 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from aerobalance.cli import main
-from aerobalance.commands.balance_files import BalanceFiles
-from aerobalance.commands.release_loads import releases_felt
-from aerobalance.components import COMPONENTS
+from aerobalance.app.cli import main
+from aerobalance.app.commands.balance_files import BalanceFiles
+from aerobalance.app.commands.release_loads import releases_felt
+from aerobalance.app.demos.six_demo import PULLED, Folder, bearable, still, weighed
 from aerobalance.io import read
 from aerobalance.io.balance_file import write_balance
 from aerobalance.io.coupled_file import read_coupled
-from aerobalance.problems import DoubtWarning
-from aerobalance.rigs.six_balance import CoupledBalance, random_balance
-from aerobalance.rigs.six_components import Release
-from aerobalance.rigs.six_signals import Band, broadband
-from aerobalance.six_demo import PULLED, Folder, bearable, still, weighed
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
+from aerobalance.simulation.six_components import Release
+from aerobalance.simulation.six_signals import Band, broadband
 from seeds import fresh
 
 LEFT = 1e-5

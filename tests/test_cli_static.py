@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.balance import BalanceMatrix
-from aerobalance.channel import Array
-from aerobalance.cli import main
-from aerobalance.gravity import Attitudes
+from aerobalance.app.cli import main
+from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.io.balance_file import read_balance
 from aerobalance.io.schedule import read_schedule, write_balfit_schedule
 from aerobalance.io.weighing_file import read_weighing, write_weighing
-from aerobalance.problems import ReadError
-from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import ReadError
+from aerobalance.recording.gravity import Attitudes
+from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from seeds import new_seed
 
 GRAVITY = 9.80665

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.cli import main
-from aerobalance.components import STANDARD_GRAVITY
-from aerobalance.dynamics import Dynamics
+from aerobalance.app.cli import main
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.recording.components import STANDARD_GRAVITY
 from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance import noise_floor
-from aerobalance.channel import Channel
-from aerobalance.force import noise_of as noise_of_record
-from aerobalance.force import reconstruct
-from aerobalance.noise_floor import lasts
-from aerobalance.noise_spectrum import Hump, NoiseSpectrum
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.stream import LiveForce
+from aerobalance.estimation.force import noise_of as noise_of_record
+from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.live.live_force import LiveForce
+from aerobalance.estimation.spectra import noise_floor
+from aerobalance.estimation.spectra.noise_floor import lasts
+from aerobalance.estimation.spectra.noise_spectrum import Hump, NoiseSpectrum
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
 from seeds import fresh
 from test_noise_spectrum import RATE, T128, WHITE, noise_of
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.axes import Frame
-from aerobalance.components import COMPONENTS, MOMENTS, VECTORS
-from aerobalance.gravity import weight_direction
-from aerobalance.ground_sensors import row_of
+from aerobalance.motion.sensors import row_of
+from aerobalance.recording.components import COMPONENTS, MOMENTS, VECTORS
+from aerobalance.recording.frames import Frame
+from aerobalance.recording.gravity import weight_direction
 
 DOCS = Path(__file__).parents[1] / "docs"
 WORDS = {

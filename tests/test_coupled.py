@@ -9,12 +9,12 @@ from scipy.linalg import eigh
 from scipy.signal import lsim
 from scipy.stats import chi2
 
-from aerobalance.components import COMPONENTS, MOMENTS
-from aerobalance.coupled import CoupledDynamics, RigidMass
-from aerobalance.dynamics import Dynamics
-from aerobalance.gravity import weight_direction
-from aerobalance.rigs import random_balance
-from aerobalance.weighing.model import WeightModel
+from aerobalance.balance.weighing.model import WeightModel
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.recording.components import COMPONENTS, MOMENTS
+from aerobalance.recording.gravity import weight_direction
+from aerobalance.simulation import random_balance
 from seeds import fresh
 
 AFT, RIGHT, UP = np.eye(3)

@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.channel import Array, Channel
-from aerobalance.contributions import Systematic
-from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_force import reconstruct_coupled
-from aerobalance.dynamics import Dynamics
-from aerobalance.force import reconstruct
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.rigs import SixComponentRig
-from aerobalance.rigs.six_balance import CoupledBalance, random_balance
-from aerobalance.rigs.six_components import Release, SixSimulation
-from aerobalance.rigs.six_signals import Band, broadband, random_motion
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.estimation.error_sources import Systematic
+from aerobalance.estimation.force import reconstruct
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import SixComponentRig
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
+from aerobalance.simulation.six_components import Release, SixSimulation
+from aerobalance.simulation.six_signals import Band, broadband, random_motion
 from seeds import new_seed
 
 DURATION = 0.25

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.channel import Array
-from aerobalance.cli import main
-from aerobalance.coupled import CoupledDynamics, RigidMass
-from aerobalance.coupled_planning import Sensors, attainable_coupled, usual_bandwidths_of_coupled
-from aerobalance.dynamics import Dynamics
+from aerobalance.app.cli import main
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.io.coupled_file import write_coupled
-from aerobalance.planning import attainable
-from aerobalance.rigs.six_balance import random_balance
+from aerobalance.recording.channel import Array
+from aerobalance.simulation.six_balance import random_balance
+from aerobalance.uncertainty.coupled_planning import Sensors, attainable_coupled, usual_bandwidths_of_coupled
+from aerobalance.uncertainty.planning import attainable
 from test_coupled_uncertainty import NOISE, RATE, SIZE, fresh, pair
 
 NAMES = ("NF", "PM")

@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.channel import Channel
-from aerobalance.cli import main
-from aerobalance.commands.compare import compare
-from aerobalance.components import si_unit
-from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_rivals import TUNED, estimates_of_coupled, own_response
+from aerobalance.app.cli import main
+from aerobalance.app.commands.compare import compare
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.io import write_recording
 from aerobalance.io.coupled_file import write_coupled
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.rivals import THIS
-from aerobalance.scores import Truth
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.validation.baselines import THIS
+from aerobalance.validation.coupled_baselines import TUNED, estimates_of_coupled, own_response
+from aerobalance.validation.scores import Truth
 from test_coupled_uncertainty import NOISE, RATE, SIZE, colored, fresh, pair, recording_of, shaken
 
 EXACT = replace(pair(), covariance=np.zeros((8, 8)))

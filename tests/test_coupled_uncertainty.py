@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.channel import Array, Channel
-from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
-from aerobalance.coupled import CoupledDynamics, RigidMass
-from aerobalance.coupled_force import noise_of_coupled, reconstruct_coupled
-from aerobalance.coupled_record import CoupledRecord
-from aerobalance.draws import drawn_coupled
-from aerobalance.gravity import Attitudes, PullOnZero
-from aerobalance.monte_carlo import monte_carlo_of_coupled
-from aerobalance.problems import FitError
-from aerobalance.recording import Recording
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.estimation.coupled_force import noise_of_coupled, reconstruct_coupled
+from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
+from aerobalance.recording.errors import FitError
+from aerobalance.recording.gravity import Attitudes, PullOnZero
+from aerobalance.recording.recording import Recording
+from aerobalance.uncertainty.monte_carlo import monte_carlo_of_coupled
+from aerobalance.uncertainty.sampling import drawn_coupled
 from seeds import fresh
 
 RATE, COUNT = 4000.0, 2000

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.linalg import matrix_balance
 
-from aerobalance.channel import Array
-from aerobalance.coupled import CoupledDynamics
-from aerobalance.decoupling import LoneComponent
-from aerobalance.resampling import finer, later
-from aerobalance.rigs.six_balance import CoupledBalance, random_balance
-from aerobalance.rigs.six_bending import Bending, bending_dynamics
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.decoupling import LoneComponent
+from aerobalance.recording.channel import Array
+from aerobalance.recording.resampling import finer, later
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
+from aerobalance.simulation.six_bending import Bending, bending_dynamics
 from seeds import fresh, new_seed
 
 RATE = 25_000.0

@@ -10,11 +10,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from aerobalance.cli import main
-from aerobalance.comparison import split_deviation
-from aerobalance.demo import step_data
-from aerobalance.page import PLACE_HOLDERS, number, significant, with_uncertainty
-from aerobalance.report import step_figure
+from aerobalance.app.cli import main
+from aerobalance.app.demos.comparison import split_deviation
+from aerobalance.app.demos.demo import step_data
+from aerobalance.app.reports.demo_report import step_figure
+from aerobalance.app.reports.page import PLACE_HOLDERS, number, significant, with_uncertainty
 from demo_run import demo_once
 from html_pages import Balanced
 

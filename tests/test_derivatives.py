@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from aerobalance.channel import Array
-from aerobalance.contributions import Contribution, Noise, Systematic
-from aerobalance.derivatives import covariance_of, regress
-from aerobalance.estimate import ForceEstimate
-from aerobalance.problems import FitError
+from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
+from aerobalance.estimation.record import ForceEstimate
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import FitError
+from aerobalance.uncertainty.regression import covariance_of, regress
 from seeds import new_seed
 
 SAMPLES = 1200

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from aerobalance.dynamics import PARAMETERS, Dynamics, Mode, extremum_ratio, stiffness_from_damped_frequency
+from aerobalance.dynamics.single import PARAMETERS, Dynamics, Mode, extremum_ratio, stiffness_from_damped_frequency
 from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

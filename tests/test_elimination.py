@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aerobalance.channel import Array
-from aerobalance.coupled import CoupledDynamics
-from aerobalance.dynamics import Mode
-from aerobalance.elimination import Eliminated, modes_of, shares_of, stable_factor
-from aerobalance.rigs.six_balance import random_balance
-from aerobalance.rigs.six_bending import Bending, bending_dynamics
+from aerobalance.dynamics.condensation import Eliminated, modes_of, shares_of, stable_factor
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Mode
+from aerobalance.recording.channel import Array
+from aerobalance.simulation.six_balance import random_balance
+from aerobalance.simulation.six_bending import Bending, bending_dynamics
 from seeds import new_seed
 
 

@@ -5,16 +5,16 @@ import warnings
 import numpy as np
 import pytest
 
-from aerobalance.channel import QUANTITIES, Channel
-from aerobalance.components import STANDARD_GRAVITY
-from aerobalance.dynamics import Dynamics
-from aerobalance.estimate import ForceEstimate
-from aerobalance.force import reconstruct
-from aerobalance.inverses import BAND_ORDER
-from aerobalance.motion import GroundMotion
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.rigs import CableCut, Sensor
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.direct import BAND_ORDER
+from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.record import ForceEstimate
+from aerobalance.motion.single_axis import GroundMotion
+from aerobalance.recording.channel import QUANTITIES, Channel
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import CableCut, Sensor
 from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

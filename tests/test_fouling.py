@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerobalance.fouling import Contact, ContactFinder
+from aerobalance.acquisition.fouling import Contact, ContactFinder
 
 
 def by_loop(readings, hold):

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from aerobalance.channel import Channel
-from aerobalance.components import is_gauge
-from aerobalance.gauges import gauge_outputs
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
+from aerobalance.balance.bridge_outputs import gauge_outputs
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import is_gauge
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
 from seeds import new_seed
 
 RATE = 1000.0

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.channel import Channel
-from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
-from aerobalance.gravity import Attitudes, Pull, PullOnZero, gravity_share, pull_of_gravity, weight_direction
-from aerobalance.motion import GroundMotion
-from aerobalance.platform_motion import PlatformMotion
-from aerobalance.recording import Recording
+from aerobalance.motion.platform import PlatformMotion
+from aerobalance.motion.single_axis import GroundMotion
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
+from aerobalance.recording.gravity import Attitudes, Pull, PullOnZero, gravity_share, pull_of_gravity, weight_direction
+from aerobalance.recording.recording import Recording
 from seeds import fresh
 
 U_ZERO, U_GAIN, U_GRAVITY = np.radians(0.05), 0.002, 0.01

@@ -5,12 +5,12 @@ import warnings
 import numpy as np
 import pytest
 
-from aerobalance.channel import Channel
-from aerobalance.dynamics import Dynamics
-from aerobalance.force import reconstruct, without_hum
-from aerobalance.hum import columns_of_lines, hum_lines, reading_of_lines
-from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Recording
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.force import reconstruct, without_hum
+from aerobalance.estimation.spectra.line_noise import columns_of_lines, hum_lines, reading_of_lines
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.recording import Recording
 from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

@@ -10,30 +10,30 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.stats import chi2, norm
 
-from aerobalance.channel import Array, Channel
-from aerobalance.commands.identify_coupled import identify_decays
-from aerobalance.components import si_unit
-from aerobalance.coupled import CoupledDynamics
-from aerobalance.identification import further_coupled
+from aerobalance.app.commands.identify_coupled import identify_decays
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.identification.coupled_modes import ModeTable
 from aerobalance.identification.force_error import force_weights, true_force_error
-from aerobalance.identification.free_motion import FreeMotion, generator_of
-from aerobalance.identification.hidden_coordinates import (
+from aerobalance.identification.step_relaxation import model_order as further_coupled
+from aerobalance.identification.step_relaxation.fit import whitener_of
+from aerobalance.identification.step_relaxation.free_response import FreeMotion, generator_of
+from aerobalance.identification.step_relaxation.identify import identify_releases
+from aerobalance.identification.step_relaxation.internal_coordinates import (
     held_states,
     invariances,
     quasi_static,
     renewed,
     static_shares,
 )
-from aerobalance.identification.release_fit import whitener_of
-from aerobalance.identification.release_model import Piece, linearise
-from aerobalance.identification.releases import identify_releases
+from aerobalance.identification.step_relaxation.model import Piece, linearise
 from aerobalance.io import write_recording
 from aerobalance.io.coupled_file import read_coupled
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.rigs.six_balance import random_balance
-from aerobalance.rigs.six_bending import Bending, bending_dynamics
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation.six_balance import random_balance
+from aerobalance.simulation.six_bending import Bending, bending_dynamics
 from seeds import fresh
 
 RATE = 2500.0

@@ -8,13 +8,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2
 
-from aerobalance.channel import Channel
-from aerobalance.dynamics import Dynamics, Mode
-from aerobalance.identification.decay import identify_decay
-from aerobalance.identification.extrema import extrema_fit
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.rigs import CableCut, Sensor
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.identification.free_decay.fit import identify_decay
+from aerobalance.identification.free_decay.log_decrement import extrema_fit
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import CableCut, Sensor
 from seeds import fresh, trials
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from aerobalance.identification import find_dwells, harmonic_check, reference_fit
-from aerobalance.identification.dwells import amplitudes
-from aerobalance.problems import FitError
-from aerobalance.published import VIBRATION_RIG
-from aerobalance.rigs import Sensor, SteppedSine, Sweep, Unsteadiness, VibrationRig
+from aerobalance.identification.base_excitation.sine_dwell import amplitudes
+from aerobalance.recording.errors import FitError
+from aerobalance.simulation import Sensor, SteppedSine, Sweep, Unsteadiness, VibrationRig
+from aerobalance.simulation.published import VIBRATION_RIG
 from seeds import fresh
 
 TRUE = VIBRATION_RIG.dynamics

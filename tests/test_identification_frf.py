@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from aerobalance.dynamics import Dynamics
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification import ResponseTable, identify_frf
-from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording.errors import DoubtWarning, FitError
 from seeds import fresh
 
 TRUE = Dynamics("AF", mass=2.0, stiffness=2.0 * (2 * np.pi * 900.0) ** 2, damping=2 * 0.02 * 2.0 * 2 * np.pi * 900.0)
@@ -35,7 +35,7 @@ def test_exact_table_gives_exact_dynamics():
     assert fit.degrees_of_freedom == 2 * FREQUENCIES.size - 2
 
 
-@pytest.mark.filterwarnings("ignore::aerobalance.problems.DoubtWarning")
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DoubtWarning")
 def test_scores_of_many_tables():
     generator, seed = fresh()
     draws, scores, sums = 200, [], []
@@ -52,7 +52,7 @@ def test_scores_of_many_tables():
 
 
 # The scatter of one table in a hundred is doubted by chance; the delay is found all the same.
-@pytest.mark.filterwarnings("ignore:.*scatter more than their uncertainties:aerobalance.problems.DoubtWarning")
+@pytest.mark.filterwarnings("ignore:.*scatter more than their uncertainties:aerobalance.recording.errors.DoubtWarning")
 def test_delay_is_found_where_there_is_one():
     generator, seed = fresh()
     fit = identify_frf(table(FREQUENCIES, generator, delay=-4e-5, u=(0.002, 0.003)), mass=2.0)

@@ -8,24 +8,24 @@ import pytest
 from scipy.linalg import expm
 from scipy.stats import chi2, norm
 
-from aerobalance.channel import Array, Channel
-from aerobalance.commands.identify_coupled import identify_decays
-from aerobalance.components import COMPONENTS, si_unit
-from aerobalance.coupled import CoupledDynamics
-from aerobalance.dynamics import Dynamics
-from aerobalance.identification.coupled_model import compare_coupled, coupled_from_stiffness
-from aerobalance.identification.decay import identify_decay
+from aerobalance.app.commands.identify_coupled import identify_decays
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.force_error import predicted_force_error, true_force_error
-from aerobalance.identification.free_motion import FreeMotion
-from aerobalance.identification.mass_matrix import centre_agreement, rigid_mass_of
-from aerobalance.identification.release_fit import whitener_of
-from aerobalance.identification.release_model import Piece, linearise
-from aerobalance.identification.release_record import ROUNDING
-from aerobalance.identification.releases import identify_releases
+from aerobalance.identification.free_decay.fit import identify_decay
+from aerobalance.identification.from_stiffness import compare_coupled, coupled_from_stiffness
+from aerobalance.identification.rigid_body import centre_agreement, rigid_mass_of
+from aerobalance.identification.step_relaxation.fit import whitener_of
+from aerobalance.identification.step_relaxation.free_response import FreeMotion
+from aerobalance.identification.step_relaxation.identify import identify_releases
+from aerobalance.identification.step_relaxation.model import Piece, linearise
+from aerobalance.identification.step_relaxation.record import ROUNDING
 from aerobalance.io import write_recording
 from aerobalance.io.coupled_file import read_coupled
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import COMPONENTS, si_unit
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
 from rigid_balance import HALF_RANGE, RANGES, balance, truth
 from seeds import fresh
 

@@ -10,16 +10,16 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, filtfilt
 from scipy.stats import chi2
 
-from aerobalance.channel import Channel
-from aerobalance.components import STANDARD_GRAVITY
-from aerobalance.dynamics import Dynamics, Mode
-from aerobalance.force import reconstruct
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.estimation.force import reconstruct
 from aerobalance.identification import identify_rig
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.published import CABLE_CUT, VIBRATION_RIG
-from aerobalance.recording import Recording
-from aerobalance.rigs import CableCut, RandomDrive, Sensor, SteppedSine, Sweep, VibrationRig
-from aerobalance.rigs.drives import band_noise
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import CableCut, RandomDrive, Sensor, SteppedSine, Sweep, VibrationRig
+from aerobalance.simulation.drives import band_noise
+from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
 from seeds import fresh, trials
 
 TRUE = VIBRATION_RIG.dynamics

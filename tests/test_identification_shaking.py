@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from aerobalance.channel import Channel
-from aerobalance.cli import main
-from aerobalance.commands.identify_shaking import identify_shaken
-from aerobalance.components import COMPONENTS, MOMENTS, si_unit
-from aerobalance.coupled import CoupledDynamics, RigidMass
-from aerobalance.coupled_record import CoupledRecord
-from aerobalance.identification.shaking import identify_shaking
+from aerobalance.app.cli import main
+from aerobalance.app.commands.identify_shaking import identify_shaken
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.identification.base_excitation.shaking import identify_shaking
 from aerobalance.io import write_recording
 from aerobalance.io.coupled_file import read_coupled
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.rigs.six_components import GROUND_CHANNELS, RATE_CHANNELS
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import COMPONENTS, MOMENTS, si_unit
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation.six_components import GROUND_CHANNELS, RATE_CHANNELS
 from rigid_balance import HALF_RANGE, RANGES, balance, truth
 from seeds import fresh
 

@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from aerobalance.cli import main
-from aerobalance.commands.identify_stiffness import from_stiffness
-from aerobalance.components import COMPONENTS
-from aerobalance.coupled import CoupledDynamics, RigidMass
-from aerobalance.identification.coupled_model import agreement, coupled_from_stiffness
+from aerobalance.app.cli import main
+from aerobalance.app.commands.identify_stiffness import from_stiffness
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
 from aerobalance.identification.coupled_modes import ModeTable
+from aerobalance.identification.from_stiffness import agreement, coupled_from_stiffness
 from aerobalance.io.coupled_file import read_coupled, write_coupled
 from aerobalance.io.stiffness_file import read_rigid_mass, read_stiffness
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import DoubtWarning, ReadError
 from seeds import new_seed
 
 MASS = """

@@ -11,7 +11,7 @@ import pytest
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are those of POSIX")
 IMPORT = "import time:"
-FIRST = "aerobalance.cli.interrupt"
+FIRST = "aerobalance.app.cli.interrupt"
 WAIT = 60.0
 INSTANTS = 20
 
@@ -42,7 +42,7 @@ def ended_at(folder, words, place, number=signal.SIGINT):
     -------
     Exit code, what was said on standard error, and how many imports there were.
     """
-    command = [sys.executable, "-X", "importtime", "-m", "aerobalance.cli", *words]
+    command = [sys.executable, "-X", "importtime", "-m", "aerobalance.app.cli", *words]
     said, count, begun = [], 0, False
     environment = os.environ | {"PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(
@@ -95,7 +95,7 @@ def test_sigterm_while_the_program_loads(here):
 
 HALF_WRITTEN = """
 import sys, time
-from aerobalance.cli import interrupt
+from aerobalance.app.cli import interrupt
 from aerobalance.io.safe_write import OUTPUTS, replacing
 from pathlib import Path
 interrupt.watch()

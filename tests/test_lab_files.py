@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from aerobalance.cli import main
+from aerobalance.app.cli import main
 from aerobalance.io import read
 from aerobalance.io.schedule import write_balfit_schedule
-from aerobalance.rigs.calibration_stand import CalibrationStand, random_balance
+from aerobalance.simulation.calibration_stand import CalibrationStand, random_balance
 from text_exports import completed
 
 SEED = 20240312

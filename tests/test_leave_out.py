@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.calibration.doubts import doubt_quality
-from aerobalance.calibration.fit import calibrate
-from aerobalance.calibration.quality import assess
-from aerobalance.calibration.regression import regress
-from aerobalance.cli import main
-from aerobalance.problems import DoubtWarning
-from aerobalance.schedule import Schedule
+from aerobalance.app.cli import main
+from aerobalance.balance.calibration.fit import calibrate
+from aerobalance.balance.calibration.fit_warnings import doubt_quality
+from aerobalance.balance.calibration.quality import assess
+from aerobalance.balance.calibration.regression import regress
+from aerobalance.balance.schedule import Schedule
+from aerobalance.recording.errors import DoubtWarning
 
 SENSITIVITY = np.array([[0.01, 0.002], [-0.001, 0.05]])
 """Outputs over loads [mV/V/N, mV/V/(N*m)]."""

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerobalance.live_alignment import Aligner
-from aerobalance.live_modes import REACH
-from aerobalance.resampling import SHARPNESS
+from aerobalance.estimation.live.alignment import Aligner
+from aerobalance.estimation.live.modes import REACH
+from aerobalance.recording.resampling import SHARPNESS
 from seeds import new_seed
 
 

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from aerobalance.components import COMPONENTS
-from aerobalance.coupled import CoupledDynamics, RigidMass
-from aerobalance.decoupling import LoneComponent
-from aerobalance.live_coupled import JUDGED, LiveCoupledForce
-from aerobalance.live_decoupling import MARGIN, LiveApart
-from aerobalance.live_platform import LivePlatform, Mounted
-from aerobalance.lone_job import load_felt
-from aerobalance.prior import Learned, Reading, generalised_least_squares
-from aerobalance.rigs.six_balance import CoupledBalance, random_balance
-from aerobalance.rigs.six_components import GROUND_CHANNELS, SixComponentRig
-from aerobalance.rigs.six_signals import Band, broadband, random_motion
-from aerobalance.smoother import FORCE, Filter
-from aerobalance.spectrum import Spectrum
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.decoupling import LoneComponent
+from aerobalance.estimation.decoupled_record import load_felt
+from aerobalance.estimation.live.coupled import JUDGED, LiveCoupledForce
+from aerobalance.estimation.live.decoupling import MARGIN, LiveApart
+from aerobalance.estimation.live.platform import LivePlatform, Mounted
+from aerobalance.estimation.prior import Learned, Reading, generalised_least_squares
+from aerobalance.estimation.spectra.periodogram import Spectrum
+from aerobalance.estimation.statespace.kalman import FORCE, Filter
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
+from aerobalance.simulation.six_components import GROUND_CHANNELS, SixComponentRig
+from aerobalance.simulation.six_signals import Band, broadband, random_motion
 from seeds import fresh
 from test_smoother import butterworth
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aerobalance.acquire.guards import capacity_stations
-from aerobalance.components import COMPONENTS
-from aerobalance.forms import between_forms
-from aerobalance.load_envelope import LoadEnvelope, Station
-from aerobalance.rigs.calibration_stand import random_balance
+from aerobalance.acquisition.guards import capacity_stations
+from aerobalance.balance.load_envelope import LoadEnvelope, Station
+from aerobalance.balance.load_formats import between_forms
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.simulation.calibration_stand import random_balance
 from seeds import fresh
 
 LIMITS = {"NF": (-100.0, 200.0), "PM": (-10.0, 10.0), "AF": (-np.inf, 50.0)}

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.balance import BalanceMatrix, TemperatureEffect
-from aerobalance.calibration.fit import calibrate
-from aerobalance.channel import Array, Channel
-from aerobalance.loads import LoadsFelt, loads_felt, static_uncertainty, wind_off_loads, with_loads
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from aerobalance.zeros import GaugeZero, gauge_table, gauge_zero
+from aerobalance.balance.calibration.fit import calibrate
+from aerobalance.balance.loads import LoadsFelt, loads_felt, static_uncertainty, wind_off_loads, with_loads
+from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
+from aerobalance.balance.zeros import GaugeZero, gauge_table, gauge_zero
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from seeds import new_seed
 
 RATE = 1000.0

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from aerobalance.balance import BalanceMatrix
-from aerobalance.calibration.fit import calibrate
-from aerobalance.channel import Array, Channel
-from aerobalance.loads import LoadsFelt, loads_felt
-from aerobalance.matrix_curvature import CurvatureErrors
-from aerobalance.recording import Recording
-from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from aerobalance.zeros import GaugeZero
+from aerobalance.balance.calibration.fit import calibrate
+from aerobalance.balance.loads import LoadsFelt, loads_felt
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.zeros import GaugeZero
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
+from aerobalance.uncertainty.matrix_curvature import CurvatureErrors
 from seeds import generator, seed_from
 
 NOISE = 0.7e-3

@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.channel import Array, Channel
-from aerobalance.dynamics import Dynamics, Mode
-from aerobalance.identification.decay import identify_decay
-from aerobalance.misfit import Misfit, misfit_of
-from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Recording
-from aerobalance.resonance import REACH, Averaged, missing_mode, own_resonance, smeared
-from aerobalance.rigs import CableCut, Sensor
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.identification.free_decay.fit import identify_decay
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import CableCut, Sensor
+from aerobalance.validation.local_modes import REACH, Averaged, missing_mode, own_resonance, smeared
+from aerobalance.validation.model_check import Misfit, misfit_of
 from seeds import new_seed
 
 RATE = 1600.0

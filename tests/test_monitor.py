@@ -16,34 +16,34 @@ import numpy as np
 import pytest
 from starlette.websockets import WebSocketDisconnect
 
-from aerobalance.acquire.feed import Hello
-from aerobalance.acquire.setup import setup_from, stored_channels
-from aerobalance.acquire.simulated import rig_dynamics
-from aerobalance.acquire.source import Block, SourceChannel
-from aerobalance.channel import QUANTITIES
-from aerobalance.components import COMPONENTS, STANDARD_GRAVITY, si_unit
+from aerobalance.acquisition.feed import Hello
+from aerobalance.acquisition.setup import setup_from, stored_channels
+from aerobalance.acquisition.simulated import rig_dynamics
+from aerobalance.acquisition.source import Block, SourceChannel
+from aerobalance.app.monitor.access import Door, is_loopback
+from aerobalance.app.monitor.board import Board, plain
+from aerobalance.app.monitor.command import Reach, monitor
+from aerobalance.app.monitor.folder import Folder
+from aerobalance.app.monitor.form import LABELS, form_of
+from aerobalance.app.monitor.jobs import Task, outcome_of
+from aerobalance.app.monitor.messages import News, Watching
+from aerobalance.app.monitor.panels import panel_of
+from aerobalance.app.monitor.server import STATIC, Page
+from aerobalance.app.monitor.setups import rig_setup, setup_of_record
+from aerobalance.app.monitor.station import Beginning
+from aerobalance.app.monitor.tasks import Tasks
+from aerobalance.app.monitor.view import Panel, View
+from aerobalance.app.monitor.viewer import UNSHOWN
+from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.io.coupled_file import read_any_dynamics, write_coupled
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import StoredChannel
-from aerobalance.monitor.access import Door, is_loopback
-from aerobalance.monitor.board import Board, plain
-from aerobalance.monitor.command import Reach, monitor
-from aerobalance.monitor.folder import Folder
-from aerobalance.monitor.form import LABELS, form_of
-from aerobalance.monitor.jobs import Task, outcome_of
-from aerobalance.monitor.messages import News, Watching
-from aerobalance.monitor.panels import panel_of
-from aerobalance.monitor.server import STATIC, Page
-from aerobalance.monitor.setups import rig_setup, setup_of_record
-from aerobalance.monitor.station import Beginning
-from aerobalance.monitor.tasks import Tasks
-from aerobalance.monitor.view import Panel, View
-from aerobalance.monitor.viewer import UNSHOWN
-from aerobalance.problems import FitError
-from aerobalance.published import CABLE_CUT, VIBRATION_RIG
-from aerobalance.rigs.calibration_stand import random_balance
-from aerobalance.rigs.six_balance import random_balance as six_balance
-from aerobalance.stream import LiveForce
+from aerobalance.recording.channel import QUANTITIES
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
+from aerobalance.recording.errors import FitError
+from aerobalance.simulation.calibration_stand import random_balance
+from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
+from aerobalance.simulation.six_balance import random_balance as six_balance
 from running_page import BASE, LIVE, Running, source_of
 from seeds import new_seed
 

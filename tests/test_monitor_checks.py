@@ -10,20 +10,20 @@ import time
 import numpy as np
 import pytest
 
-from aerobalance.acquire.guards import ContactCircuit
-from aerobalance.acquire.rig_values import HALF_RANGES
-from aerobalance.acquire.source import Block
+from aerobalance.acquisition.guards import ContactCircuit
+from aerobalance.acquisition.rig_values import HALF_RANGES
+from aerobalance.acquisition.source import Block
+from aerobalance.app.monitor.board import Board
+from aerobalance.app.monitor.form import form_of
+from aerobalance.app.monitor.messages import News, Watching
+from aerobalance.app.monitor.setups import rig_setup
+from aerobalance.app.monitor.view import Panel, View
+from aerobalance.balance.load_envelope import LoadEnvelope
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import StoredChannel
-from aerobalance.load_envelope import LoadEnvelope
-from aerobalance.monitor.board import Board
-from aerobalance.monitor.form import form_of
-from aerobalance.monitor.messages import News, Watching
-from aerobalance.monitor.setups import rig_setup
-from aerobalance.monitor.view import Panel, View
-from aerobalance.problems import DoubtWarning
-from aerobalance.published import CABLE_CUT, VIBRATION_RIG
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
 from running_page import Running, source_of
 from seeds import new_seed
 

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.acquire.setup import setup_from, stored_channels
-from aerobalance.acquire.simulated import RigSettings, SimulatedSource, rig_dynamics
-from aerobalance.acquire.source import Block
+from aerobalance.acquisition.setup import setup_from, stored_channels
+from aerobalance.acquisition.simulated import RigSettings, SimulatedSource, rig_dynamics
+from aerobalance.acquisition.source import Block
+from aerobalance.app.monitor.view import Panel, View
 from aerobalance.io.hdf5_layout import StoredChannel
-from aerobalance.monitor.view import Panel, View
-from aerobalance.problems import ReadError
-from aerobalance.published import VIBRATION_RIG
+from aerobalance.recording.errors import ReadError
+from aerobalance.simulation.published import VIBRATION_RIG
 from seeds import new_seed
 
 RATE = 25_000.0

@@ -9,15 +9,15 @@ import warnings
 import numpy as np
 import pytest
 
-from aerobalance.acquire.feed import Hello
-from aerobalance.acquire.intake import Intake
-from aerobalance.acquire.planned import plan_of
-from aerobalance.acquire.setup import open_source, parse_setup, setup_from, setup_text, stored_channels
-from aerobalance.monitor.form import form_of
-from aerobalance.monitor.panels import panel_of
-from aerobalance.monitor.setups import rig_setup
-from aerobalance.monitor.view import View
-from aerobalance.problems import FitError, ReadError
+from aerobalance.acquisition.feed import Hello
+from aerobalance.acquisition.intake import Intake
+from aerobalance.acquisition.planned import plan_of
+from aerobalance.acquisition.setup import open_source, parse_setup, setup_from, setup_text, stored_channels
+from aerobalance.app.monitor.form import form_of
+from aerobalance.app.monitor.panels import panel_of
+from aerobalance.app.monitor.setups import rig_setup
+from aerobalance.app.monitor.view import View
+from aerobalance.recording.errors import FitError, ReadError
 from running_page import LIVE, Running
 from seeds import new_seed
 

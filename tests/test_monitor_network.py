@@ -19,19 +19,19 @@ from pathlib import Path
 
 import pytest
 
-from aerobalance.cli import main
+from aerobalance.app.cli import main
+from aerobalance.app.monitor import crowd
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
-from aerobalance.monitor import crowd
-from aerobalance.problems import DoubtWarning
+from aerobalance.recording.errors import DoubtWarning
 from test_monitor_process import Program, pytestmark  # noqa: F401 - processes are found in /proc here as well
 
 SECRET = "correct-horse-battery"
 
 
 TIMES = {"head": 4.0, "body": 4.0, "answer": 3.0}
-SOON = f"from aerobalance.monitor import crowd; crowd.TIMES.update({TIMES})"
+SOON = f"from aerobalance.app.monitor import crowd; crowd.TIMES.update({TIMES})"
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +169,7 @@ class Command:
         browser = folder / "browser.sh"
         browser.write_text(f'#!/bin/sh\necho "$1" > {folder}/seen.part\nmv {folder}/seen.part {folder}/seen\n')
         browser.chmod(0o700)
-        words = [sys.executable, "-u", "-m", "aerobalance.cli", "monitor", "--port", "0", "--folder", str(folder)]
+        words = [sys.executable, "-u", "-m", "aerobalance.app.cli", "monitor", "--port", "0", "--folder", str(folder)]
         variables = os.environ | {"BROWSER": f"{browser} %s"} | environment
         self.folder = folder
         self.process = subprocess.Popen(

@@ -24,7 +24,7 @@ import websockets
 
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
-from aerobalance.problems import DoubtWarning
+from aerobalance.recording.errors import DoubtWarning
 from seeds import new_seed
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="children are found in /proc")
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="ch
 PROGRAM = """
 {first}
 from pathlib import Path
-from aerobalance.monitor.command import Reach, monitor
+from aerobalance.app.monitor.command import Reach, monitor
 monitor(folder=Path({folder!r}), reach=Reach(port=0), browser=False, last=True,
         say=lambda text: print(text, flush=True))
 """

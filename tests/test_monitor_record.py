@@ -7,8 +7,8 @@ import time
 import numpy as np
 import pytest
 
+from aerobalance.app.monitor.folder import Folder
 from aerobalance.io.hdf5_contents import contents
-from aerobalance.monitor.folder import Folder
 from running_page import Running
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aerobalance.monitor.steady import newest_steady
-from aerobalance.monitor.view import Panel, View
-from aerobalance.published import CABLE_CUT
+from aerobalance.app.monitor.steady import newest_steady
+from aerobalance.app.monitor.view import Panel, View
+from aerobalance.simulation.published import CABLE_CUT
 from running_page import source_of
 
 SEED = 20261
@@ -63,7 +63,7 @@ def test_the_force_shown_after_a_cut_is_none_that_never_was() -> None:
     """The force goes from -1020 N to 0 in a sample: no number shown is between the two."""
     source = source_of("cable_cut", seed=SEED, cut_at=1.07, noise=0.1)
     channels = tuple(source.channels)
-    from aerobalance.acquire.setup import setup_from, stored_channels
+    from aerobalance.acquisition.setup import setup_from, stored_channels
 
     stored = stored_channels(setup_from({}), channels)
     view = View(Panel(stored, source.rate, True, {"AF": CABLE_CUT.dynamics}, {}, {}))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from aerobalance.noise import white_noise
+from aerobalance.recording.noise import white_noise
 from seeds import new_seed
 
 

@@ -5,13 +5,13 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
-from aerobalance import noise_record
-from aerobalance.dynamics import Dynamics
-from aerobalance.noise_record import noise_spectrum_of
-from aerobalance.noise_spectrum import EXPONENTS, ColoredNoise, Hump, NoiseSpectrum
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.shaping import ShapingFilter
-from aerobalance.smoother import Filter, StateSpace
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.spectra import noise_record
+from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
+from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, ColoredNoise, Hump, NoiseSpectrum
+from aerobalance.estimation.statespace.kalman import Filter, StateSpace
+from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
+from aerobalance.recording.errors import DoubtWarning, FitError
 from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from aerobalance.cli import main
-from aerobalance.dynamics import Dynamics, Mode
+from aerobalance.app.cli import main
+from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.io.dynamics_file import write_dynamics
-from aerobalance.planning import attainable, live_lag, usual_bandwidths
+from aerobalance.uncertainty.planning import attainable, live_lag, usual_bandwidths
 from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

@@ -6,15 +6,15 @@ import warnings
 import numpy as np
 import pytest
 
-from aerobalance.channel import AXES_BY_NAME, Channel
-from aerobalance.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, VECTORS
-from aerobalance.coupled import RigidMass
-from aerobalance.ground_fit import GroundFit
-from aerobalance.ground_sensors import ground_sensors
-from aerobalance.motion import GroundMotion
-from aerobalance.platform_motion import PlatformMotion
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
+from aerobalance.dynamics.coupled import RigidMass
+from aerobalance.motion.least_squares import GroundFit
+from aerobalance.motion.platform import PlatformMotion
+from aerobalance.motion.sensors import ground_sensors
+from aerobalance.motion.single_axis import GroundMotion
+from aerobalance.recording.channel import AXES_BY_NAME, Channel
+from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, VECTORS
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
 from seeds import new_seed
 
 RATE = 1000.0

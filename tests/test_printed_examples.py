@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import typer
 
-from aerobalance.cli import main
-from aerobalance.cli.program import app
+from aerobalance.app.cli import main
+from aerobalance.app.cli.program import app
 from aerobalance.io.dynamics_file import read_dynamics
-from aerobalance.published import CABLE_CUT
+from aerobalance.simulation.published import CABLE_CUT
 from demo_run import demo_once
 
 README = Path(__file__).parents[1] / "README.md"
@@ -124,7 +124,7 @@ def test_example_without_an_end_runs_until_it_is_told_to_end(name, folder):
         port = free.getsockname()[1]
     # other programs of this computer may have the port that is printed
     more = ["--port", str(port), *(["--no-browser"] if name == "monitor" else [])]
-    command = [sys.executable, "-u", "-m", "aerobalance.cli", *words_of(line), *more]
+    command = [sys.executable, "-u", "-m", "aerobalance.app.cli", *words_of(line), *more]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         said = running.stdout.readline()
         running.send_signal(signal.SIGINT)

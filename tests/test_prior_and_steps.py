@@ -5,16 +5,16 @@ import pytest
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 from scipy.stats import multivariate_normal
 
-from aerobalance.channel import Channel
-from aerobalance.dynamics import Dynamics
-from aerobalance.force import reconstruct
-from aerobalance.prior import Learned, Reading, confirmed, generalised_least_squares, learn, log_likelihood
-from aerobalance.recording import Recording
-from aerobalance.rigs import CableCut, Sensor
-from aerobalance.shaping import EDGE, ShapingFilter
-from aerobalance.smoother import FORCE, Filter
-from aerobalance.spectrum import Spectrum
-from aerobalance.steps import Step, find_steps, shape_of
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.prior import Learned, Reading, confirmed, generalised_least_squares, learn, log_likelihood
+from aerobalance.estimation.spectra.periodogram import Spectrum
+from aerobalance.estimation.statespace.kalman import FORCE, Filter
+from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
+from aerobalance.estimation.steps import Step, find_steps, shape_of
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import CableCut, Sensor
 from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.cli import main
+from aerobalance.app.cli import main
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "internal-balance"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the recordings are not part of the project")

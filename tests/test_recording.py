@@ -6,9 +6,9 @@ import warnings
 import numpy as np
 import pytest
 
-from aerobalance.channel import Channel
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Loads, Recording
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Loads, Recording
 from seeds import fresh
 
 

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 import test_identification_bending as bending
-from aerobalance.balance import BalanceMatrix
-from aerobalance.channel import Array
-from aerobalance.components import COMPONENTS
-from aerobalance.coupled import CoupledDynamics
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.matrix_errors import MatrixErrors, coefficient_covariance
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.identification.coupled_modes import ModeTable
-from aerobalance.identification.hidden_coordinates import slow_matrices
-from aerobalance.identification.release_calibration import coefficient_slopes
-from aerobalance.identification.release_fit import ReleaseFit, settle
-from aerobalance.identification.release_record import ReleaseRecord, release_record
-from aerobalance.identification.release_stages import Units, fit_releases
-from aerobalance.matrix_errors import MatrixErrors, coefficient_covariance
-from aerobalance.rigs.six_balance import random_balance
+from aerobalance.identification.step_relaxation.calibration_errors import coefficient_slopes
+from aerobalance.identification.step_relaxation.fit import ReleaseFit, settle
+from aerobalance.identification.step_relaxation.internal_coordinates import slow_matrices
+from aerobalance.identification.step_relaxation.record import ReleaseRecord, release_record
+from aerobalance.identification.step_relaxation.stages import Units, fit_releases
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.simulation.six_balance import random_balance
 from rigid_balance import HALF_RANGE, truth
 from seeds import generator
 from test_identification_releases import between, errors, felt, quietly, recording

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from aerobalance.components import STANDARD_GRAVITY
-from aerobalance.published import CABLE_CUT, VIBRATION_RIG
-from aerobalance.rigs import (
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.simulation import (
     CableCut,
     RandomDrive,
     Sensor,
@@ -19,6 +18,7 @@ from aerobalance.rigs import (
     VibrationRig,
     band_noise,
 )
+from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
 from seeds import fresh
 
 QUIET = {name: Sensor() for name in ("AF", "ground_acceleration", "live_acceleration")}

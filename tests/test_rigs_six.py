@@ -9,10 +9,11 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import eigh
 
-from aerobalance.components import COMPONENTS, MOMENTS
-from aerobalance.dynamics import Mode
-from aerobalance.loads import loads_felt
-from aerobalance.rigs import (
+from aerobalance.balance.loads import loads_felt
+from aerobalance.balance.zeros import gauge_zero
+from aerobalance.dynamics.single import Mode
+from aerobalance.recording.components import COMPONENTS, MOMENTS
+from aerobalance.simulation import (
     Band,
     BaseMotion,
     Release,
@@ -27,9 +28,8 @@ from aerobalance.rigs import (
     tap,
     together,
 )
-from aerobalance.rigs.calibration_stand import CalibrationStand
-from aerobalance.rigs.six_components import GROUND_CHANNELS
-from aerobalance.zeros import gauge_zero
+from aerobalance.simulation.calibration_stand import CalibrationStand
+from aerobalance.simulation.six_components import GROUND_CHANNELS
 from seeds import fresh
 
 PLACE = {name: index for index, name in enumerate(COMPONENTS)}

@@ -5,21 +5,13 @@ import warnings
 import numpy as np
 import pytest
 
-from aerobalance.channel import Channel
-from aerobalance.components import STANDARD_GRAVITY
-from aerobalance.dynamics import Dynamics
-from aerobalance.fir_inverse import (
-    ORDER,
-    MeasuredResponse,
-    fir_inverse,
-    fit_frequencies,
-    response_of_record,
-    undo,
-)
-from aerobalance.problems import FitError
-from aerobalance.recording import Recording
-from aerobalance.rigs import CableCut, Sensor, band_noise
-from aerobalance.rivals import (
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.errors import FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import CableCut, Sensor, band_noise
+from aerobalance.validation.baselines import (
     LOW_PASS_ORDER,
     NOTCH_QUALITY,
     RIVALS,
@@ -38,7 +30,15 @@ from aerobalance.rivals import (
     notch,
     raw_reading,
 )
-from aerobalance.scores import Truth, find_jumps, truth_on_clock
+from aerobalance.validation.fir_inverse import (
+    ORDER,
+    MeasuredResponse,
+    fir_inverse,
+    fit_frequencies,
+    response_of_record,
+    undo,
+)
+from aerobalance.validation.scores import Truth, find_jumps, truth_on_clock
 from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.anti_alias import AntiAlias
-from aerobalance.channel import QUANTITIES, Channel, CrossAxis
-from aerobalance.components import STANDARD_GRAVITY
-from aerobalance.dynamics import Dynamics
-from aerobalance.force import reconstruct
-from aerobalance.motion import GroundMotion
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.sensing import LEAST_GAIN, corrected
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.force import reconstruct
+from aerobalance.motion.single_axis import GroundMotion
+from aerobalance.recording.analog_filter import AntiAlias
+from aerobalance.recording.channel import QUANTITIES, Channel, CrossAxis
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.recording.sensors import LEAST_GAIN, corrected
 from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

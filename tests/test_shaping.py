@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from aerobalance.shaping import EDGE, ShapingFilter
+from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
 
 
 def butterworth(order: int, corner: float):

@@ -7,21 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.channel import Array, Channel
-from aerobalance.components import si_unit
-from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_force import noise_shared, reconstruct_coupled
-from aerobalance.coupled_record import CoupledRecord
-from aerobalance.dynamics import Dynamics
-from aerobalance.force import Fitted
-from aerobalance.monte_carlo import monte_carlo_of_coupled
-from aerobalance.recording import Recording
-from aerobalance.rigs import SixComponentRig
-from aerobalance.rigs.sensors import Sensor
-from aerobalance.rigs.six_balance import CoupledBalance, random_balance
-from aerobalance.rigs.six_components import SixSimulation
-from aerobalance.rigs.six_signals import Band, broadband
-from aerobalance.shared_noise import UNSEEN, NoiseMatrix, SharedNoise, filtered, shared_noise
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.correlated_noise import UNSEEN, NoiseMatrix, SharedNoise, filtered, shared_noise
+from aerobalance.estimation.coupled_force import noise_shared, reconstruct_coupled
+from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.force import Fitted
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import SixComponentRig
+from aerobalance.simulation.sensors import Sensor
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
+from aerobalance.simulation.six_components import SixSimulation
+from aerobalance.simulation.six_signals import Band, broadband
+from aerobalance.uncertainty.monte_carlo import monte_carlo_of_coupled
 from seeds import fresh
 
 DURATION = 0.5

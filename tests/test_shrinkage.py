@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from aerobalance.calibration.selection import WORTH_LEAVING, select
-from aerobalance.calibration.shrinkage import TAILS, Coefficients, Fitted, shrink
-from aerobalance.channel import Array
+from aerobalance.balance.calibration.selection import WORTH_LEAVING, select
+from aerobalance.balance.calibration.shrinkage import TAILS, Coefficients, Fitted, shrink
+from aerobalance.recording.channel import Array
 from seeds import generator
 
 COMPONENTS, LINEAR, OF_A_KIND, POINTS = 6, 6, 15, 200

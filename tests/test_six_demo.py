@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from aerobalance import six_demo
-from aerobalance.cli import main
+from aerobalance.app.cli import main
+from aerobalance.app.demos import six_demo
 
 
 @pytest.mark.slow

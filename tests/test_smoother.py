@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
-from aerobalance.dynamics import Dynamics, Mode
-from aerobalance.shaping import ShapingFilter
-from aerobalance.smoother import FORCE, LOAD, LOAD_RATE, Filter, StateSpace
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE, Filter, StateSpace
+from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)

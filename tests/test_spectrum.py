@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from aerobalance.dynamics import Dynamics
-from aerobalance.segments import CHANGE_EVIDENCE, _cheapest
-from aerobalance.spectrum import HANN_BANDWIDTH, Periodogram, Spectrum, leaked
-from aerobalance.whittle import fit_spectrum
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, Periodogram, Spectrum, leaked
+from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE, _cheapest
+from aerobalance.estimation.spectra.whittle import fit_spectrum
 from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
@@ -129,7 +129,7 @@ def test_color_above_resonance_is_no_strong_force():
 
 def test_long_records_are_averaged(monkeypatch):
     generator, seed = fresh()
-    monkeypatch.setattr("aerobalance.spectrum.LONGEST", 2048)
+    monkeypatch.setattr("aerobalance.estimation.spectra.periodogram.LONGEST", 2048)
     values = felt(generator, lambda f: np.where(f <= 120, 1000.0, 0.0), n=40_000)
     periodogram = Periodogram.of(values - values.mean(), T128, interval=1 / RATE)
     assert periodogram.ordinates.shape[1] == 1022

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from aerobalance.dynamics import Dynamics, Mode
-from aerobalance.live_filter import false_alarm_evidence
-from aerobalance.live_ground import LiveGround
-from aerobalance.live_state import wide_process
-from aerobalance.motion import GroundMotion, load_from_ground
-from aerobalance.prior import Learned, Reading, generalised_least_squares
-from aerobalance.problems import FitError
-from aerobalance.rigs import CableCut, Sensor
-from aerobalance.shaping import ShapingFilter
-from aerobalance.smoother import FORCE, Filter
-from aerobalance.spectrum import Spectrum
-from aerobalance.steps import Step
-from aerobalance.stream import LiveForce
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.estimation.live.filter import false_alarm_evidence
+from aerobalance.estimation.live.health import wide_process
+from aerobalance.estimation.live.live_force import LiveForce
+from aerobalance.estimation.live.motion import LiveGround
+from aerobalance.estimation.prior import Learned, Reading, generalised_least_squares
+from aerobalance.estimation.spectra.periodogram import Spectrum
+from aerobalance.estimation.statespace.kalman import FORCE, Filter
+from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
+from aerobalance.estimation.steps import Step
+from aerobalance.motion.single_axis import GroundMotion, load_from_ground
+from aerobalance.recording.errors import FitError
+from aerobalance.simulation import CableCut, Sensor
 from seeds import fresh
 from test_smoother import butterworth
 

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from aerobalance.strips import STEP, Bins, Extremes, Strip
+from aerobalance.app.monitor.minmax_strips import STEP, Bins, Extremes, Strip
 from seeds import generator
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from aerobalance.thinning import ROLL_OFF, SPAN, Thinner, root_raised_cosine
-from aerobalance.waterfall import LENGTH, RunningSpectrum
+from aerobalance.app.monitor.running_spectrum import LENGTH, RunningSpectrum
+from aerobalance.estimation.live.decimation import ROLL_OFF, SPAN, Thinner, root_raised_cosine
 from seeds import new_seed
 
 

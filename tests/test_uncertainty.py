@@ -6,20 +6,20 @@ from functools import cache
 import numpy as np
 import pytest
 
-from aerobalance.channel import QUANTITIES, Channel
-from aerobalance.components import STANDARD_GRAVITY
-from aerobalance.contributions import Noise, Systematic
-from aerobalance.draws import drawn_dynamics, drawn_numbers
-from aerobalance.dynamics import Dynamics
-from aerobalance.estimate import ForceEstimate, Job, with_balance
-from aerobalance.force import reconstruct
-from aerobalance.monte_carlo import monte_carlo
-from aerobalance.motion import GroundMotion
-from aerobalance.prior import Learned
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.smoothing import Estimator, Smoothed
-from aerobalance.uncertainty import advice, budget, scalars, spectrum
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.error_sources import Noise, Systematic
+from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force_smoother import Estimator, Smoothed
+from aerobalance.estimation.prior import Learned
+from aerobalance.estimation.record import ForceEstimate, Job, with_balance
+from aerobalance.motion.single_axis import GroundMotion
+from aerobalance.recording.channel import QUANTITIES, Channel
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.uncertainty.budget import advice, budget, scalars, spectrum
+from aerobalance.uncertainty.monte_carlo import monte_carlo
+from aerobalance.uncertainty.sampling import drawn_dynamics, drawn_numbers
 from seeds import fresh
 
 RATE = 1600.0

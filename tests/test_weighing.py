@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from aerobalance.channel import Channel
-from aerobalance.components import STANDARD_GRAVITY
-from aerobalance.problems import FitError
-from aerobalance.recording import Recording
-from aerobalance.weighing import MovingMass, points_from_recordings, weigh
+from aerobalance.balance.weighing import MovingMass, points_from_recordings, weigh
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.errors import FitError
+from aerobalance.recording.recording import Recording
 from seeds import new_seed
 
 G = STANDARD_GRAVITY

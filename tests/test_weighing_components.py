@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from aerobalance.channel import Channel
-from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.gravity import Attitudes, weight_direction
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.weighing import (
+from aerobalance.balance.weighing import (
     DIRECTIONS,
     LoadPoints,
     Weighing,
@@ -20,8 +15,13 @@ from aerobalance.weighing import (
     weigh,
     weigh_components,
 )
-from aerobalance.weighing.advice import PROPOSALS
-from aerobalance.weighing.model import misalignment_matrix
+from aerobalance.balance.weighing.advice import PROPOSALS
+from aerobalance.balance.weighing.model import misalignment_matrix
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.gravity import Attitudes, weight_direction
+from aerobalance.recording.recording import Recording
 from seeds import new_seed, trials
 
 G = STANDARD_GRAVITY

@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.balance import BalanceMatrix
-from aerobalance.channel import Array, Channel
-from aerobalance.commands.balance_files import BalanceFiles
-from aerobalance.commands.loads import reduced
-from aerobalance.commands.release_loads import releases_felt
-from aerobalance.commands.weighing import weigh
-from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.gravity import gravity_share
+from aerobalance.app.commands.balance_files import BalanceFiles
+from aerobalance.app.commands.loads import reduced
+from aerobalance.app.commands.release_loads import releases_felt
+from aerobalance.app.commands.weighing import weigh
+from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.io import read, write_recording
 from aerobalance.io.balance_file import write_balance
-from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Recording
-from aerobalance.rigs.six_balance import CoupledBalance, random_balance
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.gravity import gravity_share
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from seeds import fresh
 
 ANGLES = np.radians([-12.0, -8.0, -4.0, 0.0, 4.0, 8.0, 12.0])

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from aerobalance.wind_off_checks import Change, check_return, check_shunt, mean_change, shunt_output
+from aerobalance.acquisition.pretest_checks import Change, check_return, check_shunt, mean_change, shunt_output
 from seeds import new_seed
 
 

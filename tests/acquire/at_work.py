@@ -8,7 +8,7 @@ import time
 
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
-from aerobalance.problems import ReadError
+from aerobalance.recording.errors import ReadError
 
 
 def follow(recorder, enough, seconds=120.0):
@@ -31,7 +31,7 @@ def blocks_of(file):
 def end_by_sigterm(folder, setup):
     """Run the command record with a set-up, and end it by SIGTERM: at once, cleanly, and with a whole file."""
     (folder / "test.toml").write_text(setup, encoding="utf-8")
-    command = [sys.executable, "-m", "aerobalance.cli", "record", "--setup", "test.toml", "-o", "run.h5", "--json"]
+    command = [sys.executable, "-m", "aerobalance.app.cli", "record", "--setup", "test.toml", "-o", "run.h5", "--json"]
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     limit = time.monotonic() + 60
     while blocks_of(folder / "run.h5") < 3:

@@ -10,8 +10,8 @@ RIG = """
 import sys
 from pathlib import Path
 import opendaq
-from aerobalance.acquire import opendaq_server, simulated
-from aerobalance.commands.publish import publish
+from aerobalance.acquisition import opendaq_server, simulated
+from aerobalance.app.commands.publish import publish
 sys.stdin.readline()
 print(publish(setup=Path(sys.argv[2]), port=int(sys.argv[1]), say=lambda text: print(text, flush=True)))
 """

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerobalance.acquire.continuity import Event
-from aerobalance.acquire.guards import ContactCircuit, EnvelopeLimit, capacity_stations
-from aerobalance.acquire.intake import End, Intake, Piece, Plan
-from aerobalance.acquire.planned import plan_of, ranges_of
-from aerobalance.acquire.setup import parse_setup, setup_from, stored_channels
-from aerobalance.acquire.source import Block, SourceChannel
-from aerobalance.components import COMPONENTS
+from aerobalance.acquisition.continuity import Event
+from aerobalance.acquisition.guards import ContactCircuit, EnvelopeLimit, capacity_stations
+from aerobalance.acquisition.intake import End, Intake, Piece, Plan
+from aerobalance.acquisition.planned import plan_of, ranges_of
+from aerobalance.acquisition.setup import parse_setup, setup_from, stored_channels
+from aerobalance.acquisition.source import Block, SourceChannel
+from aerobalance.balance.load_envelope import LoadEnvelope
 from aerobalance.io.hdf5_layout import StoredChannel
-from aerobalance.load_envelope import LoadEnvelope
-from aerobalance.problems import FitError, ReadError
-from aerobalance.rigs.calibration_stand import random_balance
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import FitError, ReadError
+from aerobalance.simulation.calibration_stand import random_balance
 from seeds import new_seed
 
 POUND = 4.4482216152605  # N, by the definition of the pound (0.45359237 kg) and standard gravity

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerobalance.acquire.continuity import Continuity, Event, Gap
-from aerobalance.acquire.guards import Limit
-from aerobalance.acquire.intake import AtLevel, AtOnce, AtTime, End, Intake, OnCall, Piece, Plan, Start
-from aerobalance.acquire.source import Block
+from aerobalance.acquisition.continuity import Continuity, Event, Gap
+from aerobalance.acquisition.guards import Limit
+from aerobalance.acquisition.intake import AtLevel, AtOnce, AtTime, End, Intake, OnCall, Piece, Plan, Start
+from aerobalance.acquisition.source import Block
 from aerobalance.io.hdf5_layout import StoredChannel
 from seeds import new_seed
 

@@ -10,16 +10,16 @@ import pytest
 from at_work import follow, lost_by_a_kill
 from devices import RIG, Server, free_port
 
-from aerobalance.acquire.session import Session
-from aerobalance.acquire.setup import parse_setup
-from aerobalance.acquire.simulated import RigSettings, SimulatedSource
-from aerobalance.commands import force, recordings
+from aerobalance.acquisition.session import Session
+from aerobalance.acquisition.setup import parse_setup
+from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
+from aerobalance.app.commands import force, recordings
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
-from aerobalance.problems import DoubtWarning
-from aerobalance.published import CABLE_CUT
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.simulation.published import CABLE_CUT
 from seeds import new_seed
 
 SEED = 11

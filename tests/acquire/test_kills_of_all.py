@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from at_work import blocks_of
 
-from aerobalance.cli import main
+from aerobalance.app.cli import main
 from aerobalance.io.hdf5_file import read_blocks
 from seeds import new_seed
 
@@ -43,7 +43,7 @@ def family(process, file):
 
 @contextlib.contextmanager
 def begin(folder, name, temporary):
-    command = [sys.executable, "-m", "aerobalance.cli", "record", "--source", "simulated", "--rig", "cable_cut"]
+    command = [sys.executable, "-m", "aerobalance.app.cli", "record", "--source", "simulated", "--rig", "cable_cut"]
     environment = os.environ | {"TMPDIR": str(temporary)}
     streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen([*command, "-o", name], cwd=folder, env=environment, **streams) as process:

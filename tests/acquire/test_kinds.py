@@ -4,11 +4,11 @@ import sys
 
 import pytest
 
-from aerobalance.acquire.setup import open_source, parse_setup, setup_text, stored_channels
-from aerobalance.acquire.source import SourceChannel
+from aerobalance.acquisition.setup import open_source, parse_setup, setup_text, stored_channels
+from aerobalance.acquisition.source import SourceChannel
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance
-from aerobalance.problems import FitError, ReadError
+from aerobalance.recording.errors import FitError, ReadError
 
 OPENDAQ = '[source]\nkind = "opendaq"\naddress = "daq.nd://10.0.0.5:7420"\n'
 NI = """

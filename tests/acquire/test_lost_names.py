@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from at_work import blocks_of, follow
 
-from aerobalance.acquire.recorder import run_recorder
-from aerobalance.acquire.session import Recorder, Session
-from aerobalance.acquire.setup import parse_setup
-from aerobalance.acquire.simulated import RigSettings, SimulatedSource
+from aerobalance.acquisition.recorder import run_recorder
+from aerobalance.acquisition.session import Recorder, Session
+from aerobalance.acquisition.setup import parse_setup
+from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.held_file import is_held, recover_all
@@ -143,7 +143,7 @@ def test_file_that_is_cut_short_is_told(tmp_path) -> None:
 
 
 def command(folder, *words):
-    program = [sys.executable, "-m", "aerobalance.cli", *words]
+    program = [sys.executable, "-m", "aerobalance.app.cli", *words]
     done = subprocess.run(program, cwd=folder, capture_output=True, text=True, check=False)
     return done.returncode, done.stderr
 
@@ -151,7 +151,7 @@ def command(folder, *words):
 def test_command_says_where_the_record_is(tmp_path) -> None:
     import json
 
-    program = [sys.executable, "-m", "aerobalance.cli", "record", "--seconds", "4", "-o", "run.h5", "--json"]
+    program = [sys.executable, "-m", "aerobalance.app.cli", "record", "--seconds", "4", "-o", "run.h5", "--json"]
     with subprocess.Popen(program, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         limit = time.monotonic() + 60
         while blocks_of(tmp_path / "run.h5") < 2:
@@ -218,7 +218,7 @@ def test_file_that_another_recorder_has_made_is_told_in_plain_words(tmp_path, mo
             raise KeyError
 
         with monkeypatch.context() as patch:
-            patch.setattr("aerobalance.acquire.session.Recorder", caught)
+            patch.setattr("aerobalance.acquisition.session.Recorder", caught)
             with pytest.raises(KeyError):
                 session.record(tmp_path / "other.h5")
         # both have seen that there was no such file

@@ -13,15 +13,15 @@ from at_work import end_by_sigterm, follow, lost_by_a_kill
 from ni_server import FakeServer
 from nidaqmx.constants import AccelUnits, BridgeConfiguration, BridgeUnits, ExcitationSource
 
-from aerobalance.acquire import nidaqmx
-from aerobalance.acquire.continuity import Continuity
-from aerobalance.acquire.kinds import NiInput
-from aerobalance.acquire.nidaqmx import NidaqmxSource, skews
-from aerobalance.acquire.session import Session
-from aerobalance.acquire.setup import parse_setup
-from aerobalance.acquire.source import SourceEndedError
+from aerobalance.acquisition import nidaqmx
+from aerobalance.acquisition.continuity import Continuity
+from aerobalance.acquisition.kinds import NiInput
+from aerobalance.acquisition.nidaqmx import NidaqmxSource, skews
+from aerobalance.acquisition.session import Session
+from aerobalance.acquisition.setup import parse_setup
+from aerobalance.acquisition.source import SourceEndedError
 from aerobalance.io.hdf5_file import read_blocks
-from aerobalance.problems import FitError
+from aerobalance.recording.errors import FitError
 
 BRIDGE = {"measures": "bridge", "low": -2.0, "high": 2.0, "excitation": 10.0, "bridge": "half", "resistance": 1000.0}
 ACCELERATION = {"measures": "acceleration", "low": -50.0, "high": 50.0, "sensitivity": 100.0, "current": 0.002}

@@ -11,14 +11,14 @@ import pytest
 from at_work import end_by_sigterm, follow, lost_by_a_kill
 from devices import RIG, Server, free_port
 
-from aerobalance.acquire.opendaq import DomainClock, OpendaqSource, origin_of
-from aerobalance.acquire.session import Session
-from aerobalance.acquire.setup import parse_setup
-from aerobalance.commands import recordings
+from aerobalance.acquisition.opendaq import DomainClock, OpendaqSource, origin_of
+from aerobalance.acquisition.session import Session
+from aerobalance.acquisition.setup import parse_setup
+from aerobalance.app.commands import recordings
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
-from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording.errors import DoubtWarning, FitError
 
 installed = pytest.mark.skipif(
     find_spec("opendaq") is None,
@@ -30,9 +30,9 @@ installed = pytest.mark.skipif(
 SERVER = """
 import sys, time
 import numpy as np
-from aerobalance.acquire.opendaq_server import PublishedDevice
-from aerobalance.acquire.pacing import Pacing
-from aerobalance.acquire.source import Block, SourceChannel
+from aerobalance.acquisition.opendaq_server import PublishedDevice
+from aerobalance.acquisition.pacing import Pacing
+from aerobalance.acquisition.source import Block, SourceChannel
 
 class Counter:
     rate = float(sys.argv[2])
@@ -108,8 +108,8 @@ def test_device_that_comes_back_at_another_rate_ends_the_record_and_says_so(tmp_
 
 @installed
 def test_record_across_a_restart_gives_info_and_force(tmp_path) -> None:
-    from aerobalance.force import reconstruct
-    from aerobalance.published import CABLE_CUT
+    from aerobalance.estimation.force import reconstruct
+    from aerobalance.simulation.published import CABLE_CUT
 
     port, file = free_port(), tmp_path / "run.h5"
     (tmp_path / "rig.toml").write_text(
@@ -173,8 +173,8 @@ def test_device_that_is_not_there_is_said_so() -> None:
 
 @installed
 def test_port_that_is_taken_is_said_so(tmp_path) -> None:
-    from aerobalance.acquire.opendaq_server import PublishedDevice
-    from aerobalance.acquire.simulated import RigSettings, SimulatedSource
+    from aerobalance.acquisition.opendaq_server import PublishedDevice
+    from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
 
     with socket.create_server(("", 0)) as taken, pytest.raises(FitError, match="cannot listen on port"):
         PublishedDevice(SimulatedSource(RigSettings()), port=taken.getsockname()[1])

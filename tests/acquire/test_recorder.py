@@ -17,19 +17,19 @@ import h5py
 import numpy as np
 import pytest
 
-from aerobalance.acquire import recorder as recorder_module
-from aerobalance.acquire.intake import OnCall, Plan
-from aerobalance.acquire.recorder import Job, Take, Tell
-from aerobalance.acquire.session import Session
-from aerobalance.acquire.setup import parse_setup
-from aerobalance.acquire.simulated import RigSettings, SimulatedSource
-from aerobalance.acquire.source import Block
-from aerobalance.commands import recordings
+from aerobalance.acquisition import recorder as recorder_module
+from aerobalance.acquisition.intake import OnCall, Plan
+from aerobalance.acquisition.recorder import Job, Take, Tell
+from aerobalance.acquisition.session import Session
+from aerobalance.acquisition.setup import parse_setup
+from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
+from aerobalance.acquisition.source import Block
+from aerobalance.app.commands import recordings
 from aerobalance.io import read, write_recording
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import Provenance, StoredChannel
-from aerobalance.problems import DoubtWarning, FitError
+from aerobalance.recording.errors import DoubtWarning, FitError
 from seeds import new_seed
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N"))
@@ -265,8 +265,8 @@ def test_another_recorder_goes_on_where_one_was_killed(tmp_path) -> None:
 
 
 def test_force_is_worked_out_from_the_file_of_a_killed_recorder(tmp_path) -> None:
-    from aerobalance.force import reconstruct
-    from aerobalance.published import CABLE_CUT
+    from aerobalance.estimation.force import reconstruct
+    from aerobalance.simulation.published import CABLE_CUT
 
     text = SETUP.format(rig="cable_cut", block=0.1).replace("[record]", "speed = 10.0\ncut_at = 5.0\n[record]")
     with Session(parse_setup(text), tmp_path) as session:
@@ -336,9 +336,9 @@ WITHOUT_SPACE = """
 import os, sys
 from types import SimpleNamespace
 import numpy as np
-from aerobalance.acquire import recorder
-from aerobalance.acquire.intake import Plan
-from aerobalance.acquire.source import Block
+from aerobalance.acquisition import recorder
+from aerobalance.acquisition.intake import Plan
+from aerobalance.acquisition.source import Block
 from aerobalance.io.hdf5_layout import Provenance, StoredChannel
 recorder.shutil.disk_usage = lambda _: SimpleNamespace(free=2**40)
 channels = tuple(StoredChannel(f"c{i}", "N") for i in range(12))
@@ -429,7 +429,7 @@ def test_viewer_that_never_reads_does_not_slow_the_recorder(tmp_path) -> None:
 
 
 def record_command(folder, *options):
-    command = [sys.executable, "-m", "aerobalance.cli", "record", "-o", "run.h5", "--json", *options]
+    command = [sys.executable, "-m", "aerobalance.app.cli", "record", "-o", "run.h5", "--json", *options]
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -499,7 +499,7 @@ def test_kill_of_the_command_ends_the_record_and_leaves_no_process(tmp_path) -> 
 
 
 def test_replay_keeps_gaps_at_any_speed(tmp_path) -> None:
-    from aerobalance.commands.record import Wishes, record
+    from aerobalance.app.commands.record import Wishes, record
 
     take = Take(job(tmp_path / "first.h5"))
     take.feed(Block(0, truth(0, 300), 0.0))
@@ -520,7 +520,7 @@ def test_replay_keeps_gaps_at_any_speed(tmp_path) -> None:
 
 
 def test_calls_that_the_command_refuses(tmp_path) -> None:
-    from aerobalance.commands.record import Wishes, record, wished
+    from aerobalance.app.commands.record import Wishes, record, wished
 
     with pytest.raises(ValueError, match=r"written as \.h5"):
         record(tmp_path / "run.csv")

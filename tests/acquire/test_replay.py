@@ -6,11 +6,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from aerobalance.acquire.replay import AGAIN, ReplaySource
-from aerobalance.acquire.source import SourceEndedError
+from aerobalance.acquisition.replay import AGAIN, ReplaySource
+from aerobalance.acquisition.source import SourceEndedError
 from aerobalance.io import read
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.errors import DoubtWarning, ReadError
 from seeds import new_seed
 
 CHANNELS = (

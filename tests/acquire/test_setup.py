@@ -7,9 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from aerobalance.acquire.intake import AtLevel, AtOnce, AtTime, OnCall
-from aerobalance.acquire.planned import plan_of
-from aerobalance.acquire.setup import (
+from aerobalance.acquisition.intake import AtLevel, AtOnce, AtTime, OnCall
+from aerobalance.acquisition.planned import plan_of
+from aerobalance.acquisition.setup import (
     Setup,
     load_setup,
     open_source,
@@ -19,8 +19,8 @@ from aerobalance.acquire.setup import (
     setup_text,
     stored_channels,
 )
-from aerobalance.acquire.source import SourceChannel
-from aerobalance.problems import FitError, ReadError
+from aerobalance.acquisition.source import SourceChannel
+from aerobalance.recording.errors import FitError, ReadError
 
 FULL = '''
 name = "wing A, run 12"

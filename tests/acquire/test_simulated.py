@@ -6,12 +6,12 @@ import time
 import numpy as np
 import pytest
 
-from aerobalance.acquire.simulated import RigSettings, SimulatedSource
-from aerobalance.acquire.six_rig import SHAKEN, six_dynamics
-from aerobalance.acquire.source import Chosen, SourceEndedError
-from aerobalance.problems import FitError
-from aerobalance.published import CABLE_CUT
-from aerobalance.rigs import CableCut, Sensor, VibrationRig
+from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
+from aerobalance.acquisition.six_rig import SHAKEN, six_dynamics
+from aerobalance.acquisition.source import Chosen, SourceEndedError
+from aerobalance.recording.errors import FitError
+from aerobalance.simulation import CableCut, Sensor, VibrationRig
+from aerobalance.simulation.published import CABLE_CUT
 
 
 def samples_of(source, count):

@@ -4,9 +4,9 @@ from multiprocessing import Pipe
 
 import numpy as np
 
-from aerobalance.acquire.continuity import Continuity
-from aerobalance.acquire.feed import _Outlet
-from aerobalance.acquire.source import Block
+from aerobalance.acquisition.continuity import Continuity
+from aerobalance.acquisition.feed import _Outlet
+from aerobalance.acquisition.source import Block
 
 
 def block_at(tick, received, *, rows=10, remark="", anew=False):

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from aerobalance.acquire.spawning import start
+from aerobalance.acquisition.spawning import start
 
 NAME = "OPENBLAS_NUM_THREADS"
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.acquire.session import Session
-from aerobalance.acquire.setup import parse_setup
-from aerobalance.acquire.simulated import RigSettings, SimulatedSource
+from aerobalance.acquisition.session import Session
+from aerobalance.acquisition.setup import parse_setup
+from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 

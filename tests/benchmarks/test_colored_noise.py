@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from test_estimator import SHARP, SOFT, T128, Shape, density, inner, rms_of, smooth_run
 
-from aerobalance.channel import Array, Channel
-from aerobalance.force import noise_of, reconstruct
-from aerobalance.recording import Recording
+from aerobalance.estimation.force import noise_of, reconstruct
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.recording import Recording
 from seeds import generator
 
 RATE = 1600.0

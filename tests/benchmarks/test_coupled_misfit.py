@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
-from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_force import reconstruct_coupled
-from aerobalance.coupled_misfit import misfits_of_coupled
-from aerobalance.dynamics import Mode
-from aerobalance.recording import Recording
-from aerobalance.rigs import SixComponentRig
-from aerobalance.rigs.six_balance import random_balance
-from aerobalance.rigs.six_signals import Band, broadband
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Mode
+from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import SixComponentRig
+from aerobalance.simulation.six_balance import random_balance
+from aerobalance.simulation.six_signals import Band, broadband
+from aerobalance.validation.coupled_model_check import misfits_of_coupled
 from seeds import new_seed
 
 BAND = Band(0, 900)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from test_estimator import SHARP, SOFT, T128, drawn, inner, smooth_run
 
-from aerobalance.channel import Channel
-from aerobalance.force import reconstruct
-from aerobalance.recording import Recording
+from aerobalance.estimation.force import reconstruct
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.recording import Recording
 from seeds import generator
 
 NOISES = (0.5, 2.0, 10.0)

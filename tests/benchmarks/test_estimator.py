@@ -10,14 +10,14 @@ import pytest
 from scipy.linalg import solve_toeplitz
 from scipy.signal import czt, fftconvolve
 
-from aerobalance.channel import Array, Channel
-from aerobalance.dynamics import Dynamics
-from aerobalance.estimate import ForceEstimate
-from aerobalance.force import reconstruct
-from aerobalance.identification.decay import identify_decay
-from aerobalance.identification.extrema import extrema_fit
-from aerobalance.recording import Recording
-from aerobalance.rigs import CableCut, Sensor, Simulation, band_noise
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.record import ForceEstimate
+from aerobalance.identification.free_decay.fit import identify_decay
+from aerobalance.identification.free_decay.log_decrement import extrema_fit
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import CableCut, Sensor, Simulation, band_noise
 from seeds import generator
 
 T128 = CableCut().dynamics

@@ -13,21 +13,21 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
-from aerobalance.channel import Array
-from aerobalance.components import COMPONENTS
-from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_force import reconstruct_coupled
-from aerobalance.estimate import ForceEstimate
-from aerobalance.identification.coupled_identification import CoupledIdentification
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.estimation.record import ForceEstimate
 from aerobalance.identification.force_error import predicted_force_error, true_force_error
-from aerobalance.identification.hidden_coordinates import static_shares
-from aerobalance.identification.releases import identify_releases
-from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Recording
-from aerobalance.rigs.six_balance import CoupledBalance, random_balance
-from aerobalance.rigs.six_bending import Bending, bending_dynamics
-from aerobalance.rigs.six_components import Release, SixComponentRig, SixSimulation
-from aerobalance.rigs.six_signals import Band, broadband
+from aerobalance.identification.result import CoupledIdentification
+from aerobalance.identification.step_relaxation.identify import identify_releases
+from aerobalance.identification.step_relaxation.internal_coordinates import static_shares
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
+from aerobalance.simulation.six_bending import Bending, bending_dynamics
+from aerobalance.simulation.six_components import Release, SixComponentRig, SixSimulation
+from aerobalance.simulation.six_signals import Band, broadband
 from seeds import generator
 
 RATE = 5000.0

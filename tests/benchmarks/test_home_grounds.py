@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from aerobalance.channel import Array
-from aerobalance.published import CABLE_CUT
-from aerobalance.rigs import CableCut, Sensor, band_noise
-from aerobalance.rivals import RIVALS, THIS, TUNED, Settings, estimates
-from aerobalance.scores import Truth
+from aerobalance.recording.channel import Array
+from aerobalance.simulation import CableCut, Sensor, band_noise
+from aerobalance.simulation.published import CABLE_CUT
+from aerobalance.validation.baselines import RIVALS, THIS, TUNED, Settings, estimates
+from aerobalance.validation.scores import Truth
 from seeds import new_seed
 
 T128 = CABLE_CUT.dynamics

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from test_estimator import RUNS, SHARP, SOFT, T128, inner, rms_of, smooth_run
 
-from aerobalance.channel import Array, Channel
-from aerobalance.force import reconstruct
-from aerobalance.hum import hum_lines
-from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Recording
+from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.spectra.line_noise import hum_lines
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.recording import Recording
 from seeds import generator
 
 RATE = 1600.0

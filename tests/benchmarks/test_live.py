@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from test_estimator import RIG, RUNS, SHARP, SOFT, T128, WIDE, drawn, inner, rms_of, smooth_run, wiener_bound
 
-from aerobalance.channel import Array
-from aerobalance.dynamics import Dynamics
-from aerobalance.live_coupled import LiveCoupledForce
-from aerobalance.lone_job import load_felt
-from aerobalance.prior import Learned, Reading, learn
-from aerobalance.rigs import CableCut, Sensor
-from aerobalance.rigs.six_balance import random_balance
-from aerobalance.rigs.six_signals import Band, broadband
-from aerobalance.steps import Step
-from aerobalance.stream import LiveForce
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.decoupled_record import load_felt
+from aerobalance.estimation.live.coupled import LiveCoupledForce
+from aerobalance.estimation.live.live_force import LiveForce
+from aerobalance.estimation.prior import Learned, Reading, learn
+from aerobalance.estimation.steps import Step
+from aerobalance.recording.channel import Array
+from aerobalance.simulation import CableCut, Sensor
+from aerobalance.simulation.six_balance import random_balance
+from aerobalance.simulation.six_signals import Band, broadband
 from seeds import generator
 
 LEARNING = {1600.0: 20.0, 25_000.0: 4.0}

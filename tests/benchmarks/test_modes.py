@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from test_estimator import SHARP, SOFT, T128, inner, rms_of, smooth_run, wiener_bound
 
-from aerobalance.channel import Array, Channel
-from aerobalance.dynamics import Dynamics, Mode
-from aerobalance.force import reconstruct
-from aerobalance.identification.decay import identify_decay
-from aerobalance.misfit import misfit_of
-from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Recording
-from aerobalance.rigs import CableCut, Sensor, Simulation
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.estimation.force import reconstruct
+from aerobalance.identification.free_decay.fit import identify_decay
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import CableCut, Sensor, Simulation
+from aerobalance.validation.model_check import misfit_of
 from seeds import generator
 
 HALF_RANGE = 2000.0

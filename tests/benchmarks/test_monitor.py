@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import websockets
 
-from aerobalance.acquire.simulated import RigSettings, SimulatedSource
+from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
 from aerobalance.io.hdf5_file import read_blocks
 
 SECONDS = 60.0
@@ -26,7 +26,7 @@ SEED = 3
 SETUP = f'[source]\nkind = "simulated"\nrig = "six"\nseed = {SEED}\n'
 PROGRAM = """
 from pathlib import Path
-from aerobalance.monitor.command import Reach, monitor
+from aerobalance.app.monitor.command import Reach, monitor
 setup = {setup!r}
 monitor(setup and Path(setup), folder=Path({folder!r}), reach=Reach(port=0), browser=False, last=True,
         say=lambda text: print(text, flush=True))

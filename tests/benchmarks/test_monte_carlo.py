@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from test_estimator import RIG, SHARP, SOFT, T128, WIDE, smooth_run
 
-from aerobalance.channel import Array
-from aerobalance.dynamics import Dynamics
-from aerobalance.force import reconstruct
-from aerobalance.monte_carlo import monte_carlo
-from aerobalance.recording import Recording
-from aerobalance.rigs import CableCut, Sensor
-from aerobalance.uncertainty import scalars
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.force import reconstruct
+from aerobalance.recording.channel import Array
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import CableCut, Sensor
+from aerobalance.uncertainty.budget import scalars
+from aerobalance.uncertainty.monte_carlo import monte_carlo
 from seeds import generator
 
 DRAWS = 800

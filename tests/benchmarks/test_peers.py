@@ -16,12 +16,12 @@ import pytest
 from scipy.linalg import expm
 from scipy.signal import butter, sosfiltfilt
 
-from aerobalance.channel import Array
-from aerobalance.dynamics import Dynamics
-from aerobalance.fir_inverse import ORDER, fit_frequencies
-from aerobalance.force import reconstruct
-from aerobalance.published import CABLE_CUT
-from aerobalance.rigs import CableCut, Sensor, Simulation, band_noise
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.force import reconstruct
+from aerobalance.recording.channel import Array
+from aerobalance.simulation import CableCut, Sensor, Simulation, band_noise
+from aerobalance.simulation.published import CABLE_CUT
+from aerobalance.validation.fir_inverse import ORDER, fit_frequencies
 from seeds import new_seed
 
 T128 = CABLE_CUT.dynamics

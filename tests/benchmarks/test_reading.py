@@ -8,9 +8,9 @@ from time import perf_counter
 
 import numpy as np
 
-from aerobalance.channel import Channel
 from aerobalance.io import read, write_recording
-from aerobalance.recording import Recording
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.recording import Recording
 from seeds import new_seed
 
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from aerobalance.components import COMPONENTS
-from aerobalance.identification.coupled_identification import CoupledIdentification
 from aerobalance.identification.force_error import true_force_error
-from aerobalance.identification.releases import identify_releases
-from aerobalance.problems import DoubtWarning, FitError
-from aerobalance.recording import Recording
-from aerobalance.rigs.six_balance import CoupledBalance, random_balance
-from aerobalance.rigs.six_components import Release, SixComponentRig
+from aerobalance.identification.result import CoupledIdentification
+from aerobalance.identification.step_relaxation.identify import identify_releases
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
+from aerobalance.simulation.six_components import Release, SixComponentRig
 from seeds import generator
 
 SETS = {1: ("YM",), 2: ("NF", "YM"), 3: ("NF", "SF", "AF"), 6: COMPONENTS}

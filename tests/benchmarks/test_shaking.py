@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from aerobalance.channel import Array
-from aerobalance.components import COMPONENTS
-from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_force import reconstruct_coupled
-from aerobalance.identification.coupled_model import agreement
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.identification.base_excitation.shaking import identify_shaking
+from aerobalance.identification.base_excitation.shaking_result import ShakingIdentification
 from aerobalance.identification.force_error import true_force_error
-from aerobalance.identification.releases import identify_releases
-from aerobalance.identification.shaking import identify_shaking
-from aerobalance.identification.shaking_identification import ShakingIdentification
-from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Recording
-from aerobalance.rigs import Band, BaseMotion, Sweep, broadband, driven_motion, random_motion
-from aerobalance.rigs.six_balance import CoupledBalance, random_balance
-from aerobalance.rigs.six_components import Release, SixComponentRig
+from aerobalance.identification.from_stiffness import agreement
+from aerobalance.identification.step_relaxation.identify import identify_releases
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import Band, BaseMotion, Sweep, broadband, driven_motion, random_motion
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
+from aerobalance.simulation.six_components import Release, SixComponentRig
 from seeds import generator
 
 BALANCES = int(os.environ.get("AEROBALANCE_BALANCES", "12"))

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from aerobalance.channel import Array
-from aerobalance.coupled import CoupledDynamics
-from aerobalance.coupled_force import reconstruct_coupled
-from aerobalance.decoupling import LoneComponent
-from aerobalance.rigs import SixComponentRig
-from aerobalance.rigs.six_balance import CoupledBalance, random_balance
-from aerobalance.rigs.six_bending import Bending, bending_dynamics
-from aerobalance.rigs.six_components import Release, SixSimulation
-from aerobalance.rigs.six_signals import Band, broadband
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.decoupling import LoneComponent
+from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.recording.channel import Array
+from aerobalance.simulation import SixComponentRig
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
+from aerobalance.simulation.six_bending import Bending, bending_dynamics
+from aerobalance.simulation.six_components import Release, SixSimulation
+from aerobalance.simulation.six_signals import Band, broadband
 from seeds import generator
 
 BALANCES = 6

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from test_six_chain import chain
 
-from aerobalance.channel import Array
 from aerobalance.io.coupled_file import read_coupled
-from aerobalance.problems import DoubtWarning
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning
 from seeds import generator
 
 BALANCES = 6

@@ -17,21 +17,21 @@ import numpy as np
 import pytest
 from test_six import inner, wiener_bound
 
-from aerobalance.channel import Array
-from aerobalance.commands.balance_files import BalanceFiles
-from aerobalance.commands.force import force
-from aerobalance.commands.known import Coupled
-from aerobalance.commands.loads import from_gauges
-from aerobalance.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.coupled_force import reconstruct_coupled
+from aerobalance.app.commands.balance_files import BalanceFiles
+from aerobalance.app.commands.force import force
+from aerobalance.app.commands.known import Coupled
+from aerobalance.app.commands.loads import from_gauges
+from aerobalance.app.demos.six_demo import FELT, Folder, bearable, calibrated, identified, largest_felt, still, weighed
+from aerobalance.estimation.coupled_force import reconstruct_coupled
 from aerobalance.io import read
 from aerobalance.io.coupled_file import read_coupled
-from aerobalance.problems import DoubtWarning
-from aerobalance.rigs import SixComponentRig
-from aerobalance.rigs.six_balance import CoupledBalance, random_balance
-from aerobalance.rigs.six_components import Release, SixSimulation
-from aerobalance.rigs.six_signals import Band, broadband
-from aerobalance.six_demo import FELT, Folder, bearable, calibrated, identified, largest_felt, still, weighed
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.simulation import SixComponentRig
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
+from aerobalance.simulation.six_components import Release, SixSimulation
+from aerobalance.simulation.six_signals import Band, broadband
 from seeds import generator
 
 BALANCES = 6

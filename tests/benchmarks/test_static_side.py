@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from statsmodels.regression.linear_model import OLS
 
-from aerobalance import _term_kernels as kernels
-from aerobalance.balance import BalanceMatrix
-from aerobalance.calibration.fit import calibrate
-from aerobalance.calibration.scaled import ScaledPoints
-from aerobalance.channel import Array
-from aerobalance.rigs.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from aerobalance.schedule import Schedule
-from aerobalance.terms import codes
+from aerobalance.balance import _term_kernels as kernels
+from aerobalance.balance.calibration.fit import calibrate
+from aerobalance.balance.calibration.normalised_points import ScaledPoints
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.schedule import Schedule
+from aerobalance.balance.terms import codes
+from aerobalance.recording.channel import Array
+from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from seeds import generator, seed_from
 from tare_bound import tare_bound
 

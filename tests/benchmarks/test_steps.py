@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from test_estimator import RIG, RUNS, SHARP, SOFT, T128, density, inner, rms_of, smooth_run, wiener_bound
 
-from aerobalance.channel import Array, Channel
-from aerobalance.force import reconstruct
-from aerobalance.problems import DoubtWarning
-from aerobalance.recording import Recording
-from aerobalance.rigs import CableCut, Sensor
+from aerobalance.estimation.force import reconstruct
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import CableCut, Sensor
 from seeds import generator
 
 RATE = 1600.0

@@ -14,7 +14,7 @@ FLAGS = [
 ]  # fmt: skip
 PROGRAM = """
 from pathlib import Path
-from aerobalance.monitor.command import Reach, monitor
+from aerobalance.app.monitor.command import Reach, monitor
 monitor(folder=Path({folder!r}), reach=Reach(port=0), browser=False, say=lambda text: print(text, flush=True))
 """
 

@@ -19,12 +19,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 import laboratory
 
-from aerobalance.cli import main
+from aerobalance.app.cli import main
+from aerobalance.estimation.live.coupled import LiveCoupledForce
+from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.io import read
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.io.dynamics_file import read_dynamics
-from aerobalance.live_coupled import LiveCoupledForce
-from aerobalance.stream import LiveForce
 
 PINNED = Path(__file__).with_name("pinned.json")
 ROWS = 8

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerobalance.dynamics import PARAMETERS, Dynamics, Mode
+from aerobalance.balance.weighing import weigh
+from aerobalance.dynamics.single import PARAMETERS, Dynamics, Mode
 from aerobalance.io.artefacts import write_json
 from aerobalance.io.dynamics_file import read_dynamics, write_dynamics
 from aerobalance.io.mass_file import read_mass, write_mass
-from aerobalance.problems import ReadError
-from aerobalance.weighing import weigh
+from aerobalance.recording.errors import ReadError
 
 # The vibration-rig balance as printed in [Gorbushin2020]_.
 PRINTED = {"mass": 0.68, "stiffness": 11.43e6, "damping": 371.98}

@@ -9,7 +9,7 @@ from nptdms import ChannelObject, TdmsWriter
 
 from aerobalance.io import read, read_table
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.errors import DoubtWarning, ReadError
 from seeds import new_seed
 
 GOOD = "time [s],AF [N]\n0,1\n0.1,2\n0.2,3\n"

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.anti_alias import AntiAlias
-from aerobalance.channel import Channel, CrossAxis
-from aerobalance.commands.recordings import convert
+from aerobalance.app.commands.recordings import convert
 from aerobalance.io import load_channel_map, read, template, write_recording
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.analog_filter import AntiAlias
+from aerobalance.recording.channel import Channel, CrossAxis
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 TREADMILL = Path(__file__).parents[3] / "shared" / "data" / "treadmill"
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.components import COMPONENTS
-from aerobalance.coupled import CoupledDynamics, RigidMass
-from aerobalance.dynamics import Dynamics
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.io.coupled_file import dynamics_kind, matrix_units, read_any_dynamics, read_coupled, write_coupled
 from aerobalance.io.dynamics_file import read_dynamics, write_dynamics
-from aerobalance.problems import ReadError
-from aerobalance.rigs import random_balance
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import ReadError
+from aerobalance.simulation import random_balance
 from seeds import new_seed
 
 # printf 'time [s],AF [N]\n0,1\n1,2\n' | sha256sum

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerobalance.channel import Channel
 from aerobalance.io import check_output, column_names, read, read_table, write_force, write_recording
 from aerobalance.io.text_table import read_text_columns
-from aerobalance.problems import ReadError
-from aerobalance.recording import Force, Recording
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import ReadError
+from aerobalance.recording.recording import Force, Recording
 
 ROWS = [(0.0, -1.5, 0.25), (0.625, 2.0, -3.5e-3), (1.25, 1234.5678, 1.0), (1.875, -0.125, 2.0)]
 

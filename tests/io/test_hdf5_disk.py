@@ -16,11 +16,11 @@ from test_hdf5_file import make, quietly, readings
 from aerobalance.io import read, write_recording
 from aerobalance.io.hdf5_closing import close_all_broken_off, close_broken_off, lookup3
 from aerobalance.io.hdf5_guard import GuardedFile
-from aerobalance.problems import DoubtWarning
+from aerobalance.recording.errors import DoubtWarning
 
 WRITES = """
 import resource, sys
-from aerobalance.cli import run
+from aerobalance.app.cli import run
 if sys.argv[1] != "0":
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
 sys.argv = ["aerobalance", *sys.argv[2:]]

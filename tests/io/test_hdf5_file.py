@@ -11,12 +11,12 @@ import h5py
 import numpy as np
 import pytest
 
-from aerobalance.commands import recordings
+from aerobalance.app.commands import recordings
 from aerobalance.io import column_names, load_channel_map, read, template, write_recording
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import headings, read_blocks
 from aerobalance.io.hdf5_layout import CHANNEL_1, BlockWriter, Provenance, StoredChannel, text_bytes
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.errors import DoubtWarning, ReadError
 from seeds import new_seed
 
 CHANNELS = (

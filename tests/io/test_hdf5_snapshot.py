@@ -11,7 +11,7 @@ from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
 from aerobalance.io.hdf5_snapshot import Snapshot
-from aerobalance.problems import ReadError
+from aerobalance.recording.errors import ReadError
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N", scale=2.0))
 
@@ -59,7 +59,7 @@ def test_other_programs_open_it(writer, tmp_path) -> None:
     (tmp_path / "copy.h5").write_bytes(b"".join(Snapshot(tmp_path / "run.h5").parts()))
     with h5py.File(tmp_path / "copy.h5", "r") as file:
         assert file["samples"][...].tobytes() == np.concatenate([block(0, 50), block(1, 30)]).tobytes()
-    command = [sys.executable, "-m", "aerobalance.cli", "info", str(tmp_path / "copy.h5")]
+    command = [sys.executable, "-m", "aerobalance.app.cli", "info", str(tmp_path / "copy.h5")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, "80" in done.stdout) == (0, True), done.stderr
 

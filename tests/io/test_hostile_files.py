@@ -10,11 +10,11 @@ import h5py
 import numpy as np
 import pytest
 
-from aerobalance.acquire.setup import load_setup
+from aerobalance.acquisition.setup import load_setup
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import BLOCK, BlockWriter, Provenance, StoredChannel
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N"))
 
@@ -24,10 +24,10 @@ LONGEST, LARGEST = 5.0, 500e6
 WATCHED = """
 import json, resource, sys, time, warnings
 import h5py, numpy, pandas, scipy
-from aerobalance.acquire.setup import load_setup
+from aerobalance.acquisition.setup import load_setup
 from aerobalance.io import read, template
 from aerobalance.io.csv_file import read_table
-from aerobalance.problems import ReadError
+from aerobalance.recording.errors import ReadError
 warnings.simplefilter("ignore")
 ways = {"read": read, "template": template, "table": read_table, "setup": load_setup}
 for given in sys.argv[2:]:

@@ -12,7 +12,7 @@ import pytest
 
 from aerobalance.io import load_channel_map
 from aerobalance.io.schedule import read_schedule
-from aerobalance.problems import ReadError
+from aerobalance.recording.errors import ReadError
 
 LOADS = np.array([[100.5, 0.0], [-200.25, 0.0], [0.0, 12.5], [0.0, -25.125]])
 OUTPUTS = np.array([[0.51, 0.002], [-1.01, 0.001], [0.003, 0.25], [0.004, -0.51]])

@@ -6,9 +6,9 @@ import warnings
 import numpy as np
 import pytest
 
-from aerobalance.cli import main
+from aerobalance.app.cli import main
 from aerobalance.io import column_names, load_channel_map, read, template
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 FILE = {
     "Writer_Version": "2", "Reader_Version": "2", "Separator": "Tab", "Decimal_Separator": ".",

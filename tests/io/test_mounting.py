@@ -6,13 +6,13 @@ import h5py
 import numpy as np
 import pytest
 
-from aerobalance.channel import Channel
 from aerobalance.io import read, write_recording
 from aerobalance.io.channel_map import load_channel_map
 from aerobalance.io.hdf5_layout import CHANNEL_2
-from aerobalance.platform_motion import PlatformMotion
-from aerobalance.problems import ReadError
-from aerobalance.recording import Recording
+from aerobalance.motion.platform import PlatformMotion
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import ReadError
+from aerobalance.recording.recording import Recording
 
 MAP = """
 [file]

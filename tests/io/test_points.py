@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from aerobalance.balance.weighing import weigh
 from aerobalance.io.points import read_points
-from aerobalance.problems import FitError, ReadError
-from aerobalance.weighing import weigh
+from aerobalance.recording.errors import FitError, ReadError
 
 
 def table(folder, text, name="points.csv"):

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from aerobalance.cli import main
+from aerobalance.app.cli import main
 from aerobalance.io import read
 from aerobalance.io.load_columns import balance_type_of, load_key
 from aerobalance.io.schedule import read_schedule, write_balfit_schedule
 from aerobalance.io.units import conversion
-from aerobalance.problems import DoubtWarning, FitError, ReadError
+from aerobalance.recording.errors import DoubtWarning, FitError, ReadError
 from seeds import new_seed
 
 POUND = 0.45359237 * 9.80665  # international pound (1959) and standard gravity (1901), both exact

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from aerobalance.io import read, write_recording
-from aerobalance.rigs import SixComponentRig, oscillation, random_balance
-from aerobalance.rigs.six_components import GROUND_CHANNELS
+from aerobalance.simulation import SixComponentRig, oscillation, random_balance
+from aerobalance.simulation.six_components import GROUND_CHANNELS
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".h5"])

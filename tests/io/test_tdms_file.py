@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from nptdms.reader import TdmsReader
 
-from aerobalance.cli import main
+from aerobalance.app.cli import main
 from aerobalance.io import column_names, load_channel_map, read, template
 from aerobalance.io.tdms_file import round_interval
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.errors import DoubtWarning, ReadError
 from seeds import new_seed
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "internal-balance"

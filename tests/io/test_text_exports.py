@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from aerobalance.io import load_channel_map, read, template
-from aerobalance.problems import DoubtWarning
+from aerobalance.recording.errors import DoubtWarning
 from text_exports import BRIDGES, EXPORTS, GAUGES, PITCH, RATE, TIME, completed
 
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aerobalance.io import load_channel_map, read, template
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.errors import DoubtWarning, ReadError
 from text_exports import EXPORTS
 
 PARTS = st.sampled_from(

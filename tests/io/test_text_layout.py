@@ -5,9 +5,9 @@ import tomllib
 import numpy as np
 import pytest
 
-from aerobalance.cli import main
+from aerobalance.app.cli import main
 from aerobalance.io import load_channel_map, read, read_table, template
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 ROWS = [(i / 5000, round(0.5 + 0.25 * float(np.sin(i)), 4)) for i in range(100)]
 

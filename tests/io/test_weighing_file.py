@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from aerobalance.commands.weighing import weigh as weigh_files
-from aerobalance.components import COMPONENTS
-from aerobalance.gravity import weight_direction
+from aerobalance.app.commands.weighing import weigh as weigh_files
+from aerobalance.balance.weighing import LoadPoints, Weighing, WeightModel, weigh, weigh_components
 from aerobalance.io.mass_file import read_mass, write_mass
 from aerobalance.io.weighing_file import read_weighing, write_weighing
-from aerobalance.problems import DoubtWarning, FitError, ReadError
-from aerobalance.weighing import LoadPoints, Weighing, WeightModel, weigh, weigh_components
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import DoubtWarning, FitError, ReadError
+from aerobalance.recording.gravity import weight_direction
 
 LATER = {"pitch": np.radians([-20.0, 0, 30]), "roll": np.radians([0.0, 90, 200])}
 

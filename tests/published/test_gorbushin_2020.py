@@ -5,9 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from aerobalance.dynamics import stiffness_from_damped_frequency
+from aerobalance.dynamics.single import stiffness_from_damped_frequency
 from aerobalance.identification import find_dwells, harmonic_check, identify_rig, reference_fit
-from aerobalance.published import (
+from aerobalance.simulation import ARMATURE_MASS, Sensor, Simulation, SteppedSine, VibrationRig
+from aerobalance.simulation.published import (
     CABLE_CUT,
     SECOND_FREQUENCY,
     TABLE_1,
@@ -16,7 +17,6 @@ from aerobalance.published import (
     VIBRATION_RIG,
     Printed,
 )
-from aerobalance.rigs import ARMATURE_MASS, Sensor, Simulation, SteppedSine, VibrationRig
 from seeds import new_seed
 
 FREQUENCIES = (*np.arange(300.0, 600.0, 50.0), *np.arange(600.0, 650.0, 10.0), 652.5, *np.arange(660.0, 750.0, 10.0),

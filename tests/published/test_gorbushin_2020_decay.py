@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from aerobalance.force import reconstruct
-from aerobalance.identification.decay import DecayFit, identify_decay
-from aerobalance.identification.extrema import extrema_fit
-from aerobalance.published import CABLE_CUT, TABLE_1, TABLE_2, Printed
-from aerobalance.rigs import CableCut, Sensor, Simulation
+from aerobalance.estimation.force import reconstruct
+from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
+from aerobalance.identification.free_decay.log_decrement import extrema_fit
+from aerobalance.simulation import CableCut, Sensor, Simulation
+from aerobalance.simulation.published import CABLE_CUT, TABLE_1, TABLE_2, Printed
 from seeds import new_seed
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aerobalance.channel import Array
-from aerobalance.coupled import CoupledDynamics
-from aerobalance.dynamics import Mode
-from aerobalance.identification.free_motion import Complex
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Mode
+from aerobalance.identification.step_relaxation.free_response import Complex
+from aerobalance.recording.channel import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

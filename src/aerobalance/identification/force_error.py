@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aerobalance.channel import Array
-from aerobalance.coupled import CoupledDynamics
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.recording.channel import Array
 
 BEYOND: Final = 1.2
 """Upper end of the band of the stated load, over the highest natural frequency."""

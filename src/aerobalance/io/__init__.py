@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from aerobalance.channel import Array, Channel
-from aerobalance.components import is_gauge, si_unit
 from aerobalance.io import balfit_file, csv_file, hdf5_file, lvm_file, tdms_file, vol_file
 from aerobalance.io.channel_map import ChannelMap, load_channel_map, mapped_recording
 from aerobalance.io.clocks import of_one_length, on_one_clock
@@ -27,11 +25,13 @@ from aerobalance.io.table import Column, Table, recording_from, table_from
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.text_table import describe_text, guess_encoding
 from aerobalance.io.units import Conversion, conversion, conversion_for, edge_unit
-from aerobalance.problems import ReadError
-from aerobalance.recording import Force, Recording
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import is_gauge, si_unit
+from aerobalance.recording.errors import ReadError
+from aerobalance.recording.recording import Force, Recording
 
 if TYPE_CHECKING:
-    from aerobalance.loads import LoadsFelt
+    from aerobalance.balance.loads import LoadsFelt
 
 __all__ = [
     "FORMATS",

@@ -13,11 +13,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 
 from aerobalance import __version__
-from aerobalance.channel import Array
 from aerobalance.io.messages import first_fault
 from aerobalance.io.opening import opened_file
 from aerobalance.io.safe_write import replacing
-from aerobalance.problems import ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import ReadError
 
 BY_HAND: Final = "by hand"
 """Key of the validation's context under which stands whether a file was written by hand."""

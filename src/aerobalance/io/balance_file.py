@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Unpack
 import numpy as np
 from pydantic import Field
 
-from aerobalance.balance import BalanceMatrix, TemperatureEffect
-from aerobalance.channel import Array
-from aerobalance.forms import Geometry
+from aerobalance.balance.load_formats import Geometry
+from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
+from aerobalance.balance.terms import by_label
 from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative, Positive
-from aerobalance.problems import ReadError
-from aerobalance.terms import by_label
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import ReadError
 
 if TYPE_CHECKING:  # the fit brings a statistics library that only calibrating needs, and that is slow to import
-    from aerobalance.calibration.fit import Calibration
-    from aerobalance.calibration.quality import Direction, Quality
-    from aerobalance.calibration.regression import Regression
+    from aerobalance.balance.calibration.fit import Calibration
+    from aerobalance.balance.calibration.quality import Direction, Quality
+    from aerobalance.balance.calibration.regression import Regression
 
 
 class _Geometry(artefacts.Loose):

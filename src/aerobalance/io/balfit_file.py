@@ -13,15 +13,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.channel import Array
-from aerobalance.forms import BalanceType
+from aerobalance.balance.load_formats import BalanceType
+from aerobalance.balance.schedule import Schedule
 from aerobalance.io.balfit_symbols import Columns, columns_of
 from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, settle_capacities
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_cells import number_in, separator_of, split_line
 from aerobalance.io.units import Conversion, conversion
-from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.schedule import Schedule
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 NAME: Final = "BALFIT load schedule"
 """What to call the format in messages."""

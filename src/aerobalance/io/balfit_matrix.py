@@ -13,13 +13,13 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.balance import BalanceMatrix
-from aerobalance.channel import Array
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.terms import Term, by_label
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_table import read_text
 from aerobalance.io.units import conversion
-from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.terms import Term, by_label
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 FILE_TYPE: Final = "DATA_REDUCTION_MATRIX_IN_AMES_FORMAT"
 MOMENT_UNIT: Final = "N*m"

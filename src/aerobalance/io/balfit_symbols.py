@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from aerobalance.problems import ReadError
+from aerobalance.recording.errors import ReadError
 
 _TEMPERATURES: Final = ("t", "temp", "temperature", "tb", "tbal")
 

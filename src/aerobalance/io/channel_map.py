@@ -10,14 +10,6 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
-from aerobalance.anti_alias import HIGHEST_ORDER, AntiAlias, Kind
-from aerobalance.channel import (
-    Array,
-    Channel,
-    CrossAxis,
-    unit_inside,
-)
-from aerobalance.components import is_gauge
 from aerobalance.io.channel_settings import ChannelSettings, Number, Strict
 from aerobalance.io.clocks import of_one_length, on_one_clock
 from aerobalance.io.columns import RawColumn, RawColumns
@@ -27,8 +19,16 @@ from aerobalance.io.text_cells import SEPARATORS
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.toml_text import read_toml
 from aerobalance.io.units import Conversion, conversion, conversion_for
-from aerobalance.problems import DoubtWarning, ReadError
-from aerobalance.recording import Recording
+from aerobalance.recording.analog_filter import HIGHEST_ORDER, AntiAlias, Kind
+from aerobalance.recording.channel import (
+    Array,
+    Channel,
+    CrossAxis,
+    unit_inside,
+)
+from aerobalance.recording.components import is_gauge
+from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.recording import Recording
 
 Position = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
 

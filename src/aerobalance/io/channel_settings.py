@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
-from aerobalance.channel import AXES_BY_NAME, DIRECTIONS, Coupling, is_ground_acceleration, unit_inside
 from aerobalance.io.text_cells import LARGEST
+from aerobalance.recording.channel import AXES_BY_NAME, DIRECTIONS, Coupling, is_ground_acceleration, unit_inside
 
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 NotBelow = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.channel import Array
 from aerobalance.io.columns import Clock, RawColumn, RawColumns
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 DRIFT_ALLOWED: Final = 0.1
 """Sampling intervals by which two clocks may run apart over a record and still count as of equal rate."""

@@ -11,10 +11,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.anti_alias import AntiAlias
-from aerobalance.channel import Array, Coupling, CrossAxis
 from aerobalance.io.units import readable
-from aerobalance.problems import ReadError
+from aerobalance.recording.analog_filter import AntiAlias
+from aerobalance.recording.channel import Array, Coupling, CrossAxis
+from aerobalance.recording.errors import ReadError
 
 _SQUARE: Final = re.compile(r"(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 _ROUND: Final = re.compile(r"(?P<name>.*?)\s*\((?P<unit>.*)\)\s*")
@@ -72,7 +72,7 @@ class Heading:
 
 @dataclass(frozen=True, slots=True)
 class Sensing:
-    """How a column was measured, where the file itself says it; as in `aerobalance.channel.Channel`.
+    """How a column was measured, where the file itself says it; as in `aerobalance.recording.channel.Channel`.
 
     Attributes
     ----------

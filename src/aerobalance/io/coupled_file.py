@@ -10,10 +10,8 @@ from typing import Annotated, Final, Literal, Unpack
 import numpy as np
 from pydantic import Field
 
-from aerobalance.channel import Array
-from aerobalance.components import COMPONENTS, si_unit
-from aerobalance.coupled import CoupledDynamics, RigidMass, hidden_names
-from aerobalance.dynamics import Dynamics
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass, hidden_names
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.io.artefacts import (
     IN_EVERY_FILE,
     Covariance,
@@ -29,7 +27,9 @@ from aerobalance.io.artefacts import (
     write_artefact,
 )
 from aerobalance.io.dynamics_file import ListedMode, check_mode, read_dynamics
-from aerobalance.problems import ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS, si_unit
+from aerobalance.recording.errors import ReadError
 
 KIND: Final = "coupled dynamics"
 """What the file calls itself; dynamics.json of components each for itself is of kind ``dynamics``."""

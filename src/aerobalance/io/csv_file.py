@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.channel import Array
 from aerobalance.io.columns import Heading, RawColumns
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.table import Table, table_from
@@ -19,7 +18,8 @@ from aerobalance.io.text_layout import Layout, TextLayout
 from aerobalance.io.text_table import describe_text, guess_encoding, read_text_columns, read_text_table
 from aerobalance.io.toml_text import quoted
 from aerobalance.io.units import expected_unit
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 NAME: Final = "CSV text"
 """What to call the format in messages."""

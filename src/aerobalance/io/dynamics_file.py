@@ -8,8 +8,7 @@ from typing import Annotated, Final, Literal, Unpack
 
 from pydantic import Field
 
-from aerobalance.components import COMPONENTS, mass_unit
-from aerobalance.dynamics import MODE_PARAMETERS, PARAMETERS, Dynamics, Mode
+from aerobalance.dynamics.single import MODE_PARAMETERS, PARAMETERS, Dynamics, Mode
 from aerobalance.io.artefacts import (
     IN_EVERY_FILE,
     Covariance,
@@ -27,7 +26,8 @@ from aerobalance.io.artefacts import (
     load,
     write_artefact,
 )
-from aerobalance.problems import ReadError
+from aerobalance.recording.components import COMPONENTS, mass_unit
+from aerobalance.recording.errors import ReadError
 
 FREQUENCY_AGREEMENT: Final = 0.01
 """Relative difference up to which a natural frequency in dynamics.json may be a rounded one."""

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.anti_alias import AntiAlias, Kind
-from aerobalance.channel import Channel, Coupling, CrossAxis, unit_inside
 from aerobalance.io.hdf5_closing import marked_as_written
 from aerobalance.io.hdf5_layout import BLOCK, CHANNELS, EVENT, FORMAT, GAP, STATUS, StoredChannel
-from aerobalance.problems import ReadError
+from aerobalance.recording.analog_filter import AntiAlias, Kind
+from aerobalance.recording.channel import Channel, Coupling, CrossAxis, unit_inside
+from aerobalance.recording.errors import ReadError
 
 if TYPE_CHECKING:
     import h5py

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.channel import Array
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, Sensing, split_label
 from aerobalance.io.contact_events import contact_doubt
 from aerobalance.io.hdf5_contents import Contents, contents, contents_of, opened
@@ -31,7 +30,8 @@ from aerobalance.io.hdf5_layout import (
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.io.text_layout import Layout
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 if TYPE_CHECKING:
     import h5py

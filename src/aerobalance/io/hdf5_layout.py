@@ -37,10 +37,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance import __version__
-from aerobalance.anti_alias import AntiAlias
-from aerobalance.channel import Array, Coupling, CrossAxis
 from aerobalance.io.hdf5_closing import begin_file, take_mark_off
 from aerobalance.io.hdf5_guard import LIBVER
+from aerobalance.recording.analog_filter import AntiAlias
+from aerobalance.recording.channel import Array, Coupling, CrossAxis
 
 if TYPE_CHECKING:
     import h5py
@@ -112,11 +112,11 @@ class StoredChannel:
     relative_uncertainty
         Standard uncertainty of the gain, relative [1].
     coupling, corner
-        What an accelerometer reads, as in `aerobalance.channel.Channel`.
+        What an accelerometer reads, as in `aerobalance.recording.channel.Channel`.
     zero_uncertainty
         Standard uncertainty of the zero [unit].
     filter, cross_axis
-        What is still in the readings, as in `aerobalance.channel.Channel`.
+        What is still in the readings, as in `aerobalance.recording.channel.Channel`.
     place, axis, place_uncertainty
         Where an accelerometer sits and which way it reads, as there.
     """

@@ -12,11 +12,11 @@ from typing import IO, Any, Final
 
 import numpy as np
 
-from aerobalance.channel import Array
 from aerobalance.io.hdf5_contents import Contents, contents_of, opened
 from aerobalance.io.hdf5_guard import LIBVER
 from aerobalance.io.hdf5_layout import SCHEMA
-from aerobalance.problems import ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import ReadError
 
 _TABLES: Final = ("channels", "gaps", "events", "status")
 _LARGEST_SETUP: Final = 2_000_000

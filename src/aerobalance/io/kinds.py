@@ -10,7 +10,7 @@ from typing import Final
 
 from aerobalance.io import hdf5_file
 from aerobalance.io.hdf5_contents import contents
-from aerobalance.problems import ReadError
+from aerobalance.recording.errors import ReadError
 
 PAGE: Final = "page"
 TABLE: Final = "table with uncertainties"

@@ -12,14 +12,14 @@ from typing import Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.channel import Array
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
 from aerobalance.io.text_cells import number_in, split_line
 from aerobalance.io.text_clock import ALIKE, stamp_seconds
 from aerobalance.io.text_layout import Layout, TextLayout
 from aerobalance.io.text_rows import Grid, read_cells
 from aerobalance.io.text_table import decoded, guess_encoding
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 NAME: Final = "LabVIEW measurement file (LVM)"
 """What to call the format in messages."""

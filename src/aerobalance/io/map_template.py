@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from aerobalance.channel import QUANTITIES
 from aerobalance.io.channel_names import Proposal, proposals
 from aerobalance.io.columns import Heading
 from aerobalance.io.text_clock import is_time_name, is_time_unit
 from aerobalance.io.text_layout import TextLayout, separator_word
 from aerobalance.io.toml_text import quoted
 from aerobalance.io.units import readable
+from aerobalance.recording.channel import QUANTITIES
 
 
 def map_text(file: Path, headings: Sequence[Heading], *, found: TextLayout | None = None) -> str:

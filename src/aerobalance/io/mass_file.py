@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Unpack
 import numpy as np
 from pydantic import Field
 
-from aerobalance.components import STANDARD_GRAVITY, mass_unit, si_unit
+from aerobalance.balance.weighing import AXES, MovingMass
 from aerobalance.io.artefacts import (
     IN_EVERY_FILE,
     Covariance,
@@ -24,7 +24,7 @@ from aerobalance.io.artefacts import (
     load,
     write_artefact,
 )
-from aerobalance.weighing import AXES, MovingMass
+from aerobalance.recording.components import STANDARD_GRAVITY, mass_unit, si_unit
 
 
 class _ComponentMass(Loose):

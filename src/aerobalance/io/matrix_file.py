@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from aerobalance.balance import BalanceMatrix
+from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.io.balance_file import read_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix, read_balfit_matrix
 from aerobalance.io.opening import opened_file

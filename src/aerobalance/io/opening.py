@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 
-from aerobalance.problems import ReadError
+from aerobalance.recording.errors import ReadError
 
 
 @contextmanager

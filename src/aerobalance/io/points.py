@@ -8,14 +8,14 @@ from typing import overload
 
 import numpy as np
 
-from aerobalance.channel import Array
-from aerobalance.components import COMPONENTS, is_gauge
+from aerobalance.balance.weighing import LoadPoints, StaticPoints, points_from_recordings
 from aerobalance.io import read, read_table, states_times
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.table import Table
-from aerobalance.problems import FitError, ReadError
-from aerobalance.recording import GAUGES_BECOME_LOADS
-from aerobalance.weighing import LoadPoints, StaticPoints, points_from_recordings
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS, is_gauge
+from aerobalance.recording.errors import FitError, ReadError
+from aerobalance.recording.recording import GAUGES_BECOME_LOADS
 
 Names = tuple[str, ...]
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from aerobalance.balance.schedule import Schedule
 from aerobalance.io import balfit_file, schedule_table, vol_file
 from aerobalance.io.balfit_file import write_balfit_schedule
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.load_columns import Capacities
 from aerobalance.io.sheet_cells import is_workbook
 from aerobalance.io.text_table import read_text
-from aerobalance.problems import ReadError
-from aerobalance.schedule import Schedule
+from aerobalance.recording.errors import ReadError
 
 __all__ = ["Capacities", "read_schedule", "write_balfit_schedule"]
 

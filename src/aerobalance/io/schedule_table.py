@@ -10,8 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.channel import Array
-from aerobalance.components import is_gauge
+from aerobalance.balance.schedule import Schedule
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.columns import split_label
 from aerobalance.io.load_columns import (
@@ -27,8 +26,9 @@ from aerobalance.io.sheet_cells import Row, Sheet, sheets_of
 from aerobalance.io.text_cells import MISSING, number_in
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.units import conversion, readable
-from aerobalance.problems import ReadError
-from aerobalance.schedule import Schedule
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import is_gauge
+from aerobalance.recording.errors import ReadError
 
 NAME: Final = "table of loads and outputs"
 """What to call the format in messages."""

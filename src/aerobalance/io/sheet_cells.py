@@ -17,7 +17,7 @@ from aerobalance.io.opening import opened_file
 from aerobalance.io.text_cells import SEPARATORS
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.text_table import read_text
-from aerobalance.problems import ReadError
+from aerobalance.recording.errors import ReadError
 
 WORKBOOK: Final = b"PK\x03\x04"
 """First bytes of an .xlsx workbook, which is a zip archive."""

@@ -11,16 +11,16 @@ from typing import Any, Final, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from aerobalance.channel import Array
-from aerobalance.components import COMPONENTS
-from aerobalance.coupled import RigidMass
+from aerobalance.dynamics.coupled import RigidMass
 from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative
 from aerobalance.io.coupled_file import RigidMassPart, rigid_mass_from
 from aerobalance.io.messages import first_fault
 from aerobalance.io.opening import opened_file
 from aerobalance.io.toml_text import read_toml
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 DOUBTFUL: Final = 5.0
 """Difference of two elements that should be equal, in standard uncertainties, from which it is warned of."""

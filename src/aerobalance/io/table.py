@@ -11,11 +11,11 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.channel import Array, Channel
 from aerobalance.io.columns import RawColumn, RawColumns, Sensing
 from aerobalance.io.units import ALLOWED, conversion_for, expected_unit
-from aerobalance.problems import DoubtWarning, FitError, ReadError
-from aerobalance.recording import Recording
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.errors import DoubtWarning, FitError, ReadError
+from aerobalance.recording.recording import Recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)

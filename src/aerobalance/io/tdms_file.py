@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 import numpy as np
 
-from aerobalance.channel import QUANTITIES, Array
-from aerobalance.components import is_gauge
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
 from aerobalance.io.tdms_tasks import Stamped, seconds_after, start_stamps
 from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.units import conversion, readable
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.channel import QUANTITIES, Array
+from aerobalance.recording.components import is_gauge
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 if TYPE_CHECKING:
     from nptdms import TdmsChannel, TdmsFile

@@ -11,10 +11,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.channel import Array
 from aerobalance.io.text_cells import number_in, stamp_format, stamp_pattern
 from aerobalance.io.units import conversion
-from aerobalance.problems import ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import ReadError
 
 ALIKE: Final = 0.02
 """Relative difference up to which two statements of one sampling rate agree."""

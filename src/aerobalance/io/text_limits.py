@@ -12,7 +12,7 @@ from typing import BinaryIO, Final
 
 import numpy as np
 
-from aerobalance.problems import ReadError
+from aerobalance.recording.errors import ReadError
 
 LONGEST_LINE: Final = 2**20
 """Bytes that a line may have."""

@@ -12,11 +12,11 @@ from typing import Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.channel import Array
 from aerobalance.io.text_cells import LARGEST, MISSING, beyond_all_measure, number_pattern, split_line
 from aerobalance.io.text_layout import TextLayout
 from aerobalance.io.text_limits import check_quotes
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 Lines = Sequence[int] | NDArray[np.intp]
 """Line of every row, counted from 1."""

@@ -12,7 +12,6 @@ from typing import Final, NoReturn
 
 import numpy as np
 
-from aerobalance.channel import Array
 from aerobalance.io.columns import RawColumn, RawColumns, split_label
 from aerobalance.io.opening import opened_file
 from aerobalance.io.text_cells import MISSING, number_in, separator_of, split_line
@@ -21,7 +20,8 @@ from aerobalance.io.text_layout import Layout, TextLayout, recognise
 from aerobalance.io.text_limits import check_columns, check_first_line, check_lines
 from aerobalance.io.text_rows import Grid, Lines, no_number, read_cells
 from aerobalance.io.units import expected_unit
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 _BOMS: Final = (
     (b"\xef\xbb\xbf", "utf-8"),

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from aerobalance.io.opening import opened_file
-from aerobalance.problems import ReadError
+from aerobalance.recording.errors import ReadError
 
 LARGEST: Final = 1_000_000
 """Bytes that a TOML file may have: no map, no set-up and no mass comes near."""

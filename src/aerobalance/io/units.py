@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aerobalance.channel import QUANTITIES, Array, unit_inside
-from aerobalance.components import is_gauge
+from aerobalance.recording.channel import QUANTITIES, Array, unit_inside
+from aerobalance.recording.components import is_gauge
 
 if TYPE_CHECKING:
     import pint

@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.channel import Array
 from aerobalance.io.text_cells import number_in, separator_of, split_line
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 _SECTION: Final = re.compile(r"\[\s*(?P<title>[^\[\]]*?)\s*\]")
 _SIGNED: Final = re.compile(

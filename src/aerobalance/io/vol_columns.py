@@ -11,12 +11,12 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.channel import Array
 from aerobalance.io.columns import split_label
 from aerobalance.io.load_columns import load_conversion, load_key, load_unit_of, ratio_outputs
 from aerobalance.io.units import conversion
 from aerobalance.io.vol_blocks import Block, Entry, VolText
-from aerobalance.problems import DoubtWarning, ReadError
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, ReadError
 
 _GENERIC: Final = re.compile(
     r"((ch|chan|channel|ai|ain|col|column|bridge|gauge|gage|in|input|sensor|signal|out|output|volt|voltage|v|adc)?"

@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.channel import Array
-from aerobalance.forms import BalanceType, Geometry
+from aerobalance.balance.load_formats import BalanceType, Geometry
+from aerobalance.balance.schedule import Schedule
 from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, load_key, settle_capacities
 from aerobalance.io.units import conversion
 from aerobalance.io.vol_blocks import Block, take_apart
@@ -29,8 +29,8 @@ from aerobalance.io.vol_columns import (
     naming_of,
     stated_capacities,
 )
-from aerobalance.problems import DoubtWarning
-from aerobalance.schedule import Schedule
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning
 
 NAME: Final = "voltage calibration file (.vol)"
 """What to call the format in messages."""

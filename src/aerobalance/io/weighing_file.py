@@ -9,13 +9,13 @@ from typing import Annotated, Final, Unpack
 import numpy as np
 from pydantic import Field
 
-from aerobalance.channel import Array
-from aerobalance.components import si_unit
+from aerobalance.balance.weighing import Agreement, Weighing, WeightModel
 from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative
 from aerobalance.io.mass_file import MassFile, mass_payload, read_mass
-from aerobalance.problems import ReadError
-from aerobalance.weighing import Agreement, Weighing, WeightModel
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.errors import ReadError
 
 UNITS: Final[Mapping[str, str]] = {"mass": "kg", "moment": "kg*m", "misalignment": "rad"}
 """Units of the parameters by kind; offsets have that of their component."""

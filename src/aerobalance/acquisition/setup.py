@@ -1,0 +1,348 @@
+"""The test set-up: a TOML file that says what is measured, how, and when it is recorded.
+
+::
+
+    name = "wing A, run 12"
+    notes = "after the new fairing"
+
+    [files]                     # all optional; beside the set-up, or with a path
+    balance = "balance.json"
+    dynamics = "dynamics.json"
+    mass = "mass.json"
+
+    [source]
+    kind = "simulated"          # or "replay", "opendaq", "nidaqmx"; each kind has settings of its own
+    rig = "vibration"
+
+    [record]
+    seconds = 30.0
+    pre_trigger = 0.5
+    trigger = "level"           # "none", "time", "level" or "call"
+    channel = "AF"
+    level = 20.0
+
+    [channels.AF]               # all channels of the source, under their own names, where none is listed
+    input = "AF"
+    unit = "N"
+    sign = -1
+
+    [limits.AF]
+    low = -500.0
+    high = 500.0
+    action = "stop"
+
+What the balance may bear in all, and how it is checked, is in tables of `aerobalance.acquisition.safety`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, Field, SerializeAsAny, ValidationError, model_validator
+
+from aerobalance.acquisition.fields import Above, FileName, Name, NotBelow, Number, Table, Text
+from aerobalance.acquisition.kinds import Nidaqmx, Opendaq, SourceSettings
+from aerobalance.acquisition.safety import SetEnvelope, SetFouling, SetLimit, SetShunt, SetStation
+from aerobalance.acquisition.source import Chosen, Source, SourceChannel
+from aerobalance.io.channel_settings import ChannelSettings
+from aerobalance.io.hdf5_layout import StoredChannel
+from aerobalance.io.messages import first_fault
+from aerobalance.io.safe_write import replacing
+from aerobalance.io.toml_text import read_toml, toml_in, toml_text
+from aerobalance.io.units import conversion_for
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import FitError, ReadError
+
+LATEST: Final = 1.0
+"""Longest delay of a channel [s]; the live force waits for it."""
+
+
+class Files(Table):
+    """Table ``[files]``: what turns the channels into loads and forces."""
+
+    balance: FileName | None = None
+    dynamics: FileName | None = None
+    mass: FileName | None = None
+
+
+class Simulated(SourceSettings):
+    """``kind = "simulated"``: see `aerobalance.acquisition.simulated.RigSettings`."""
+
+    kind: Literal["simulated"] = "simulated"
+    rig: Literal["vibration", "cable_cut", "six"] = "vibration"
+    rate: Annotated[float, Field(ge=10, le=1e6)] | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
+    speed: Annotated[float, Field(gt=0)] = 1.0
+    block: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.02
+    frequency: Above = 100.0
+    amplitude: NotBelow = 10.0
+    cable_force: Annotated[float, Field(ge=-1e5, le=1e5)] | None = None
+    cut_at: NotBelow | None = None
+    noise: NotBelow = 1.0
+    circuit: Literal["none", "fouling"] = "none"
+    balance: FileName | None = None
+
+    def open(self, folder: Path, *, inputs: Sequence[str]) -> Source:
+        """Make the rig."""
+        from aerobalance.acquisition.simulated import RigSettings, SimulatedSource  # noqa: PLC0415 - see `Replay.open`
+        from aerobalance.io.matrix_file import read_matrix  # noqa: PLC0415
+
+        del inputs
+        matrix = None if self.balance is None else read_matrix(folder / self.balance)
+        return SimulatedSource(RigSettings(**self.model_dump(exclude={"kind", "balance"}), balance=matrix))
+
+
+class Replay(SourceSettings):
+    """``kind = "replay"``: a recording, played again."""
+
+    kind: Literal["replay"] = "replay"
+    file: FileName
+    map: FileName | None = None
+    speed: Annotated[float, Field(gt=0)] = 1.0
+    block: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.02
+    loop: bool = False
+
+    def open(self, folder: Path, *, inputs: Sequence[str]) -> Source:
+        """Open the recording."""
+        # Only the process of the source needs it, and it takes a second.
+        from aerobalance.acquisition.replay import ReplaySource  # noqa: PLC0415
+
+        del inputs
+        channel_map = None if self.map is None else folder / self.map
+        return ReplaySource(
+            folder / self.file, channel_map=channel_map, speed=self.speed, block=self.block, loop=self.loop
+        )
+
+
+SOURCES: Final[dict[str, type[SourceSettings]]] = {
+    "simulated": Simulated,
+    "replay": Replay,
+    "opendaq": Opendaq,
+    "nidaqmx": Nidaqmx,
+}
+"""The kinds of source; listing one here is all it takes."""
+
+TriggerKind = Literal["none", "time", "level", "call"]
+
+
+class Record(Table):
+    """Table ``[record]``: when a record begins, how long it is, and what it leaves free on the disk."""
+
+    seconds: Annotated[float, Field(gt=0, le=1e7)] | None = None
+    block: Annotated[float, Field(ge=0.01, le=10)] = 0.1
+    pre_trigger: Annotated[float, Field(ge=0, le=60)] = 0.0
+    trigger: TriggerKind = "none"
+    delay: Annotated[float, Field(ge=0, le=1e7)] = 0.0
+    channel: Name | None = None
+    level: Number | None = None
+    edge: Literal["rising", "falling"] = "rising"
+    after_limit: Annotated[float, Field(ge=0, le=60)] = 0.1
+    keep_free: NotBelow = 64.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Record:
+        level = self.trigger == "level"
+        if level and (self.channel is None or self.level is None):
+            raise ValueError('trigger = "level" needs channel and level')
+        if not level and (self.channel, self.level) != (None, None):
+            raise ValueError('channel and level go with trigger = "level"')
+        if (self.trigger == "time") != (self.delay > 0):
+            raise ValueError('trigger = "time" and delay [s] above zero go together')
+        return self
+
+
+class _Input(Table):
+    """What comes first in the table of a channel."""
+
+    input: Annotated[str, Field(min_length=1, max_length=100)] | None = None
+    unit: Annotated[str, Field(min_length=1, max_length=30)] | None = None
+
+
+class SetChannel(ChannelSettings, _Input):
+    """Table ``[channels.NAME]``: a channel by the name that the program understands.
+
+    Its value is ``sign * (scale * reading + offset)`` in `unit`; without a unit, that of the source. Percentages of a
+    load refer to `half_range`, half of its range in `unit`.
+    """
+
+    half_range: Above | None = None
+
+
+class Setup(Table):
+    """A test set-up."""
+
+    name: Annotated[str, Field(max_length=200)] = ""
+    notes: Text = ""
+    files: Files = Files()
+    source: SerializeAsAny[SourceSettings] = Simulated()
+    record: Record = Record()
+    channels: dict[Name, SetChannel] = Field(default_factory=dict)
+    limits: dict[Name, SetLimit] = Field(default_factory=dict)
+    envelope: SetEnvelope = SetEnvelope()
+    stations: dict[Name, SetStation] = Field(default_factory=dict)
+    shunt: dict[Name, SetShunt] = Field(default_factory=dict)
+    fouling: SetFouling = SetFouling()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Setup:
+        for name, channel in self.channels.items():
+            _check_channel(name, channel)
+        if self.stations and self.envelope.shape is None:
+            raise ValueError('stations: they need envelope.shape ("stations" where they are all there is)')
+        if self.envelope.shape == "stations" and not self.stations:
+            raise ValueError('envelope.shape: "stations" needs tables [stations.NAME]')
+        if self.envelope.shape == "balance" and self.files.balance is None:
+            raise ValueError('envelope.shape: "balance" needs files.balance, whose capacities it takes')
+        if self.channels:
+            self._check_names()
+        return self
+
+    def _check_names(self) -> None:
+        """Refuse what is set for channels that are not there; loads may be made of gauge outputs."""
+        known = [*self.channels, *(COMPONENTS if self.files.balance is not None else ())]
+        for table, names in (
+            ("limits.{}", self.limits),
+            ("shunt.{}", self.shunt),
+            ("record.channel", [self.record.channel]),
+            ("fouling.channel", [self.fouling.channel]),
+        ):
+            for name in names:
+                if name is not None and name not in known:
+                    there = ", ".join(self.channels)
+                    raise ValueError(f"{table.format(name)}: there is no {name}; there are {there}")
+
+
+def _check_channel(name: str, channel: SetChannel) -> None:
+    """Refuse names that a file cannot hold, units of the wrong kind, and couplings of what does not move."""
+    if not name.isprintable() or name != name.strip() or set(name) & set('[]",;') or name == "time":
+        raise ValueError(f"channels: {name!r} is no name for a channel")
+    if channel.unit is not None:
+        try:
+            conversion_for(name, channel.unit)
+        except ValueError as error:
+            raise ValueError(f"channels.{name}.unit: {error}") from None
+    if abs(channel.delay) > LATEST:
+        raise ValueError(f"channels.{name}.delay: must be at most {LATEST:g} s, either way, not {channel.delay:g} s")
+    fault = channel.fault(name)
+    if fault is not None:
+        raise ValueError(f"{f'channels.{name}.{fault[0]}'.strip('.')}: {fault[1]}")
+
+
+def load_setup(path: Path | str) -> Setup:
+    """Read a test set-up.
+
+    Raises
+    ------
+    ReadError
+        The file is no TOML, or has a key that is unknown, missing or not allowed; the message names the key.
+    """
+    file = Path(path)
+    return setup_from(read_toml(file, what="a test set-up"), file)
+
+
+def parse_setup(text: str, path: Path | str = "set-up") -> Setup:
+    """Read a test set-up from text; `path` is what messages call it.
+
+    Raises
+    ------
+    ReadError
+        As `load_setup`.
+    """
+    return setup_from(toml_in(text, path), path)
+
+
+def setup_from(given: Mapping[str, Any], path: Path | str = "set-up") -> Setup:
+    """Make a test set-up of plain data.
+
+    Raises
+    ------
+    ReadError
+        A key is unknown, missing or not allowed; the message names it.
+    """
+    contents = dict(given)
+    source = contents.get("source", {"kind": "simulated"})
+    kinds = ", ".join(SOURCES)
+    if not isinstance(source, Mapping):
+        raise ReadError(path, "source", f"must be a table with a kind ({kinds})")
+    kind = source.get("kind")
+    if not isinstance(kind, str) or kind not in SOURCES:
+        found = "is missing" if kind is None else f"must be one of the known, not {str(kind)[:60]!r}"
+        raise ReadError(path, "source.kind", f"{found}; known: {kinds}")
+    model = SOURCES[kind]
+    try:
+        contents["source"] = model.model_validate(dict(source))
+    except ValidationError as error:
+        where, what = _fault(error, model)
+        raise ReadError(path, f"source.{where}" if where else "source", what) from None
+    try:
+        return Setup.model_validate(contents)
+    except ValidationError as error:
+        where, what = _fault(error, Setup)
+        raise ReadError(path, where, what) from None
+
+
+def _fault(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
+    """Key and sentence of the first fault; what the set-up itself refuses says all by itself."""
+    where, what = first_fault(error, model)
+    fault = error.errors(include_url=False)[0]
+    return (where, fault["msg"].removeprefix("Value error, ")) if fault["type"] == "value_error" else (where, what)
+
+
+def setup_text(setup: Setup) -> str:
+    """Write a set-up as TOML: what was set, in the order of the fields. `parse_setup` gives the same set-up again."""
+    return toml_text(setup.model_dump(exclude_none=True, exclude_unset=True) | _kind(setup))
+
+
+def save_setup(path: Path | str, setup: Setup) -> None:
+    """Write a set-up to a file, whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be written.
+    """
+    with replacing(path) as beside:
+        beside.write_text(setup_text(setup), encoding="utf-8")
+
+
+def _kind(setup: Setup) -> dict[str, Any]:
+    return {"source": setup.source.model_dump(exclude_none=True, exclude_unset=True) | {"kind": setup.source.kind}}
+
+
+def open_source(setup: Setup, folder: Path) -> Source:
+    """Make the source of a set-up, with the channels that the set-up lists.
+
+    Raises
+    ------
+    FitError
+        The source lacks a channel.
+    ReadError, ValueError
+        The source cannot be made as set.
+    """
+    inputs = [channel.input or name for name, channel in setup.channels.items()]
+    source = setup.source.open(folder, inputs=inputs)
+    return Chosen(source, inputs) if inputs else source
+
+
+def stored_channels(setup: Setup, given: Sequence[SourceChannel]) -> tuple[StoredChannel, ...]:
+    """Describe the columns of a recording: the channels of the source, in order, as the set-up has them.
+
+    Raises
+    ------
+    FitError
+        A unit is of the wrong kind for its channel.
+    """
+    named = setup.channels or {channel.name: SetChannel() for channel in given}
+    found = []
+    for (name, channel), source in zip(named.items(), given, strict=True):
+        unit = channel.unit or source.unit
+        try:
+            conversion_for(name, unit)
+        except ValueError as error:
+            raise FitError(f"channel {name}: the source gives it in [{unit}]: {error}; set its unit") from None
+        kept = {key: getattr(channel, key) for key in ChannelSettings.model_fields if key not in ("unit", "delay")}
+        delay = channel.delay + source.delay
+        found.append(StoredChannel(name=name, unit=unit, input=source.name, delay=delay, **kept))
+    return tuple(found)

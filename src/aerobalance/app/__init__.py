@@ -1,0 +1,1 @@
+"""What people use: command line, commands, reports, demonstrations and the operator's page."""

@@ -1,0 +1,31 @@
+"""The command line: it parses, calls and prints; errors become exit codes.
+
+0 done; 1 the data cannot carry the result; 2 wrong call or unreadable file; 130 interrupted. What takes time to
+load is loaded by `main`, after the answer to Ctrl-C is settled.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; return its exit code."""
+    from aerobalance.app.cli import program
+
+    return program.main(arguments)
+
+
+def run() -> None:
+    """Entry point of the command `aerobalance`."""
+    from aerobalance.app.cli import interrupt
+
+    interrupt.watch()
+    # The matrices here are small: threads of the linear algebra get in each other's way, by a factor of ten on two
+    # cores that are shared. Whoever sets these himself is heard.
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    code = main()
+    interrupt.leave()
+    sys.exit(code)

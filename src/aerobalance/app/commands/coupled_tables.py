@@ -1,0 +1,160 @@
+"""Tables and plain data of coupled components, however they were identified."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from aerobalance.app.commands.shared import Account, table_text
+from aerobalance.balance.weighing.result import Weighing
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.identification.result import CoupledResult
+from aerobalance.identification.rigid_body import Departure, centre_agreement
+from aerobalance.identification.step_relaxation.experiment_design import combination_text
+from aerobalance.identification.step_relaxation.internal_coordinates import slow_matrices
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
+
+AXES = ("aft", "right", "up")
+
+
+def common_details(found: CoupledResult) -> Account:
+    """What every identification of coupled components tells, as plain data."""
+    names = found.dynamics.components
+    return {
+        "half_range": by_component(found.half_range, names),
+        "half_range_given": found.half_range_given,
+        "modes": [
+            {
+                "natural_frequency": {"value": mode.natural_frequency, "u": float(u), "unit": "Hz"},
+                "damping_ratio": {"value": mode.damping_ratio, "u": float(u_ratio), "unit": "1"},
+                "shape_real": shape.real.tolist(),
+                "shape_imaginary": shape.imag.tolist(),
+                "set_off_by": combination_text(weights, names),
+                "static_share": float(found.shares[place]),
+                "of_model_or_sting": place in found.further,
+            }
+            for place, (mode, u, u_ratio, shape, weights) in enumerate(
+                zip(
+                    found.modes,
+                    found.u_natural_frequency,
+                    found.u_damping_ratio,
+                    found.mode_shapes,
+                    found.combinations,
+                    strict=True,
+                )
+            )
+        ],
+        "residual_standard_deviation": by_component(found.residual_deviation, names),
+        "reduced_chi2": dict(zip(names, found.reduced_chi2.tolist(), strict=True)),
+        "colour": dict(zip(names, found.colour.tolist(), strict=True)),
+        "degrees_of_freedom": found.degrees_of_freedom,
+        "force_error": {
+            "load": by_component(found.applied, names),
+            "band": {"value": list(found.band), "unit": "Hz"},
+            "rms": by_component(found.force_error, names),
+        },
+    }
+
+
+def test_details(test: Departure) -> Account:
+    """A test as plain data."""
+    return {
+        "chi2": test.chi2,
+        "degrees_of_freedom": test.degrees_of_freedom,
+        "p_value": test.p_value,
+        "holds": test.chance,
+    }
+
+
+def by_component(values: Array, names: Sequence[str]) -> Account:
+    """Loads with their units, by component."""
+    return {name: {"value": float(value), "unit": si_unit(name)} for name, value in zip(names, values, strict=True)}
+
+
+def modes_table(found: CoupledResult) -> str:
+    """Modes with their uncertainties and shapes."""
+    rows = [
+        [
+            f"{mode.natural_frequency:.4f}",
+            f"{u:.2g}",
+            f"{100 * mode.damping_ratio:.4f}",
+            f"{100 * u_ratio:.2g}",
+            *(f"{part:+.2f}" for part in np.abs(shape) * np.where(shape.real < 0, -1, 1)),
+            combination_text(weights, found.dynamics.components),
+        ]
+        for mode, u, u_ratio, shape, weights in zip(
+            found.modes,
+            found.u_natural_frequency,
+            found.u_damping_ratio,
+            found.mode_shapes,
+            found.combinations,
+            strict=True,
+        )
+    ]
+    heads = ["f0 [Hz]", "u", "damping [%]", "u", *found.dynamics.components, "set off by"]
+    return table_text("Modes; shapes and loads over half of range", heads, rows)
+
+
+def matrix_table(dynamics: CoupledDynamics, kind: str, half_range: Array) -> str:
+    """One matrix with its uncertainties; loads over half of range, so that all elements have one unit."""
+    names, n = dynamics.components, len(dynamics.components)
+    ratio = half_range[None, :] / half_range[:, None]
+    inertia, damping, covariance = slow_matrices(dynamics)
+    u = np.sqrt(np.diag(covariance)).reshape(2, n, n)[0 if kind == "inertia" else 1] * ratio
+    values = (inertia if kind == "inertia" else damping) * ratio
+    scale, unit = (1e6, "1e-6 s^2") if kind == "inertia" else (1e6, "1e-6 s")
+    rows = []
+    for i, name in enumerate(names):
+        rows.append([name, *(f"{scale * value:.5g}" for value in values[i])])
+        rows.append(["  u", *(f"{scale * value:.2g}" for value in u[i])])
+    letter = "A" if kind == "inertia" else "D"
+    slow = " of slow motion" if dynamics.hidden else ""
+    return table_text(f"{letter} ({kind}){slow}, loads over half of range [{unit}]", ["", *names], rows)
+
+
+def error_table(found: CoupledResult) -> str:
+    """Force error that the identification leaves."""
+    rows = [
+        [f"{name} [{si_unit(name)}]", f"{load:.4g}", f"{error:.2g}", f"{100 * error / size:.2g}", f"{chi2:.3f}"]
+        for name, load, error, size, chi2 in zip(
+            found.dynamics.components,
+            found.applied,
+            found.force_error,
+            found.half_range,
+            found.reduced_chi2,
+            strict=True,
+        )
+    ]
+    title = f"Force error from the identification alone, under a load white to {found.band[1]:.4g} Hz"
+    return table_text(title, ["component", "load rms", "error rms", "% of half range", "reduced chi2"], rows)
+
+
+def centre_test(mass: RigidMass | None, weighing: Weighing | None) -> Departure | None:
+    """Compare the centre of gravity with the one that weighing found; None where one of them is not known."""
+    if mass is None or weighing is None or set(weighing.centre_of_gravity) != set(AXES):
+        return None
+    centre = np.array([weighing.centre_of_gravity[axis] for axis in AXES])
+    u = np.array([weighing.u_centre_of_gravity[axis] for axis in AXES])
+    return centre_agreement(mass, centre, covariance=np.diag(u**2))
+
+
+def mass_text(mass: RigidMass) -> str:
+    """A rigid mass in words."""
+    u = np.sqrt(np.diag(mass.covariance))
+    centre = ", ".join(
+        f"{axis} {1000 * value:.3f} mm (u = {1000 * doubt:.2g})"
+        for axis, value, doubt in zip(AXES, mass.centre, u[1:4], strict=True)
+    )
+    return f"Rigid mass {mass.mass:.6g} kg, centre of gravity {centre}"
+
+
+def tests_text(tests: Mapping[str, Departure | None]) -> list[str]:
+    """Lines that say which tests hold."""
+    return [
+        f"{name}: {'holds' if test.chance else 'does not hold'} (chi2 {test.chi2:.3g} for {test.degrees_of_freedom} "
+        "degrees of freedom)"
+        for name, test in tests.items()
+        if test is not None
+    ]

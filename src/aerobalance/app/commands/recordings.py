@@ -1,0 +1,143 @@
+"""Commands about recordings: info, convert, map."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from aerobalance.app.commands.answers import short
+from aerobalance.app.commands.loads import convert_matrix
+from aerobalance.app.commands.shared import Account, check_out, doubts, raw_recording, table_text
+from aerobalance.io import as_it_went_in, check_output, column_names, hdf5_file, template, write_recording
+from aerobalance.io.kinds import CONVERTED
+from aerobalance.io.matrix_file import is_matrix
+from aerobalance.io.safe_write import replacing
+from aerobalance.io.units import conversion_for, edge_unit
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.noise import channel_noise
+
+NO_TIME: Final = 1e-12
+"""Share of the length of a recording below which an instant is zero but for rounding."""
+
+
+def info(path: Path, *, channel_map: Path | None = None) -> Account:
+    """Channels, units, rate, duration, gaps and saturation of a recording."""
+    with doubts() as collected:
+        recording = raw_recording(path, channel_map)
+    account: Account = {
+        "file": path.name,
+        "duration": recording.duration,
+        "rate": recording.rate,
+        "samples": recording.samples,
+        "start": recording.start if abs(recording.start) > NO_TIME * recording.duration else 0.0,
+        "gaps": [{"start": start, "length": length} for start, length in recording.gaps],
+        "channels": {channel.name: _channel_account(channel) for channel in recording},
+        "warnings": collected,
+    }
+    return {**account, "summary": summary(account)}
+
+
+def _channel_account(channel: Channel) -> Account:
+    """Plain data on a channel, in the unit of the file; under ``si`` the same in the unit that is calculated with."""
+    known = channel.values[~channel.missing]
+    enough = known.size >= 8 and float(np.ptp(known)) > 0
+    noise = channel_noise(channel) if enough else None
+    inside: Account = {
+        "least": float(known.min()) if known.size else None,
+        "mean": float(known.mean()) if known.size else None,
+        "largest": float(known.max()) if known.size else None,
+    }
+    unit = channel.file_unit or edge_unit(channel.name, channel.unit)
+    change = conversion_for(channel.name, unit) if unit != channel.unit else None
+    outside = {
+        key: value if change is None or value is None else float(as_it_went_in(np.array([value]), change)[0])
+        for key, value in inside.items()
+    }
+    return {
+        "unit": unit,
+        "si_unit": channel.unit,
+        **outside,
+        "noise": noise if change is None or noise is None else noise / abs(change.factor),
+        "si": {"unit": channel.unit, **inside, "noise": noise},
+        "missing": int(channel.missing.sum()),
+        "saturated": int(channel.saturated.sum()),
+    }
+
+
+def summary(account: Account) -> str:
+    """Short answer for people: how long and how fast, and a line for each channel, in the units of the file."""
+    rows = [
+        (
+            name,
+            found["unit"],
+            *(short(found[key], 5) for key in ("mean", "least", "largest")),
+            short(found["noise"], 2),
+            str(found["missing"] or "-"),
+            str(found["saturated"] or "-"),
+        )
+        for name, found in account["channels"].items()
+    ]
+    length = f"{short(account['duration'])} s at {short(account['rate'])} Hz"
+    title = f"{account['file']}: {account['samples']} samples, {length}"
+    heads = ("channel", "unit", "mean", "least", "largest", "noise", "missing", "saturated")
+    lines = [table_text(title, heads, rows)]
+    if account["gaps"]:
+        longest = max(gap["length"] for gap in account["gaps"])
+        count = len(account["gaps"])
+        lines.append(f"{count} gap{'s' if count > 1 else ''}, the longest {short(longest, 4)} s")
+    return "\n".join(lines) + "\n"
+
+
+def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Account:
+    """Write a recording in another format, or a balance matrix in the other layout."""
+    if is_matrix(path):
+        return convert_matrix(path, out)
+    check_output(out)
+    check_out(out, path, channel_map, kind=CONVERTED if out.suffix.lower() in hdf5_file.SUFFIXES else "")
+    with doubts() as collected:
+        recording = raw_recording(path, channel_map)
+        kept = out.suffix.lower() in hdf5_file.SUFFIXES
+        told = [] if kept else [channel.name for channel in recording if _described(channel)]
+        if told:
+            warnings.warn(
+                f"{out.name} has no place for how {', '.join(told)} was measured (noise, uncertainties, delay, "
+                "coupling, filter, cross-axis sensitivity): write .h5 to keep it",
+                DoubtWarning,
+                stacklevel=2,
+            )
+    write_recording(out, recording)
+    names = list(recording.channels)
+    return {
+        "file": path.name,
+        "written": out.name,
+        "samples": recording.samples,
+        "channels": names,
+        "warnings": collected,
+        "summary": f"{path.name}: {recording.samples} samples of {', '.join(names)}\n",
+    }
+
+
+def _described(channel: Channel) -> bool:
+    """Whether more is known of a channel than its name, its unit and its readings."""
+    bare = Channel(channel.name, channel.values, channel.unit, file_unit=channel.file_unit)
+    slots = (slot for slot in Channel.__slots__ if slot != "values")
+    return any(getattr(channel, slot) != getattr(bare, slot) for slot in slots)
+
+
+def channel_map_for(path: Path, out: Path | None, *, header_line: int | None = None) -> Account:
+    """Make a channel map to fill in for a foreign file; its header is in `header_line`, or found."""
+    check_out(out, path)
+    text = template(path, header_line=header_line) + "\n"
+    if out is not None:
+        with replacing(out) as beside:
+            beside.write_text(text, encoding="utf-8")
+    columns = list(column_names(path, header_line=header_line))
+    open_ones = text.count("# unassigned")
+    rest = f"{open_ones} wait for a person to say what they are" if open_ones else "all with a proposal"
+    said = f"{path.name}: channel map of {len(columns)} columns, {rest}; then check with info --map\n"
+    account: Account = {"file": path.name, "columns": columns, "map": text}
+    return {**account, "summary": text} if out is None else {**account, "summary": said, "details": text}

@@ -1,0 +1,214 @@
+"""What the command force says of the uncertainty: numbers that sum up the force, the budget, and Monte Carlo."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from aerobalance.app.commands.answers import rounded, short
+from aerobalance.app.commands.shared import Account, table_text
+from aerobalance.estimation.record import ForceEstimate
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.recording import Recording
+from aerobalance.uncertainty.budget import Share, advice, budget, scalars, spectrum
+from aerobalance.uncertainty.monte_carlo import Compared, MonteCarlo
+
+SHOWN_STEPS: Final = 5
+"""Steps that the short answer shows for a component."""
+
+NOTHING: Final = 1e-12
+"""Share of the largest contribution below which another is no more than what is lost in calculating."""
+
+NAMES = {
+    "mean": "mean",
+    "rms_about_mean": "rms about the mean",
+    "largest": "force where it is largest",
+    "least": "force where it is least",
+    "largest_in_record": "largest in the record",
+    "least_in_record": "least in the record",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Origins:
+    """Where contributions come from: the files beside the recording.
+
+    Attributes
+    ----------
+    recording
+        The recording whose channels are meant.
+    dynamics
+        File of the dynamics.
+    balance
+        File of the balance matrix, where there is one.
+    """
+
+    recording: Recording
+    dynamics: Path
+    balance: Path | None = None
+
+    def of(self, source: str, name: str = "") -> str:
+        """Where a contribution comes from, for a reader."""
+        if source == "dynamics":
+            return self.dynamics.name
+        if source == "balance" and self.balance is not None:
+            return self.balance.name
+        channels = [part for part in source.split(" and ") if part in self.recording]
+        if not channels:
+            return source
+        known = [self.recording.channel(part).noise is not None for part in channels]
+        how = "" if not name.startswith("noise") else ", as given" if all(known) else ", judged from the record"
+        return f"{' and '.join(channels)}{how}"
+
+
+def scalar_account(estimate: ForceEstimate, recording: Recording) -> Account:
+    """Mean, rms about it and extremes of a force, with their standard uncertainties."""
+    found = {item.name: item for item in scalars(estimate)}
+    account: Account = {}
+    for name, item in found.items():
+        account[name], account[f"u_{name}"] = item.value, item.u
+    for name, place in (("largest", np.argmax(estimate.values)), ("least", np.argmin(estimate.values))):
+        account[f"instant_of_{name}"] = float(recording.start + place / recording.rate)
+    return account
+
+
+def significant(rows: Sequence[Share]) -> list[Share]:
+    """Rows of a budget that are more than zero: in the force, or in one of the numbers that sum it up."""
+    largest = {name: max(abs(row.scalars[name]) for row in rows) for name in (rows[0].scalars if rows else ())}
+    rms = max((row.rms for row in rows), default=0.0)
+    return [
+        row
+        for row in rows
+        if row.rms > NOTHING * rms or any(abs(row.scalars[name]) > NOTHING * largest[name] for name in largest)
+    ]
+
+
+def budget_rms(estimate: ForceEstimate) -> dict[str, float]:
+    """Rms of every contribution, zero for what is only lost in calculating."""
+    least = NOTHING * max(estimate.budget.values(), default=0.0)
+    return {name: rms if rms > least else 0.0 for name, rms in estimate.budget.items()}
+
+
+def budget_account(estimate: ForceEstimate, origins: Origins) -> Account:
+    """Uncertainty budget, what to improve first, and the spectrum with its uncertainty."""
+    unit = si_unit(estimate.component)
+    rows = [
+        {
+            "name": row.name,
+            "from": origins.of(row.source, row.name),
+            "rms": row.rms,
+            "share": row.share,
+            "rms_of_all_if_halved": row.if_halved,
+            **{f"u_{name}": value for name, value in row.scalars.items()},
+        }
+        for row in significant(budget(estimate))
+    ]
+    found = spectrum(estimate, rate=origins.recording.rate)
+    files = {part.source: origins.of(part.source) for part in estimate.contributions}
+    sentence = advice(estimate, unit=unit, sources=files)
+    return {
+        "budget": rows,
+        "improve_first": sentence,
+        "spectrum": {
+            "unit": f"{unit}^2/Hz",
+            "frequency_unit": "Hz",
+            "frequency": found.frequency.tolist(),
+            "density": found.density.tolist(),
+            "u_scatter": found.scatter.tolist(),
+            "u_force": found.uncertainty.tolist(),
+        },
+    }
+
+
+def monte_carlo_account(found: MonteCarlo) -> Account:
+    """Plain data on a Monte Carlo check."""
+
+    def row(item: Compared) -> Account:
+        known = bool(np.isfinite(item.analytic))
+        return {
+            "monte_carlo": item.drawn,
+            "first_order": item.analytic if known else None,
+            "ratio": item.ratio if known and np.isfinite(item.ratio) else None,
+            "u_ratio": item.scatter,
+            **({"interval_95": list(item.interval)} if item.interval else {}),
+        }
+
+    return {
+        "draws": found.draws,
+        "seed": found.seed,
+        "contributions": {item.name: row(item) for item in found.contributions},
+        "scalars": {item.name: row(item) for item in found.scalars},
+        "doubts": list(found.doubts),
+    }
+
+
+def force_text(account: Account) -> str:
+    """Short answer for people: forces with their uncertainties, steps, Monte Carlo where it was run, and a verdict."""
+    components = account["components"]
+    rows, lines = [], []
+    for name, found in components.items():
+        numbers = (rounded(found[key], found[f"u_{key}"]) for key in ("mean", "rms_about_mean", "largest", "least"))
+        sample = rounded(found["uncertainty_rms"], found["uncertainty_rms"])[1]
+        rows.append((f"{name} [{found['unit']}]", *(text for pair in numbers for text in pair), sample))
+        lines += _steps_text(name, found)
+    texts = [
+        table_text(
+            f"{account['file']}: force applied; u is the standard uncertainty of the number before it",
+            ("", "mean", "u", "rms about mean", "u", "largest", "u", "least", "u", "u of a sample"),
+            rows,
+        ),
+        *lines,
+    ]
+    texts += [monte_carlo_text(name, found) for name, found in components.items() if "monte_carlo" in found]
+    if len(components) == 1:
+        texts += [found["improve_first"] for found in components.values() if found["improve_first"]]
+    assumed = dict.fromkeys(text for found in components.values() for text in found["assumptions"])
+    texts += [f"assumed: {text}" for text in assumed]
+    lacking = account["components_without_dynamics"]
+    texts += [f"no dynamics for {', '.join(lacking)}"] if lacking else []
+    texts += [f"verdict: {account['verdict']}"] if account.get("verdict") else []
+    return "\n".join(texts) + "\n"
+
+
+def _steps_text(name: str, found: Account) -> list[str]:
+    """Steps of the force, the largest first, with instant and height."""
+    steps = sorted(found["steps"], key=lambda step: -abs(step["height"]))
+    lines = []
+    for step in steps[:SHOWN_STEPS]:
+        height, u_height = rounded(step["height"], step["u_height"])
+        instant, u_instant = rounded(step["instant"], step["u_instant"])
+        lines.append(f"step of {name}: {height} {found['unit']} (u = {u_height}) at {instant} s (u = {u_instant})")
+    more = len(steps) - SHOWN_STEPS
+    return [*lines, f"and {more} smaller steps of {name}"] if more > 0 else lines
+
+
+def budget_text(components: Mapping[str, Account]) -> str:
+    """Tables for people: the uncertainty budget of every component."""
+    texts = []
+    for name, account in components.items():
+        title = f"uncertainty budget of {name} [{account['unit']}]"
+        rows = [
+            [row["name"], row["from"], f"{row['rms']:.3g}", f"{100 * row['share']:.1f}", f"{row['u_mean']:.3g}"]
+            for row in account["budget"]
+        ]
+        texts.append(table_text(title, ["contribution", "from", "rms", "% of variance", "in the mean"], rows))
+    return "\n\n".join(texts) + "\n"
+
+
+def monte_carlo_text(name: str, account: Account) -> str:
+    """Table for people: the uncertainty by Monte Carlo beside that to first order."""
+    found = account["monte_carlo"]
+    title = (
+        f"Monte Carlo of {name}, {found['draws']} draws, seed {found['seed']}: standard uncertainty "
+        f"[{account['unit']}]"
+    )
+    lines = {**found["contributions"], **{NAMES[key]: row for key, row in found["scalars"].items()}}
+    rows = [
+        [key, *(short(row[which], 3) for which in ("monte_carlo", "first_order", "ratio", "u_ratio"))]
+        for key, row in lines.items()
+    ]
+    return table_text(title, ["", "Monte Carlo", "first order", "ratio", "u(ratio)"], rows)

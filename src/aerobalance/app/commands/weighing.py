@@ -1,0 +1,150 @@
+"""The command weigh, and masses from the command line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from aerobalance.app.commands.answers import quantities, quantity_table, short
+from aerobalance.app.commands.balance_files import BalanceFiles
+from aerobalance.app.commands.loads import weighed_loads
+from aerobalance.app.commands.shared import Account, check_out, doubts, known_component
+from aerobalance.balance.weighing import weigh as fit_mass
+from aerobalance.balance.weighing import weigh_components
+from aerobalance.io import (
+    load_channel_map,
+)
+from aerobalance.io.mass_file import mass_payload, read_mass, write_mass
+from aerobalance.io.points import read_points
+from aerobalance.io.units import conversion
+from aerobalance.io.weighing_file import weighing_payload, write_weighing
+from aerobalance.recording.components import STANDARD_GRAVITY, mass_unit
+
+_AMOUNT: Final = re.compile(
+    r"(?P<number>[-+]?[\d.,]+(?:e[-+]?\d+)?|[-+]?(?:nan|inf))\s*(?P<unit>[^\d\s.,][^.,]*)?", re.IGNORECASE
+)
+"""A number with a decimal point or comma, and a unit where there is one."""
+
+
+def weigh(
+    paths: Sequence[Path],
+    out: Path | None,
+    *,
+    component: str | None = None,
+    gravity: float = STANDARD_GRAVITY,
+    files: BalanceFiles | None = None,
+    channel_map: Path | None = None,
+) -> Account:
+    """Weight, and with several loads centre of gravity, from points or recordings over pitch (and roll).
+
+    Takes all loads that the files have, unless one component is named. With a balance, the recordings are of gauge
+    outputs.
+    """
+    if component is not None:
+        known_component(component)
+    check_out(out, *paths, channel_map, *(() if files is None else files.paths), kind="mass")
+    chosen = None if channel_map is None else load_channel_map(channel_map)
+    names = None if component is None else (component,)
+    with doubts() as collected:
+        if files is None:
+            points = read_points(paths, names, channel_map=chosen)
+        else:
+            points = weighed_loads(paths, files, gravity=gravity, channel_map=channel_map, names=names)
+        if len(points.components) > 1:
+            weighing = weigh_components(points, gravity=gravity)
+            settings: Account = {"components": points.components, "gravity": gravity}
+            account = weighing_payload(weighing)
+        else:
+            (single,) = points.components
+            pitch, load, roll, noise = points.of(single)
+            mass = fit_mass(pitch, load, roll=roll, component=single, gravity=gravity, noise=noise)
+            settings = {"component": single, "gravity": gravity}
+            account = {"component": single, **mass_payload(mass)}
+    inputs = [*paths, *(() if files is None else files.paths)]
+    if out is not None and len(points.components) > 1:
+        write_weighing(out, weighing, inputs=inputs, settings=settings, warnings=collected)
+    elif out is not None:
+        write_mass(out, {single: mass}, inputs=inputs, settings=settings, warnings=collected)
+    return {**account, "warnings": collected, "summary": summary(paths, account)}
+
+
+def summary(paths: Sequence[Path], account: Account) -> str:
+    """Short answer for people: mass, centre of gravity, offsets and tilts with their uncertainties."""
+    named = {"common_mass": "mass", "mass": "mass", "offset": "offset"}
+    rows = quantities(account, {key: word for key, word in named.items() if key in account})
+    if "component" not in account and len(account["components"]) > 1:
+        masses = {name: entry["mass"] for name, entry in account["components"].items()}
+        rows += quantities(masses, {name: f"mass by {name}" for name in masses})
+    for key, word in (("centre_of_gravity", "centre of gravity"), ("offsets", "offset"), ("misalignment", "tilt")):
+        found = account.get(key, {})
+        rows += quantities(found, {name: f"{word} {name}" for name in found})
+    lines = [quantity_table(f"{_of(paths)}: weighing", rows)]
+    for key, agreement in account.get("agreement", {}).items():
+        if agreement is not None:
+            lines.append(
+                f"{key.replace('_', ' ')} by the components: {'agree' if agreement['agree'] else 'do NOT agree'} "
+                f"(p = {short(agreement['p_value'], 2)})"
+            )
+    lines += [f"not found: {name}: {reason}" for name, reason in account.get("unidentified", {}).items()]
+    return "\n".join(lines) + "\n"
+
+
+def _of(paths: Sequence[Path]) -> str:
+    return paths[0].name if len(paths) == 1 else f"{len(paths)} files"
+
+
+def parse_mass(text: str | None, component: str) -> tuple[float, float] | None:
+    """Mass and its standard uncertainty from the command line: a number (exact) or the name of mass.json."""
+    if text is None:
+        return None
+    value = mass_number(text, unit=mass_unit(component))
+    if value is not None:
+        return value, 0.0
+    masses = read_mass(Path(text))
+    if component not in masses:
+        raise ValueError(f"{text} holds no mass of {component}; it has {', '.join(masses)}")
+    return masses[component].mass, masses[component].u
+
+
+def mass_number(text: str, *, unit: str = "kg") -> float | None:
+    """Mass in `unit` from the command line, with a unit of its own or without: ``42.1``, ``42,1 kg``, ``93 lb``.
+
+    None where the text is the name of a file.
+
+    Raises
+    ------
+    ValueError
+        It is a number but not positive, can be read in two ways, or has a unit of something else.
+    """
+    match = _AMOUNT.fullmatch(text.strip())
+    if match is None or text.lower().endswith(".json") or Path(text).is_file():
+        return None
+    number = match["number"]
+    if re.fullmatch(r"[-+]?\d{1,3}(,\d{3})+", number):
+        raise ValueError(
+            f"--mass {text} can be read in two ways; write thousands without a comma, decimals with a point"
+        )
+    factor = 1.0
+    if match["unit"]:
+        try:
+            factor = conversion(match["unit"].strip("[]"), expected=unit).factor
+        except ValueError as error:
+            raise ValueError(f"--mass {text}: {error}") from None
+    try:
+        value = float(number.replace(",", ".")) * factor
+    except ValueError:
+        value = float("nan")
+    if not 0 < value < np.inf:
+        raise ValueError(
+            f"--mass must be a positive number or a mass.json, not {text}; a number is like 42.1, '42.1 kg' or '93 lb'"
+        )
+    return value
+
+
+def mass_file(mass: str | None) -> Path | None:
+    """Return the file that a mass was given as; None where it is a number."""
+    return Path(mass) if mass is not None and Path(mass).is_file() else None

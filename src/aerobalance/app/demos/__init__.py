@@ -1,0 +1,1 @@
+"""Demonstrations on simulated experiments, from end to end."""

@@ -1,0 +1,310 @@
+"""A balance of six components that ring together, from the calibration stand to the forces of a run.
+
+A random balance with a rigid model is calibrated, weighed, identified from six releases, and then run: gusts on all
+components, a release and a sting that shakes. Everything is recorded as gauge outputs in mV/V, and every step reads
+files and calls the functions behind the commands. The truth is used to judge the results, never to find them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aerobalance import __version__
+from aerobalance.app.commands import calibration, force, weighing
+from aerobalance.app.commands import loads as loads_command
+from aerobalance.app.commands.balance_files import BalanceFiles
+from aerobalance.app.commands.identify_coupled import identify_decays
+from aerobalance.app.commands.known import Coupled
+from aerobalance.app.commands.shared import Account, doubts, seed_for
+from aerobalance.app.reports.page import write_page
+from aerobalance.app.reports.six_figures import SixFigure, six_figure
+from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.io import read, write_recording
+from aerobalance.io.balfit_file import write_balfit_schedule
+from aerobalance.io.coupled_file import read_coupled
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation import SixComponentRig
+from aerobalance.simulation.calibration_stand import CalibrationStand
+from aerobalance.simulation.six_balance import CoupledBalance, random_balance
+from aerobalance.simulation.six_components import Release, SixSimulation
+from aerobalance.simulation.six_signals import Band, broadband, random_motion
+
+REPEATS: Final = 3
+"""Times that the calibration's loads are run through."""
+
+ATTITUDES: Final = ((0, 0), (-15, 0), (15, 0), (0, 90), (0, -90), (10, 45), (-10, -45), (0, 180))
+"""Pitch and roll of the weighing [deg]."""
+
+PULLED: Final = 0.3
+"""Size of the releases of the identification, over half range: a release rings with up to twice its size."""
+
+BEARABLE: Final = 0.7
+"""Largest load that a release may ring with in any component, over half range: the weight comes on top."""
+
+FELT: Final = 0.15
+"""Rms of the load felt under the gusts of the run, over half range, in the component that feels most of them."""
+
+DURATION: Final = 1.0
+"""Length of the run [s]."""
+
+INSTANT: Final = 0.60013
+"""Instant of the release in the run [s]."""
+
+BEFORE: Final = 0.01
+AFTER: Final = 0.03
+"""Stretch about the release that is drawn closer [s]."""
+
+ENDS: Final = 0.05
+"""Share of the run at each end that is not scored."""
+
+
+@dataclass(frozen=True, slots=True)
+class Folder:
+    """Where the files are, and the source of all randomness."""
+
+    path: Path
+    generator: np.random.Generator
+
+    def record(self, name: str, rig: SixComponentRig, duration: float) -> tuple[Path, SixSimulation]:
+        """Run a rig and write what it records."""
+        simulation = rig.run(duration, self.generator)
+        file = self.path / f"{name}.h5"
+        write_recording(file, simulation.recording)
+        return file, simulation
+
+
+def run_six(out: Path, *, seed: int | None = None) -> Account:
+    """Run the whole chain, judge it, and write `six.html`.
+
+    Parameters
+    ----------
+    out
+        Folder for the page and all files behind it; made where it is missing.
+    seed
+        Seed of the balance and of all simulated noise; a fresh one is drawn, and reported, when it is not given.
+
+    Raises
+    ------
+    ValueError
+        The folder cannot be made or written to.
+    """
+    seed = seed_for(out, seed)
+    folder = Folder(out, np.random.default_rng(seed))
+    balance = random_balance(folder.generator)
+    with doubts() as collected:
+        files = calibrated(folder, balance)
+        mass = weighed(folder, balance, files)
+        dynamics = identified(folder, balance, files, mass)
+        run, simulation = _run(folder, balance)
+        found = force.force(run, out / "force.csv", dynamics=dynamics, files=files)
+        diagonal = _diagonal(run, dynamics, files)
+    forces = read(out / "force.csv")
+    felt = loads_command.reduced(read(run), files)[0]
+    raw = {name: felt.values[:, place] for place, name in enumerate(felt.components)}
+    rows = _rows(balance, simulation, forces, raw=raw, diagonal=diagonal)
+    account: Account = {
+        "page": str(out / "six.html"),
+        "seed": seed,
+        "modes": _modes(balance, dynamics),
+        "components": rows,
+        "steps": {name: found["components"][name]["steps"] for name in COMPONENTS},
+        "warnings": collected,
+    }
+    figures = [
+        six_figure(_figure(simulation, forces, raw, window=window), label)
+        for window, label in (
+            (slice(None), "the whole run"),
+            (_around(simulation), "about the release"),
+        )
+    ]
+    write_page(out / "six.html", "six.html.j2", {"found": account, "figures": figures, "version": __version__})
+    return {**account, "summary": summary(account)}
+
+
+def calibrated(folder: Folder, balance: CoupledBalance) -> BalanceFiles:
+    """Calibrate the balance; its zero is read with the model on, level, before the run."""
+    noise = 1e-4 * float(balance.matrix.output_scale.min())
+    stand = CalibrationStand(balance.matrix, noise=noise, repeats=REPEATS)
+    schedule = folder.path / "calibration.csv"
+    write_balfit_schedule(schedule, stand.run(int(folder.generator.integers(1 << 31))).schedule)
+    matrix = folder.path / "balance.json"
+    calibration.calibrate(schedule, matrix, model="auto", reading_noise=noise)
+    zero, _ = folder.record("zero", still(balance, 0.0, 0.0), 0.5)
+    return BalanceFiles.of(matrix, zero=[zero])
+
+
+def still(balance: CoupledBalance, pitch: float, roll: float) -> SixComponentRig:
+    """The balance at rest at an attitude [deg]."""
+
+    def steady(angle: float) -> Any:
+        return lambda time: np.full(time.shape, np.deg2rad(angle))
+
+    return SixComponentRig(balance, pitch=steady(pitch), roll=steady(roll))
+
+
+def weighed(folder: Folder, balance: CoupledBalance, files: BalanceFiles) -> Path:
+    """Weigh the balance with its model at the attitudes, and give mass.json."""
+    paths = [
+        folder.record(f"weighing_{number}", still(balance, pitch, roll), 0.1)[0]
+        for number, (pitch, roll) in enumerate(ATTITUDES, 1)
+    ]
+    mass = folder.path / "mass.json"
+    weighing.weigh(paths, mass, files=BalanceFiles.of(files.balance))
+    return mass
+
+
+def identified(folder: Folder, balance: CoupledBalance, files: BalanceFiles, mass: Path) -> Path:
+    """Six releases, each along one component, and what they say."""
+    paths = []
+    for place, name in enumerate(COMPONENTS):
+        load = np.zeros(len(COMPONENTS))
+        load[place] = PULLED * balance.half_range[place]
+        rig = replace(still(balance, 0.0, 0.0), releases=(Release(bearable(balance, load), instant=0.1),))
+        paths.append(folder.record(f"release_{name}", rig, 1.0)[0])
+    dynamics = folder.path / "dynamics.json"
+    half_range = dict(zip(COMPONENTS, balance.half_range.tolist(), strict=True))
+    identify_decays(paths, dynamics, mass=str(mass), half_range=half_range, files=files)
+    return dynamics
+
+
+def bearable(balance: CoupledBalance, load: Array) -> Array:
+    """A load to be let go, made smaller where it would ring beyond what the balance bears; shape (6,) [N, N*m]."""
+    poles, shapes, weights = balance.dynamics.modal_form
+    time = np.arange(0, 0.2, 1e-4)
+    swing = shapes * (-(weights @ load) / poles)
+    felt = np.real(np.exp(np.outer(time, poles)) @ swing.T)
+    largest = float(np.max(np.abs(felt) / balance.half_range))
+    return np.asarray(load * min(1.0, BEARABLE / largest))
+
+
+def _run(folder: Folder, balance: CoupledBalance) -> tuple[Path, SixSimulation]:
+    """Gusts through all resonances, a release, and a sting that shakes."""
+    top = 1.2 * max(mode.natural_frequency for mode in balance.dynamics.modes)
+    band = Band(0, top)
+    gusts = FELT / largest_felt(balance, band) * balance.half_range
+    size = balance.half_range * np.array([0.3, 0.25, 0.2, 0.25, 0.2, 0.3]) / 2
+    rig = SixComponentRig(
+        balance,
+        releases=(Release(bearable(balance, size), instant=INSTANT),),
+        applied=broadband(folder.generator, band, rms=gusts, period=2 * DURATION),
+        base=random_motion(folder.generator, Band(2, 40), rms=np.array([1, 1, 1, 1, 1, 1]), period=2 * DURATION),
+        pitch=lambda time: np.zeros(time.shape),
+        roll=lambda time: np.zeros(time.shape),
+    )
+    return folder.record("run", rig, DURATION)
+
+
+def largest_felt(balance: CoupledBalance, band: Band) -> float:
+    """Largest rms of a load felt over half range, when all loads applied have the rms of half range."""
+    frequency = np.linspace(0, band.highest, 4001)
+    response = balance.dynamics.response(frequency) * balance.half_range / balance.half_range[:, None]
+    power = np.sum(np.abs(response) ** 2, axis=2) * band.density(frequency)[:, None]
+    return float(np.sqrt(np.max(np.trapezoid(power, frequency, axis=0))))
+
+
+def _diagonal(run: Path, dynamics: Path, files: BalanceFiles) -> Mapping[str, Array]:
+    """The forces if the components are taken each for itself, with the diagonals of the same matrices.
+
+    Limited to the band of the modes: the estimator would look long for what could explain such a model's errors.
+    """
+    known = read_coupled(dynamics)
+    band = 1.2 * max(mode.natural_frequency for mode in known.modes)
+    alone = replace(
+        known,
+        inertia=np.diag(np.diag(known.inertia)),
+        damping=np.diag(np.abs(np.diag(known.damping))),
+        covariance=np.zeros_like(known.covariance),
+    )
+    recording, _ = loads_command.from_gauges(
+        read(run), files, Coupled(alone), gravity=STANDARD_GRAVITY, channel_map=None
+    )
+    with doubts():
+        return {name: found.values for name, found in reconstruct_coupled(recording, alone, bandwidth=band).items()}
+
+
+def _rows(
+    balance: CoupledBalance,
+    simulation: SixSimulation,
+    forces: Recording,
+    *,
+    raw: Mapping[str, Array],
+    diagonal: Mapping[str, Array],
+) -> list[Account]:
+    """Errors of every component, in percent of half range, and how often its 95 % interval holds the truth."""
+    samples = simulation.recording.samples
+    inner = slice(round(ENDS * samples), samples - round(ENDS * samples))
+    rows = []
+    for place, name in enumerate(COMPONENTS):
+        truth, half = simulation.applied[:, place], float(balance.half_range[place])
+        error = (forces.channel(name).values - truth)[inner]
+        u = forces.channel(f"u_{name}").values[inner]
+        rows.append(
+            {
+                "component": name,
+                "unit": si_unit(name),
+                "half_range": half,
+                "raw_percent": 100 * _rms((raw[name] - truth)[inner]) / half,
+                "diagonal_percent": 100 * _rms((diagonal[name] - truth)[inner]) / half,
+                "error_percent": 100 * _rms(error) / half,
+                "uncertainty_percent": 100 * _rms(u) / half,
+                "cover_percent": 100 * float(np.mean(np.abs(error) < 1.96 * u)),
+            }
+        )
+    return rows
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _modes(balance: CoupledBalance, dynamics: Path) -> list[Account]:
+    """Natural frequencies and damping ratios as they are and as they were identified."""
+    pairs = zip(balance.dynamics.modes, read_coupled(dynamics).modes, strict=True)
+    return [
+        {
+            "natural_frequency": true.natural_frequency,
+            "identified_frequency": found.natural_frequency,
+            "damping_ratio": true.damping_ratio,
+            "identified_damping_ratio": found.damping_ratio,
+        }
+        for true, found in pairs
+    ]
+
+
+def _around(simulation: SixSimulation) -> slice:
+    rate = simulation.recording.rate
+    return slice(round((INSTANT - BEFORE) * rate), round((INSTANT + AFTER) * rate))
+
+
+def _figure(simulation: SixSimulation, forces: Recording, raw: Mapping[str, Array], *, window: slice) -> SixFigure:
+    return SixFigure(
+        time=simulation.recording.time[window],
+        felt={name: raw[name][window] for name in COMPONENTS},
+        found={name: forces.channel(name).values[window] for name in COMPONENTS},
+        truth={name: simulation.applied[window, place] for place, name in enumerate(COMPONENTS)},
+    )
+
+
+def summary(account: Account) -> str:
+    """Lay the result out for a terminal."""
+    lines = ["Natural frequencies [Hz] and damping ratios [1], true and identified"]
+    lines += [
+        f"  {mode['natural_frequency']:9.4f} {mode['identified_frequency']:9.4f}   "
+        f"{mode['damping_ratio']:.5f} {mode['identified_damping_ratio']:.5f}"
+        for mode in account["modes"]
+    ]
+    lines += ["", "Error of the run, rms in percent of half range"]
+    lines += [f"  {'':4}{'raw':>9}{'diagonal':>10}{'coupled':>9}{'its u':>8}{'cover':>8}"]
+    lines += [
+        f"  {row['component']:4}{row['raw_percent']:9.3g}{row['diagonal_percent']:10.3g}{row['error_percent']:9.3g}"
+        f"{row['uncertainty_percent']:8.3g}{row['cover_percent']:7.1f}%"
+        for row in account["components"]
+    ]
+    return "\n".join([*lines, "", f"page: {account['page']}; seed {account['seed']}"]) + "\n"

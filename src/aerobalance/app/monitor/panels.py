@@ -1,0 +1,78 @@
+"""What of a test set-up the page watches: channels, dynamics, ranges, limits and contact circuit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from aerobalance.acquisition.feed import Hello
+from aerobalance.acquisition.intake import channel_columns
+from aerobalance.acquisition.planned import contact_circuit, ranges_of
+from aerobalance.acquisition.setup import Setup, Simulated, stored_channels
+from aerobalance.acquisition.simulated import rig_dynamics
+from aerobalance.app.monitor.view import Panel
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.io.coupled_file import read_any_dynamics
+from aerobalance.io.matrix_file import read_matrix
+from aerobalance.recording.errors import FitError
+
+
+def panel_of(setup: Setup, hello: Hello, folder: Path, zeros: Mapping[str, float]) -> Panel:
+    """Say what is watched.
+
+    Parameters
+    ----------
+    setup
+        The test set-up.
+    hello
+        What the source says of itself.
+    folder
+        Where the set-up's files are.
+    zeros
+        What is taken off the loads, SI.
+
+    Raises
+    ------
+    FitError, ReadError
+        A channel has no such unit, the load envelope lacks something, or a file cannot be read.
+    """
+    channels = stored_channels(setup, hello.channels)
+    dynamics = dynamics_of(setup, folder)
+    balance = None if setup.files.balance is None else read_matrix(folder / setup.files.balance)
+    ranges = ranges_of(setup, channels, balance)
+    units = {channel.name: channel.unit for channel in channels}
+    panel = Panel(
+        channels=channels,
+        rate=hello.rate,
+        clocked=hello.clocked,
+        dynamics=dynamics,
+        half_ranges=ranges.half,
+        limits=ranges.limits,
+        zeros=dict(zeros),
+        balance=balance,
+        envelope=ranges.envelope,
+        circuit=contact_circuit(setup, channel_columns(channels), units, hello.rate),
+    )
+    if isinstance(dynamics, CoupledDynamics) and not panel.components:
+        lacking = [name for name in dynamics.components if name not in panel.names]
+        raise FitError(
+            f"the components of the dynamics ring together, so the force of each needs the readings of all: there is "
+            f"no {', '.join(lacking)} among {', '.join(panel.names)}"
+        )
+    return panel
+
+
+def dynamics_of(setup: Setup, folder: Path) -> dict[str, Dynamics] | CoupledDynamics:
+    """Dynamics that the set-up names; of a simulated rig, where it names none, those that it is simulated with.
+
+    Raises
+    ------
+    ReadError
+        The file cannot be used.
+    """
+    if setup.files.dynamics is not None:
+        return read_any_dynamics(folder / setup.files.dynamics)
+    if isinstance(setup.source, Simulated):
+        return rig_dynamics(setup.source.rig)
+    return {}

@@ -1,0 +1,424 @@
+"""From the blocks of a source to what the page shows of them. No clock, no file, no process."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.acquisition.continuity import Continuity
+from aerobalance.acquisition.fouling import ContactFinder
+from aerobalance.acquisition.guards import ContactCircuit, felt, load_columns, loads_of
+from aerobalance.acquisition.intake import contact_text
+from aerobalance.acquisition.source import Block
+from aerobalance.app.monitor.coupled_line import CoupledStream
+from aerobalance.app.monitor.force_line import Columns, ForceLine, Line, Stream
+from aerobalance.app.monitor.messages import LINES, Estimate, Reading, Update
+from aerobalance.app.monitor.minmax_strips import Extremes
+from aerobalance.app.monitor.running_spectrum import RunningSpectrum
+from aerobalance.app.monitor.steady import newest_steady
+from aerobalance.balance.load_envelope import LoadEnvelope
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.zeros import GaugeZero, beyond_weight, seen_on_zero, without_weight
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.io.hdf5_layout import StoredChannel
+from aerobalance.io.text_cells import LARGEST
+from aerobalance.io.units import Conversion, conversion_for
+from aerobalance.motion.single_axis import AXES
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import COMPONENTS, is_gauge, si_unit
+
+FINEST: Final = 1e-3
+"""Length of the shortest bin of a chart [s]."""
+
+NUMBERS: Final = 0.2
+"""Time that the numbers are drawn up over [s]."""
+
+SPECTRA: Final = 0.5
+"""Time between spectra [s]."""
+
+WARNING: Final = 0.8
+"""Part of a limit from which on a load is shown as high."""
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """What is watched.
+
+    Attributes
+    ----------
+    channels
+        The c channels of the source.
+    rate
+        Sampling rate [Hz].
+    clocked
+        Whether the source's clock is steady.
+    dynamics
+        Dynamics of the components whose force is wanted, by name, or of those that ring together.
+    half_ranges
+        Half of the range of components, SI.
+    limits
+        Limits of channels, SI.
+    zeros
+        What is taken off the loads and gauge outputs, SI.
+    balance
+        The matrix that makes loads of gauge outputs; None where the channels are loads.
+    envelope
+        The loads that may act together; None where none is set up.
+    circuit
+        The contact circuit between model and support; None where there is none.
+    """
+
+    channels: tuple[StoredChannel, ...]
+    rate: float
+    clocked: bool
+    dynamics: Mapping[str, Dynamics] | CoupledDynamics
+    half_ranges: Mapping[str, float]
+    limits: Mapping[str, tuple[float, float]]
+    zeros: Mapping[str, float] = field(default_factory=dict)
+    balance: BalanceMatrix | None = None
+    envelope: LoadEnvelope | None = None
+    circuit: ContactCircuit | None = None
+
+    @property
+    def width(self) -> int:
+        """Ticks of the shortest bin."""
+        return max(1, int(FINEST * self.rate))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the channels, and of the loads that are made of them after these."""
+        given = tuple(channel.name for channel in self.channels)
+        return (*given, *self.loads)
+
+    @property
+    def loads(self) -> tuple[str, ...]:
+        """Loads that are made of gauge outputs."""
+        return () if self.balance is None else loads_of(self.balance)
+
+    @property
+    def delays(self) -> tuple[float, ...]:
+        """Times by which the channels and the loads lag the clock [s]; a load lags as its gauges do on average."""
+        gauges = [channel.delay for channel in self.channels if is_gauge(channel.name)]
+        made = float(np.mean(gauges)) if gauges else 0.0
+        return (*(channel.delay for channel in self.channels), *(made for _ in self.loads))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units in which the channels are shown."""
+        return (*(_conversion(channel).unit for channel in self.channels), *(si_unit(name) for name in self.loads))
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Components whose force is worked out."""
+        if isinstance(self.dynamics, CoupledDynamics):
+            whole = set(self.dynamics.components) <= set(self.names)
+            return self.dynamics.components if whole else ()
+        return tuple(name for name in COMPONENTS if name in self.dynamics and name in self.names)
+
+    @property
+    def masses(self) -> Mapping[str, float]:
+        """Moving mass of components that do not ring together [kg, kg*m^2]."""
+        dynamics = self.dynamics
+        return {} if isinstance(dynamics, CoupledDynamics) else {name: one.mass for name, one in dynamics.items()}
+
+    @property
+    def frequencies(self) -> Mapping[str, float]:
+        """Natural frequency that each component has alone [Hz]."""
+        dynamics = self.dynamics
+        if not isinstance(dynamics, CoupledDynamics):
+            return {name: one.natural_frequency for name, one in dynamics.items()}
+        own = np.sqrt(np.diag(dynamics.inertia)[: len(dynamics.components)])
+        return dict(zip(dynamics.components, (1 / (2 * np.pi * own)).tolist(), strict=True))
+
+
+class View:
+    """Watches a source.
+
+    Parameters
+    ----------
+    panel
+        What is watched.
+    """
+
+    def __init__(self, panel: Panel) -> None:
+        self.panel = panel
+        names = panel.names
+        self._conversions = [_conversion(channel) for channel in panel.channels]
+        self._gauges = [] if panel.balance is None else list(load_columns(panel.balance, panel.channels).columns)
+        circuit = panel.circuit
+        self._contact = circuit and ContactFinder(circuit.level, hold=circuit.hold, closed_above=circuit.closed_above)
+        self._continuity = Continuity(panel.rate, clocked=panel.clocked)
+        self._streams, self.lines = _followed(panel)
+        width = max([panel.width, *(line.factor for line in self.lines.values())])
+        self.width = width
+        self._raw = Extremes(len(names), width)
+        self._force = {name: Extremes(2, width, step=line.factor) for name, line in self.lines.items()}
+        self._spectra = {name: RunningSpectrum(2, line.interval) for name, line in self.lines.items()}
+        self._offsets = np.zeros(len(names))
+        self._large = np.zeros(len(names), dtype=np.intp)
+        self._quiet = 0
+        self._means: list[tuple[float, Array]] = []
+        self._held_since = 0.0
+        self.set_zeros(panel.zeros)
+        self._held: list[Array] = []
+        self._held_rows = 0
+        self._estimates: dict[str, list[Array]] = {name: [] for name in self.lines}
+        self._since_spectra = 0
+        self._saturated = dict.fromkeys(names, 0)
+        self.update = Update(0, 0.0)
+
+    def set_zeros(self, zeros: Mapping[str, float]) -> None:
+        """Take off other zeros from now on."""
+        balance, given = self.panel.balance, dict(zeros)
+        if balance is not None and balance.natural_zero is not None:
+            natural = zip(balance.gauges, balance.natural_zero, strict=True)
+            given = {f"r{gauge}": float(value) for gauge, value in natural} | given
+        self._offsets[:] = [given.get(name, 0.0) for name in self.panel.names]
+        self._means = []
+        for stream in self._streams:
+            stream.restart()
+
+    def zeros(self) -> dict[str, float]:
+        """Return the zeros that make the loads of the last second read the weight alone.
+
+        Raises
+        ------
+        ValueError
+            There are no readings yet.
+        """
+        if not self._means:
+            raise ValueError("there are no readings yet to take the zero from")
+        means = np.mean(self.means, axis=0)
+        weights = {name: line.weight(means) for name, line in self.lines.items()}
+        found = {}
+        for place, name in enumerate(self.panel.names):
+            if name not in self.panel.loads and (name in COMPONENTS or is_gauge(name)) and np.isfinite(means[place]):
+                found[name] = float(means[place] + self._offsets[place] - weights.get(name, 0.0))
+        return found | self._zeros_of_gauges(found, weights)
+
+    def _zeros_of_gauges(self, read: Mapping[str, float], weights: Mapping[str, float]) -> dict[str, float]:
+        """Zeros of the gauges less what they read by the weight, and those of the loads that are made of them.
+
+        Curved bridges are read from where the weight has brought them: known along components whose force is worked
+        out, and along the others by the distance from the natural zeros. The latter load counts from there.
+        """
+        balance, loads = self.panel.balance, self.panel.loads
+        if balance is None:
+            return {}
+        names = [f"r{gauge}" for gauge in balance.gauges]
+        if not all(name in read for name in names):
+            return {}
+        nothing = np.zeros(len(names))
+        zero = GaugeZero(np.array([read[name] for name in names]), nothing, "the last second", nothing)
+        weight = np.array([weights.get(name, 0.0) if name in loads else 0.0 for name in COMPONENTS])
+        point = beyond_weight(seen_on_zero(zero, balance), weight, weights, balance)
+        under = without_weight(replace(zero, weight=weight, operating_point=point), balance)
+        beyond = point if balance.direct is None else balance.direct @ point
+        given = dict(zip(names, under.values.tolist(), strict=True))
+        return given | dict(zip(loads, np.asarray(beyond).tolist(), strict=True))
+
+    @property
+    def means(self) -> Array:
+        """Means of the channels over the last spans of `NUMBERS` that are complete, up to five: shape (m, c), SI."""
+        return np.array([means for _, means in self._means]).reshape(-1, len(self.panel.names))
+
+    @property
+    def means_since(self) -> float:
+        """When the first block of `means` came, on the steady clock [s]."""
+        return self._means[0][0] if self._means else -math.inf
+
+    def feed(self, block: Block) -> None:
+        """Take a block; what is new is added to `update`."""
+        watched = self._continuity.follow(block)
+        update = self.update
+        if watched.gap is not None:
+            update.lost += watched.gap.samples
+            text = f"{watched.gap.samples} samples of each channel: {watched.gap.text}"
+            update.remarks.append((watched.gap.tick, watched.gap.kind, text))
+        update.remarks += [(event.tick, event.kind, event.text) for event in watched.events]
+        if watched.block is None:
+            return
+        tick, values = watched.block.tick, self._values(watched.block.samples)
+        self._tell_large(tick)
+        update.tick, update.received = watched.block.end, block.received
+        update.raw.append(self._raw.push(tick, values))
+        for name, piece in [found for stream in self._streams for found in stream.push(tick, values).items()]:
+            pair = np.column_stack((piece.force, piece.uncertainty))
+            update.forces.setdefault(name, []).append(self._force[name].push(piece.tick, pair))
+            self._estimates[name].append(pair)
+            self._spectra[name].push(np.column_stack((piece.load, piece.force)))
+        self._watch_contact(tick, values)
+        self._count(values, block.received)
+
+    def take(self) -> Update:
+        """Return what is new since the last call."""
+        update = self.update
+        self.update = Update(update.tick, update.received, lost=update.lost)
+        return update
+
+    def _values(self, samples: Array) -> Array:
+        pairs = zip(self.panel.channels, self._conversions, strict=True)
+        values = np.zeros((samples.shape[0], len(self.panel.names)))
+        with np.errstate(over="ignore", invalid="ignore"):  # of numbers that count as missing
+            for place, (channel, conversion) in enumerate(pairs):
+                values[:, place] = conversion.inside(channel.values(samples[:, place]))
+            self._large += self._without_large(values)
+            values -= self._offsets
+            balance = self.panel.balance
+            if balance is not None:
+                values[:, samples.shape[1] :] += felt(balance, values[:, self._gauges])
+                self._without_large(values)
+        return values
+
+    def _without_large(self, values: Array) -> NDArray[np.intp]:
+        """Make numbers missing that no reading is; return how many there were in each column."""
+        large = np.abs(values) > LARGEST
+        if large.any():
+            values[large] = np.nan
+        return np.asarray(large.sum(axis=0))
+
+    def _tell_large(self, tick: int) -> None:
+        """Say, once a second, how many readings were beyond all measure."""
+        if not self._large.any() or tick < self._quiet:
+            return
+        self._quiet = tick + round(self.panel.rate)
+        some = [f"{count} of {name}" for name, count in zip(self.panel.names, self._large, strict=True) if count]
+        text = f"beyond {LARGEST:.0e} either way, which no reading is; they count as missing: {', '.join(some)}"
+        self.update.remarks.append((tick, "too large", text))
+        self._large[:] = 0
+
+    def _watch_contact(self, tick: int, values: Array) -> None:
+        circuit, finder = self.panel.circuit, self._contact
+        if circuit is None or finder is None:
+            return
+        for contact in finder.push(tick, values[:, circuit.column]):
+            kind = "contact" if contact.closed else "contact over"
+            self.update.remarks.append((contact.tick, kind, contact_text(contact, circuit, self.panel.rate)))
+        self.update.touching = finder.touching
+
+    def _count(self, values: Array, received: float) -> None:
+        """Draw up numbers and spectra where they are due."""
+        if not self._held:
+            self._held_since = received
+        self._held.append(values)
+        self._held_rows += values.shape[0]
+        if self._held_rows < NUMBERS * self.panel.rate:
+            return
+        held = np.concatenate(self._held)
+        self._held, self._held_rows = [], 0
+        for place, name in enumerate(self.panel.names):
+            self.update.readings[name] = self._reading(name, held[:, place])
+        envelope = self.panel.envelope
+        if envelope is not None:
+            self.update.envelope = envelope.at_worst(held, self.panel.names)
+        self._means = [*self._means[-4:], (self._held_since, _means(held))]
+        for name, line in self.lines.items():
+            parts, self._estimates[name] = self._estimates[name], []
+            if parts:
+                self.update.estimates[name] = _estimate(np.concatenate(parts), line.interval)
+            self.update.health[name] = _health(line)
+        self._since_spectra += 1
+        if self._since_spectra * NUMBERS >= SPECTRA:
+            self._since_spectra = 0
+            self._draw_spectra()
+
+    def _reading(self, name: str, values: Array) -> Reading:
+        known = values[np.isfinite(values)]
+        if not known.size:
+            return Reading(math.nan, math.nan, math.nan, None, None, "none")
+        self._saturated[name] += int(Channel("reading", known, "1").saturated.sum()) if known.size > 8 else 0
+        least, largest = float(known.min()), float(known.max())
+        mean, samples, step = newest_steady(known) if name in COMPONENTS else (float(known.mean()), known.size, 0.0)
+        half = self.panel.half_ranges.get(name)
+        low, high = self.panel.limits.get(name, (-half, half) if half else (-math.inf, math.inf))
+        percent = None if half is None else 100 * max(-least, largest) / half
+        shares = [largest / high if high > 0 else math.inf if largest > high else 0.0]
+        shares.append(least / low if low < 0 else math.inf if least < low else 0.0)
+        share = max(shares)
+        state = "over" if share >= 1 else "high" if share >= WARNING else "ok"
+        limit = share if math.isfinite(high - low) else None
+        return Reading(mean, least, largest, percent, limit, state, samples / self.panel.rate, step)
+
+    @property
+    def saturated(self) -> Mapping[str, int]:
+        """Readings that rested on the end of their range, by channel."""
+        return self._saturated
+
+    def _draw_spectra(self) -> None:
+        for name, spectrum in self._spectra.items():
+            if spectrum.ready:
+                lines = spectrum.amplitudes()
+                shown = lines.reshape(LINES, -1, 2).max(axis=1).astype(np.float32)
+                self.update.spectra[name] = (float(spectrum.frequency[-1]), shown)
+
+
+def _estimate(pair: Array, interval: float) -> Estimate:
+    """Draw up force and standard uncertainty, shape (n, 2), over the time of `NUMBERS`."""
+    known = pair[np.isfinite(pair).all(axis=1)]
+    if not len(known):
+        return Estimate(math.nan, math.nan, math.nan, math.nan, 0.0, 0.0)
+    force, uncertainty = known[:, 0], float(known[:, 1].mean())
+    mean, samples, step = newest_steady(force, uncertainty=uncertainty)
+    return Estimate(mean, uncertainty, float(force.min()), float(force.max()), samples * interval, step)
+
+
+def _means(values: Array) -> Array:
+    """Mean of what is known of each channel; NaN where nothing is."""
+    known = np.isfinite(values)
+    count = known.sum(axis=0)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _conversion(channel: StoredChannel) -> Conversion:
+    return conversion_for(channel.name, channel.unit)
+
+
+def _followed(panel: Panel) -> tuple[list[Stream], dict[str, Line]]:
+    """The streams of the forces, and the forces' lines by component."""
+    dynamics = panel.dynamics
+    if isinstance(dynamics, CoupledDynamics):
+        if not panel.components:
+            return [], {}
+        stream = CoupledStream(
+            dynamics, rate=panel.rate, names=panel.names, channels=panel.channels, delays=panel.delays
+        )
+        return [stream], dict(stream.lines)
+    lines = {name: _line(panel, name, dynamics[name]) for name in panel.components}
+    return list(lines.values()), dict(lines)
+
+
+def _line(panel: Panel, name: str, dynamics: Dynamics) -> ForceLine:
+    places = {channel: place for place, channel in enumerate(panel.names)}
+    ground = places.get(f"ground_acceleration{AXES.get(name, '')}", places.get("ground_acceleration"))
+    coupling = "kinematic" if ground is None else panel.channels[ground].coupling
+    delays = panel.delays
+    late = 0.0 if ground is None else delays[ground] - delays[places[name]]
+    columns = Columns(places[name], ground, places.get("pitch"), places.get("roll"), coupling, late)
+    return ForceLine(dynamics, rate=panel.rate, columns=columns)
+
+
+def _health(line: Line) -> dict[str, object]:
+    health = line.health
+    told: dict[str, object] = {"lag": line.lag, "rate": 1 / line.interval, "moving": line.moving}
+    if health is None:
+        return told | {"process": "waiting"}
+    low, high = health.resonance_limits
+    return told | {
+        "process": health.process,
+        "explained": health.explained,
+        "drifted": health.drifted,
+        "mean_square": health.mean_square,
+        "mean_square_limit": health.mean_square_limit,
+        "resonance": health.resonance,
+        "resonance_limits": [low, high],
+        "noise": health.noise,
+        "noise_now": health.noise_now,
+        "missing": health.missing,
+    }

@@ -1,0 +1,150 @@
+"""One viewer: what it is sent, as fast as it says that it has shown it, and no faster."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import time
+from typing import Any, Final
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from aerobalance.app.monitor.board import KEPT, Board, plain
+
+UNSHOWN: Final = 2
+"""Frames that a viewer may have got and not shown."""
+
+GONE: Final = 60.0
+"""Time after which a viewer that shows nothing is let go [s]."""
+
+LARGEST: Final = 4096
+"""Largest message of a viewer [bytes]."""
+
+_WAKE: Final = 0.25
+
+
+class Viewer:
+    """Serves one websocket.
+
+    Parameters
+    ----------
+    socket
+        The connection, accepted.
+    board
+        What is shown.
+    state
+        What is said of the state: a version, and the text.
+    """
+
+    def __init__(self, socket: WebSocket, board: Board, state: Any) -> None:
+        self._socket, self._board, self._state = socket, board, state
+        self._sequence = self._acknowledged = 0
+        self._shown = time.monotonic()
+        self._level = 1
+        self._component = ""
+        self._source = -1
+        self._state_version = self._numbers_version = self._data_version = -1
+        self._cursors: list[int] = []
+        self._spectra_seen = 0
+
+    async def serve(self) -> None:
+        """Send and listen until the viewer is gone, or the server ends."""
+        listener = asyncio.create_task(self._listen())
+        try:
+            while not listener.done():
+                if self._sequence - self._acknowledged < UNSHOWN:
+                    await self._send()
+                elif time.monotonic() - self._shown > GONE:
+                    break
+                async with self._board.changed:
+                    with contextlib.suppress(TimeoutError):
+                        await asyncio.wait_for(self._board.changed.wait(), _WAKE)
+        except (WebSocketDisconnect, RuntimeError, OSError):
+            pass  # gone, which is its right
+        finally:
+            listener.cancel()
+            with contextlib.suppress(asyncio.CancelledError, Exception):
+                await listener
+
+    async def _send(self) -> None:
+        board, watching = self._board, self._board.watching
+        version, state = self._state()
+        if version != self._state_version:
+            self._state_version = version
+            await self._socket.send_text(state)
+        if watching is None:
+            return
+        if watching.number != self._source:
+            await self._begin()
+        if board.numbers_version != self._numbers_version and board.numbers:
+            self._numbers_version = board.numbers_version
+            await self._tell({"type": "numbers", **board.numbers, "marks": list(board.marks), "tick": board.tick})
+        if board.data_version != self._data_version:
+            self._data_version = board.data_version
+            frame = board.data_frame(self._sequence + 1, self._level, self._cursors)
+            if frame is not None:
+                self._sequence += 1
+                await self._socket.send_bytes(frame)
+        name = self._component if self._component in watching.components else next(iter(watching.components), "")
+        frame, seen = board.spectra_frame(self._sequence + 1, name, self._spectra_seen)
+        if frame is not None:
+            self._sequence, self._spectra_seen = self._sequence + 1, seen
+            await self._socket.send_bytes(frame)
+
+    async def _begin(self) -> None:
+        watching = self._board.watching
+        if watching is None:
+            return
+        self._source = watching.number
+        self._cursors = [0] * len(self._board.strips)
+        self._spectra_seen = 0
+        await self._tell(
+            {
+                "type": "panel",
+                "number": watching.number,
+                "names": watching.names,
+                "units": watching.units,
+                "rate": watching.rate,
+                "width": watching.width,
+                "components": watching.components,
+                "half_ranges": watching.half_ranges,
+                "limits": watching.limits,
+                "masses": watching.masses,
+                "frequencies": watching.frequencies,
+                "kept": KEPT,
+            }
+        )
+
+    async def _tell(self, message: dict[str, Any]) -> None:
+        await self._socket.send_text(json.dumps(plain(message), separators=(",", ":")))
+
+    async def _listen(self) -> None:
+        while True:
+            message = await self._socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            text = message.get("text") or ""
+            if not text or len(text) > LARGEST:
+                continue
+            with contextlib.suppress(ValueError, RecursionError):
+                given = json.loads(text)
+                if isinstance(given, dict):
+                    self._hear(given)
+                    ping = given.get("ping")
+                    if isinstance(ping, int | float):  # at once: the viewer sets its clock by it
+                        await self._tell({"type": "pong", "ping": ping, "now": time.time() * 1e3})
+            if self._sequence - self._acknowledged < UNSHOWN:
+                await self._board.tell()
+
+    def _hear(self, given: dict[str, Any]) -> None:
+        """Take what a viewer says; what makes no sense is passed over."""
+        shown, level, component = (given.get(key) for key in ("shown", "level", "component"))
+        if isinstance(shown, int) and self._acknowledged < shown <= self._sequence:
+            self._acknowledged, self._shown = shown, time.monotonic()
+        if isinstance(level, int) and not isinstance(level, bool) and 0 <= level < len(KEPT):
+            self._level = level
+            self._cursors = [0] * len(self._cursors)
+            self._data_version = -1
+        if isinstance(component, str):
+            self._component, self._spectra_seen = component[:20], 0

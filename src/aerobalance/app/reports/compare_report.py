@@ -1,0 +1,207 @@
+"""The page of a comparison: one table and one figure, in one self-contained file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from aerobalance.app.reports.page import PLACE_HOLDERS, empty_figure, inline, legend, write_page
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.io.artefacts import provenance
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.recording import Recording
+from aerobalance.validation.baselines import THIS, RivalEstimate
+from aerobalance.validation.scores import END_SHARE, Truth
+
+WINDOW: Final = 1.0
+"""Longest stretch of the record that the figure shows [s]."""
+
+PERIODS: Final = 40
+"""Natural periods that the figure shows, where that is less."""
+
+SHOWN: Final = 2
+"""Rivals in the figure beside the raw reading and this estimator."""
+
+
+def write_comparison(
+    path: Path,
+    account: dict[str, Any],
+    found: Sequence[RivalEstimate],
+    *,
+    recording: Recording,
+    dynamics: Dynamics,
+    truth: Truth | None,
+    inputs: Sequence[Path],
+) -> None:
+    """Write the comparison as one HTML file that needs nothing else, whole or not at all.
+
+    Parameters
+    ----------
+    path
+        The HTML file.
+    account
+        What `aerobalance.app.commands.compare` found.
+    found
+        The rivals' estimates.
+    recording, dynamics
+        What they were worked out from.
+    truth
+        What was applied, where it is known.
+    inputs
+        Files named with their SHA-256.
+    """
+    window = shown_part(recording, dynamics, found, truth)
+    content = {
+        "found": account,
+        "this": THIS,
+        "judged": truth is not None,
+        "figure": comparison_figure(found, recording=recording, dynamics=dynamics, truth=truth, window=window),
+        "window": [float(recording.time[window.start]), float(recording.time[window.stop - 1])],
+        "drawn": [row.name for row in best(found, truth)],
+        "origin": provenance(inputs),
+    }
+    write_page(path, "compare.html.j2", content)
+
+
+def write_coupled_comparison(
+    path: Path,
+    account: dict[str, Any],
+    found: Mapping[str, Sequence[RivalEstimate]],
+    *,
+    recording: Recording,
+    balances: Mapping[str, Dynamics],
+    truths: Mapping[str, Truth],
+    inputs: Sequence[Path],
+) -> None:
+    """Write the comparison of components that ring together; the arguments are those of `write_comparison`.
+
+    Estimates, truths and what each component shows under its own load (`balances`) are by component.
+    """
+    name = next(iter(found))
+    window = shown_part(recording, balances[name], found[name], truths.get(name))
+    content = {
+        "found": account,
+        "this": THIS,
+        "judged": bool(truths),
+        "figure": components_figure(found, recording=recording, truths=truths, window=window),
+        "window": [float(recording.time[window.start]), float(recording.time[window.stop - 1])],
+        "origin": provenance(inputs),
+    }
+    write_page(path, "compare_coupled.html.j2", content)
+
+
+def components_figure(
+    found: Mapping[str, Sequence[RivalEstimate]],
+    *,
+    recording: Recording,
+    truths: Mapping[str, Truth],
+    window: slice,
+) -> str:
+    """Draw one row per component: truth, raw reading, the best way of one component and this estimator."""
+    colours, names = PLACE_HOLDERS, list(found)
+    figure, axes = empty_figure(colours, (7.6, 0.8 + 1.5 * len(names)), rows=len(names), share=True)
+    time = recording.time[window]
+    for ax, name in zip(axes, names, strict=True):
+        rows, truth = found[name], truths.get(name)
+        if truth is not None:
+            ax.plot(time, truth.values[window], color=colours.ink, linewidth=3.2, alpha=0.3, label="truth")
+        lines = [(row, colours.first, 0.8, "raw reading") for row in rows if row.name == "raw reading"]
+        one = [row for row in rows if not row.name.endswith("coupled")]
+        lines += [(row, colours.third, 1.0, "best of one component") for row in best(one, truth)[:1]]
+        lines += [(row, colours.second, 1.4, THIS) for row in rows if row.name == THIS]
+        for row, colour, wide, label in lines:
+            ax.plot(time, row.values[window], color=colour, linewidth=wide, label=label)
+        reference = truth.values if truth is not None else lines[-1][0].values
+        ends = _limits(reference[window], [row.values[window] for row, *_ in lines])
+        ax.set(ylabel=f"{name} [{si_unit(name).replace('*', '·')}]", ylim=ends, xlim=(time[0], time[-1]))
+    axes[-1].set(xlabel="time [s]")
+    legend(axes[0], colours, "lower center", columns=4)
+    axes[0].get_legend().set_bbox_to_anchor((0.5, 1.0))  # type: ignore[union-attr]
+    figure.align_ylabels()
+    return inline(figure, "rivals", "The forces and moments by the rivals and by this estimator")
+
+
+def best(found: Sequence[RivalEstimate], truth: Truth | None) -> list[RivalEstimate]:
+    """Choose the rivals to draw: the nearest to the truth, or without one the low-pass and the central differences."""
+    others = [row for row in found if row.ran and row.name not in (THIS, "raw reading")]
+    if truth is None:
+        order = ["band-limited inverse", "low-pass"]
+        return [row for name in order for row in others if row.name == name][:SHOWN]
+    chosen: list[RivalEstimate] = []
+    for row in sorted(others, key=lambda item: truth.score(item.values).rms):
+        if row.name not in [item.name for item in chosen]:
+            chosen.append(row)
+    return chosen[:SHOWN]
+
+
+def shown_part(recording: Recording, dynamics: Dynamics, found: Sequence[RivalEstimate], truth: Truth | None) -> slice:
+    """Samples around the largest change of the force within a tenth of a natural period."""
+    own = next(row for row in found if row.name == THIS)
+    force = truth.values if truth is not None else own.values
+    count, ends = recording.samples, int(END_SHARE * recording.samples)
+    width = max(1, round(0.1 * recording.rate / dynamics.natural_frequency))
+    change = np.abs(np.nan_to_num(force[ends + width : count - ends] - force[ends : count - ends - width]))
+    centre = ends + int(np.argmax(change)) if change.any() else count // 2
+    length = min(WINDOW, PERIODS / dynamics.natural_frequency) * recording.rate
+    # more after the event than before it: what follows is what the methods differ in
+    first = int(np.clip(centre - 0.3 * length, ends, max(ends, count - ends - length)))
+    return slice(first, int(min(first + length, count - ends)))
+
+
+def comparison_figure(
+    found: Sequence[RivalEstimate],
+    *,
+    recording: Recording,
+    dynamics: Dynamics,
+    truth: Truth | None,
+    window: slice,
+) -> str:
+    """Draw truth, raw reading, the best rivals and this estimator, and their errors on a logarithmic axis."""
+    colours, unit = PLACE_HOLDERS, si_unit(dynamics.component).replace("*", "·")
+    figure, (top, bottom) = empty_figure(colours, (7.6, 6.0), rows=2, heights=(1.4, 1), share=True)
+    time = recording.time[window]
+    paints = iter((colours.third, colours.fourth))
+    lines: list[tuple[RivalEstimate, str, float]] = []
+    lines += [(row, colours.first, 0.8) for row in found if row.name == "raw reading" and row.ran]
+    lines += [(row, next(paints), 1.0) for row in best(found, truth)]
+    lines += [(row, colours.second, 1.6) for row in found if row.name == THIS and row.ran]
+    if truth is not None:
+        top.plot(time, truth.values[window], color=colours.ink, linewidth=3.2, alpha=0.3, label="truth")
+    reference = truth.values if truth is not None else lines[-1][0].values
+    period = max(1, round(recording.rate / dynamics.natural_frequency))
+    for row, colour, wide in lines:
+        label = f"{row.name}{' *' if row.oracle else ''}"
+        top.plot(time, row.values[window], color=colour, linewidth=wide, label=label)
+        error = _running_rms(row.values - reference, period)[window]
+        if np.any(error > 0):
+            bottom.semilogy(time, error, color=colour, linewidth=wide)
+    ends = _limits(reference[window], [row.values[window] for row, _, _ in lines])
+    top.set(ylabel=f"{dynamics.component} [{unit}]", ylim=ends)
+    legend(top, colours, "lower center", columns=3)
+    top.get_legend().set_bbox_to_anchor((0.5, 1.0))  # type: ignore[union-attr]
+    words = "error" if truth is not None else f"apart from\n{THIS}"
+    bottom.set(ylabel=f"{words},\nrms over a period [{unit}]", xlabel="time [s]", xlim=(time[0], time[-1]))
+    bottom.yaxis.set_major_formatter(lambda value, _: f"{value:g}")  # powers would need mathematical type
+    figure.align_ylabels()
+    return inline(figure, "rivals", "The force by the rivals and by this estimator, and their errors below")
+
+
+def _running_rms(error: Array, period: int) -> Array:
+    return np.asarray(np.sqrt(np.maximum(uniform_filter1d(error**2, period, mode="nearest"), 0.0)))
+
+
+def _limits(reference: Array, curves: Sequence[Array]) -> tuple[float, float]:
+    """Range of the axis: all curves, but what is beyond the force by more than its own span is cut."""
+    low, high = float(np.min(reference)), float(np.max(reference))
+    least = min(float(np.min(curve)) for curve in curves)
+    most = max(float(np.max(curve)) for curve in curves)
+    span = high - low
+    if span > 0:
+        least, most = max(least, low - span), min(most, high + span)
+    margin = 0.05 * (most - least) or 1.0
+    return least - margin, most + margin

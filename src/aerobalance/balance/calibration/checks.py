@@ -1,0 +1,260 @@
+"""Calibrations that no matrix should come of: what is wrong, in which component, by which evidence."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.balance.schedule import Schedule
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, FitError
+
+LOADED: Final = 0.01
+"""Least span of a load, over capacity, for its component to count as loaded."""
+
+SERIES_LOADED: Final = 0.1
+"""Least span of a load in a series, over capacity, for the series to tell the sensitivity."""
+
+DEAD: Final = 0.02
+"""Output at capacity, over the median of all bridges, below which a bridge is taken as dead."""
+
+OWN_ANSWER: Final = 0.3
+"""Sensitivity to the own load, over that to any load, below which its sign tells nothing."""
+
+SLOPE_DOUBT, SLOPE_FAULT = 0.05, 0.3
+"""Relative departure of one series' sensitivity from the median that is doubted, and that is refused."""
+
+SLOPE_FAR: Final = 10.0
+"""The same from which the median says nothing of the series, and no percentage of it is given."""
+
+DOUBTFUL, UNFIT = 0.005, 0.05
+"""Standard deviation of the residuals, over capacity, that is doubted, and that is refused."""
+
+DRIFT: Final = 0.005
+"""Change of a zero within a series, over capacity, that is doubted."""
+
+DRIFT_IN_NOISE: Final = 10.0
+"""Range of zero readings, over the standard deviation of one, that noise does not reach.
+
+Noise itself does not reach 8; a fit with nearly as many terms as points leaves neighbours closer than their noise.
+"""
+
+
+def check_schedule(schedule: Schedule) -> None:
+    """Refuse a schedule that cannot give a matrix, before anything is fitted.
+
+    Raises
+    ------
+    FitError
+        A component is never loaded, a bridge is dead or answers to another load, or a series contradicts the others;
+        the message names the component and the evidence.
+
+    Warns
+    -----
+    DoubtWarning
+        A series' sensitivity departs from the others.
+    """
+    used = schedule.fitted
+    if np.count_nonzero(used) < schedule.loads.shape[1] + 2:
+        raise FitError(
+            f"{schedule.name}: {np.count_nonzero(used)} points; a matrix of {schedule.loads.shape[1]} components "
+            f"needs at least {schedule.loads.shape[1] + 2}"
+        )
+    loads, outputs, series = schedule.loads[used] / schedule.capacities, schedule.outputs[used], schedule.series[used]
+    for index, name in enumerate(schedule.components):
+        if np.ptp(loads[:, index]) < LOADED:
+            raise FitError(
+                f"{schedule.name}: {name} is never loaded (its loads span {100 * np.ptp(loads[:, index]):.2g} % of "
+                f"capacity), so nothing tells its sensitivity; add series with {name} in both directions"
+            )
+        if np.ptp(outputs[:, index]) == 0:
+            raise FitError(
+                f"{schedule.name}: the bridge of {name} is dead: it reads {outputs[0, index]:.6g} mV/V at all "
+                f"{outputs.shape[0]} points"
+            )
+    sensitivity = _sensitivity(loads, outputs, series)
+    slopes = [_slopes(loads, outputs, series, index) for index in range(loads.shape[1])]
+    _check_signs(schedule, slopes, np.max(np.abs(sensitivity), axis=1))
+    _check_wiring(schedule, sensitivity)
+    _check_slopes(schedule, slopes)
+
+
+def _sensitivity(loads: Array, outputs: Array, series: NDArray[np.intp]) -> Array:
+    """Outputs at capacity [mV/V], bridges in rows, loads in columns, shape (c, c)."""
+    x, y = _centred(loads, series), _centred(outputs, series)
+    return np.asarray(np.linalg.lstsq(x, y, rcond=None)[0].T)
+
+
+def _centred(values: Array, series: NDArray[np.intp]) -> Array:
+    centred = np.array(values)
+    for number in np.unique(series):
+        centred[series == number] -= values[series == number].mean(axis=0)
+    return centred
+
+
+def _slopes(loads: Array, outputs: Array, series: NDArray[np.intp], index: int) -> dict[int, tuple[float, float]]:
+    """Output at capacity of a component's own bridge in each series that loads it, and how well it is told."""
+    found = {}
+    for number in np.unique(series):
+        inside = series == number
+        if np.count_nonzero(inside) < 3 or np.ptp(loads[inside, index]) < SERIES_LOADED:
+            continue
+        x = loads[inside] - loads[inside].mean(axis=0)
+        y = outputs[inside, index] - outputs[inside, index].mean()
+        others = np.delete(x, index, axis=1)
+        others = others[:, np.ptp(others, axis=0) >= SERIES_LOADED]
+        if others.shape[1]:
+            own = x[:, index] - others @ np.linalg.lstsq(others, x[:, index], rcond=None)[0]
+            y = y - others @ np.linalg.lstsq(others, y, rcond=None)[0]
+        else:
+            own = x[:, index]
+        weight = float(own @ own)
+        if weight > SERIES_LOADED**2:
+            slope = float(own @ y) / weight
+            rest = y - slope * own
+            found[int(number)] = (slope, float(np.sqrt(rest @ rest / max(y.size - 2, 1) / weight)))
+    return found
+
+
+def _check_signs(schedule: Schedule, slopes: list[dict[int, tuple[float, float]]], answers: Array) -> None:
+    """Refuse a series in which a bridge answers with the other sign; `answers` are the strongest to any load."""
+    for name, found, answer in zip(schedule.components, slopes, answers, strict=True):
+        clear = {number: slope for number, (slope, u) in found.items() if abs(slope) > 5 * u}
+        if len(clear) < 2:
+            continue
+        middle = float(np.median(np.abs(list(clear.values()))))
+        if middle < OWN_ANSWER * answer:  # it answers to another load: the wires are crossed
+            continue
+        strong = {number: slope for number, slope in clear.items() if abs(slope) > 0.3 * middle}
+        sign = np.sign(sum(np.sign(slope) for slope in strong.values())) or np.sign(next(iter(strong.values())))
+        wrong = [number for number, slope in strong.items() if np.sign(slope) != sign]
+        if wrong:
+            names = ", ".join(repr(schedule.series_names[number]) for number in wrong)
+            right = next(number for number, slope in strong.items() if np.sign(slope) == sign)
+            raise FitError(
+                f"{schedule.name}: wrong sign of {name} in series {names}: its bridge gives "
+                f"{strong[wrong[0]]:+.4g} mV/V at capacity there, but {strong[right]:+.4g} mV/V in series "
+                f"{schedule.series_names[right]!r}; correct the sign of the loads or of the outputs"
+            )
+
+
+def _check_wiring(schedule: Schedule, sensitivity: Array) -> None:
+    """Refuse bridges that are dead, or that answer more to another load than to their own."""
+    own = np.abs(np.diag(sensitivity))
+    strongest = np.argmax(np.abs(sensitivity), axis=1)
+    # a dead bridge's noise goes with one load or another: that is no crossed wire
+    answers = np.max(np.abs(sensitivity), axis=1)
+    _check_alive(schedule, answers)
+    for index, name in enumerate(schedule.components):
+        other = int(strongest[index])
+        if other != index and abs(sensitivity[index, other]) > 2 * own[index]:
+            back = " and the other way round" if strongest[other] == index else ""
+            raise FitError(
+                f"{schedule.name}: crossed wires: the bridge of {name} gives {sensitivity[index, other]:+.4g} mV/V at "
+                f"the capacity of {schedule.components[other]}, but {sensitivity[index, index]:+.4g} mV/V at that of "
+                f"{name}{back}; put the columns of the bridges in the order of the loads"
+            )
+    _check_alive(schedule, own)
+
+
+def _check_alive(schedule: Schedule, answers: Array) -> None:
+    for name, answer in zip(schedule.components, answers, strict=True):
+        if answer < DEAD * np.median(answers):
+            raise FitError(
+                f"{schedule.name}: the bridge of {name} is dead: {answer:.3g} mV/V at capacity, while the others "
+                f"give about {np.median(answers):.3g} mV/V"
+            )
+
+
+def _check_slopes(schedule: Schedule, slopes: list[dict[int, tuple[float, float]]]) -> None:
+    """Doubt a series whose sensitivity is not that of the others."""
+    for name, found in zip(schedule.components, slopes, strict=True):
+        if len(found) < 2:
+            continue
+        middle = float(np.median([slope for slope, _ in found.values()]))
+        for number, (slope, u) in found.items():
+            departure = slope / middle - 1 if middle else np.inf
+            if abs(departure) < SLOPE_DOUBT or abs(slope - middle) < 5 * u:
+                continue
+            from_middle = f"{100 * departure:+.3g} %" if abs(departure) < SLOPE_FAR else "far"
+            text = (
+                f"{schedule.name}: the bridge of {name} gives {slope:.4g} mV/V at capacity in series "
+                f"{schedule.series_names[number]!r}, {from_middle} from the {middle:.4g} mV/V of the "
+                "median series"
+            )
+            if abs(departure) > SLOPE_FAULT:
+                raise FitError(
+                    f"{text}; check the loads, units and arms of that series, or leave it out with "
+                    f'--leave-out "{schedule.series_names[number]}"'
+                )
+            warnings.warn(f"{text}; the matrix averages over both", DoubtWarning, stacklevel=4)
+
+
+def _check_zeros(schedule: Schedule, residuals: Array) -> None:
+    """Doubt bridges whose zero readings wander within a series by more than their noise can."""
+    used = schedule.fitted
+    series = schedule.series[used]
+    unloaded = schedule.unloaded[used]
+    for index, name in enumerate(schedule.components):
+        column = residuals[:, index]
+        # neighbours differ by noise alone; the median is not moved by the few that a drift or a step lies between
+        noise = float(np.median(np.abs(np.diff(column)))) / 0.954
+        worst, where = 0.0, 0
+        for number in np.unique(series):
+            zeros = column[(series == number) & unloaded]
+            if zeros.size > 1 and np.ptp(zeros) > worst:
+                worst, where = float(np.ptp(zeros)), int(number)
+        if worst > max(DRIFT, DRIFT_IN_NOISE * noise):
+            warnings.warn(
+                f"{schedule.name}: the zero of {name} drifts by {100 * worst:.2g} % of capacity within "
+                f"series {schedule.series_names[where]!r}; the drift goes into the residuals",
+                DoubtWarning,
+                stacklevel=4,
+            )
+
+
+def check_residuals(schedule: Schedule, residuals: Array, *, deviation: Array) -> None:
+    """Refuse or doubt a fitted matrix by its residuals over capacity, shape (n, c), and their deviation, (c,).
+
+    Raises
+    ------
+    FitError
+        The standard deviation of a component's residuals is above `UNFIT` of capacity.
+
+    Warns
+    -----
+    DoubtWarning
+        It is above `DOUBTFUL`, or a zero drifts.
+    """
+    _check_zeros(schedule, residuals)
+    size = deviation
+    bad = np.flatnonzero(size > UNFIT)
+    if bad.size:
+        texts = [f"{schedule.components[i]} {100 * size[i]:.3g} %{_blame(schedule, residuals[:, i])}" for i in bad]
+        raise FitError(
+            f"{schedule.name}: unfit for a matrix: the readings do not follow the loads. Standard deviation of the "
+            f"residuals in percent of capacity: {', '.join(texts)}. Look for drifting or loose bridges, and repeat "
+            "these series, or leave out what is known to be wrong (--leave-out)"
+        )
+    for i in np.flatnonzero(size > DOUBTFUL):
+        warnings.warn(
+            f"{schedule.name}: the residuals of {schedule.components[i]} have a standard deviation of "
+            f"{100 * size[i]:.2g} % of capacity{_blame(schedule, residuals[:, i])}; balances reach 0.05 to 0.3 %. "
+            "Loads from this matrix are no better",
+            DoubtWarning,
+            stacklevel=4,
+        )
+
+
+def _blame(schedule: Schedule, residuals: Array) -> str:
+    """Name the series that the residuals of one component come from."""
+    series = schedule.series[schedule.fitted]
+    sums = {number: float(np.sum(residuals[series == number] ** 2)) for number in np.unique(series)}
+    total = sum(sums.values())
+    worst = max(sums, key=lambda number: sums[number])
+    if total == 0 or len(sums) == 1:
+        return ""
+    return f" ({100 * sums[worst] / total:.0f} % of it in series {schedule.series_names[worst]!r})"

@@ -1,0 +1,180 @@
+"""From a load schedule to a balance matrix, Eq. (2) of [Gorbushin2020]_ and both ways of AIAA R-091.
+
+References
+----------
+.. [Gorbushin2020] A. R. Gorbushin, A. A. Bolshakova, "Unsteady axial force measurement by the strain gauge balance",
+   Measurement 152 (2020) 107381. https://doi.org/10.1016/j.measurement.2019.107381
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aerobalance.balance.calibration.checks import check_residuals, check_schedule
+from aerobalance.balance.calibration.normalised_points import ScaledPoints
+from aerobalance.balance.calibration.regression import Choice, Regression, residual_deviation, without_intercepts
+from aerobalance.balance.calibration.selection import Unidentified, identifiable, select
+from aerobalance.balance.calibration.shrinkage import Fitted, shrink
+from aerobalance.balance.matrix import BalanceMatrix, Way
+from aerobalance.balance.schedule import Schedule
+from aerobalance.balance.terms import Model, Term, terms_of
+from aerobalance.recording.channel import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """A balance matrix and how it came about: n points, c components, s series.
+
+    Attributes
+    ----------
+    schedule
+        What was loaded and read.
+    model, way
+        Which terms were offered, and which way the matrix goes.
+    matrix
+        The result.
+    regressions
+        Fit of every component, in the order of the components.
+    tares, u_tares
+        Loads of the fixtures found in every series by intercepts, and their standard uncertainties, shape (s, c)
+        [N, N*m]; NaN in series without points in the fit. Zero, with NaN uncertainty, without natural zeros.
+    tares_by_iteration
+        The same by the iteration of AIAA R-091, as a check, shape (s, c); None without natural zeros.
+    residuals
+        Load computed less load applied (tares included), all points, shape (n, c) [N, N*m].
+    unidentified
+        Terms of AIAA R-091 that the schedule cannot tell, in the model or not; they are not in the matrix.
+    condition
+        Condition number of the design, columns scaled to one.
+    """
+
+    schedule: Schedule
+    model: Model
+    way: Way
+    matrix: BalanceMatrix
+    regressions: tuple[Regression, ...]
+    tares: Array
+    u_tares: Array
+    tares_by_iteration: Array | None
+    residuals: Array
+    unidentified: tuple[Unidentified, ...]
+    condition: float
+
+    @property
+    def unidentified_labels(self) -> tuple[str, ...]:
+        """Names of the terms that the schedule cannot tell."""
+        return tuple(item.term.label(self.matrix.variables) for item in self.unidentified)
+
+
+def calibrate(
+    schedule: Schedule,
+    *,
+    model: Model = "auto",
+    way: Way = "iterative",
+    reading_noise: float | Mapping[str, float] = 0.0,
+) -> Calibration:
+    """Make a balance matrix from a load schedule.
+
+    Parameters
+    ----------
+    schedule
+        Loads and outputs; points marked for confirmation take no part.
+    model
+        ``"linear"``; ``"quadratic"`` or ``"27"``, the terms of Eq. (2); ``"abs"``, linear with absolute values;
+        ``"96"``, all of AIAA R-091; ``"auto"``, those of the 96 that are significant,
+        each kind drawn to zero as far as the readings do not support it (`shrink`).
+    way
+        ``"iterative"``: outputs fitted on loads. ``"non-iterative"``: loads fitted on outputs.
+    reading_noise
+        Standard deviation of one reading of the schedule [mV/V], where known, one for all bridges or by bridge. The
+        scatter of the residuals then counts for the loads of a recording only as far as it goes beyond that; 0 counts
+        it all, and so does a bridge that is not named.
+
+    Raises
+    ------
+    FitError
+        The schedule cannot give a matrix; the message names component and evidence.
+    ValueError
+        `reading_noise` is negative, or names a bridge that the schedule does not have.
+
+    Warns
+    -----
+    DoubtWarning
+        The matrix can be used, but something in the schedule makes it worse than it looks.
+    """
+    check_schedule(schedule)
+    noise = _noise_of(reading_noise, schedule.gauges)
+    terms = terms_of(model, len(schedule.components))
+    data = ScaledPoints.of(schedule, way)
+    terms, unknown = identifiable(data.design(terms, data.loads), data.intercepts, terms)
+    unknown += _beyond_model(data, terms, unknown)
+    if way == "non-iterative":  # small interactions must not pass for products of loads that were never combined
+        terms, more = identifiable(data.design(terms, data.outputs), data.intercepts, terms)
+        unknown += more
+    choice = Choice.everything(len(schedule.components), len(terms))
+    tares, regressions = data.fit(terms, choice)
+    if model == "auto":
+        choice = _chosen(data, terms, tares)
+        tares, regressions = data.fit(terms, choice)
+    matrix = replace(data.matrix(terms, regressions, tares), reading_noise=noise)
+    residuals = data.residuals(matrix, regressions, tares)
+    fitted = residuals[schedule.fitted] / schedule.capacities
+    check_residuals(schedule, fitted, deviation=residual_deviation(fitted, regressions))
+    by_iteration = data.tares_by_iteration(terms, choice, regressions) if data.absolute else None
+    return Calibration(
+        schedule=schedule,
+        model=model,
+        way=way,
+        matrix=matrix,
+        regressions=regressions,
+        tares=tares * schedule.capacities,
+        u_tares=data.tare_uncertainty(matrix, regressions) * schedule.capacities,
+        tares_by_iteration=None if by_iteration is None else by_iteration * schedule.capacities,
+        residuals=residuals,
+        unidentified=unknown,
+        condition=data.condition(terms, tares),
+    )
+
+
+def _noise_of(given: float | Mapping[str, float], gauges: Sequence[str]) -> float | Array:
+    """Noise of a reading, one number or by bridge, shape (c,) [mV/V]; a bridge is its name, or r and its name."""
+    if not isinstance(given, Mapping):
+        return given
+    names = {f"r{gauge}": place for place, gauge in enumerate(gauges)}
+    for place, gauge in enumerate(gauges):
+        names.setdefault(gauge, place)
+    noise = np.zeros(len(gauges))
+    for name, value in given.items():
+        if name not in names:
+            raise ValueError(
+                f"reading_noise is given for {name}, which is no bridge of the schedule; it has "
+                + ", ".join(f"r{gauge}" for gauge in gauges)
+            )
+        noise[names[name]] = value
+    return noise
+
+
+def _beyond_model(
+    data: ScaledPoints, terms: tuple[Term, ...], unknown: tuple[Unidentified, ...]
+) -> tuple[Unidentified, ...]:
+    """Further terms, of the 96 of AIAA R-091, that the schedule cannot tell, whether or not the model offers them."""
+    known = {*terms, *(item.term for item in unknown)}
+    everything = terms_of("96", data.loads.shape[1])
+    others = identifiable(data.design(everything, data.loads), data.intercepts, everything)[1]
+    return tuple(item for item in others if item.term not in known)
+
+
+def _chosen(data: ScaledPoints, terms: tuple[Term, ...], tares: Array) -> Choice:
+    """Terms of every component by significance, and what draws their coefficients to zero."""
+    design = data.design(terms, data.variables(tares))
+    kinds = np.array([term.kind for term in terms])
+    points = []
+    for i, values in enumerate(data.targets.T):
+        nuisance = data.nuisance(i)
+        own = without_intercepts(np.column_stack([design, values]), nuisance)
+        points.append(Fitted(own[:, :-1], own[:, -1], values.size - nuisance.shape[1]))
+    coefficients = shrink(points, kinds)
+    return Choice(select(coefficients, kinds), coefficients.penalty)

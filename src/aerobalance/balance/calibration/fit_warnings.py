@@ -1,0 +1,101 @@
+"""What makes a matrix worse than it looks, told as warnings."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from aerobalance.balance.calibration.fit import Calibration
+from aerobalance.balance.calibration.quality import Quality
+from aerobalance.balance.calibration.regression import HIGHEST_INFLATION, inflation_text
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.recording.errors import DoubtWarning
+
+TOO_QUIET: Final = 1e-6
+"""Probability, over all bridges together, below which the readings' scatter is less than the noise given for them."""
+
+
+def doubt_quality(calibration: Calibration, quality: Quality) -> None:
+    """Warn of what makes the matrix worse than it looks."""
+    schedule, matrix = calibration.schedule, calibration.matrix
+    if quality.outliers:
+        worst = quality.outliers[0]
+        count = len(quality.outliers)
+        _doubt(
+            f"{schedule.name}: {f'{count} readings do' if count > 1 else '1 reading does'} not go with the others, "
+            f"{'most ' if count > 1 else ''}{schedule.components[worst.component]} at point {worst.label!r} "
+            f"({1e3 * worst.residual:+.2g} uV/V, {worst.size} standard deviations); "
+            f"{'they are' if count > 1 else 'it is'} in the fit and {'widen' if count > 1 else 'widens'} its "
+            f'uncertainty. What is wrong is left out with --leave-out "{worst.label}"'
+        )
+    if calibration.unidentified:
+        labels = calibration.unidentified_labels
+        _doubt(
+            f"{schedule.name}: the schedule cannot identify {len(labels)} terms, which are left out: "
+            f"{', '.join(labels[:6])}{' ...' if len(labels) > 6 else ''}. Loads that would bring them out have an "
+            "error that the uncertainty does not show"
+        )
+    one_way = [name for name, d in zip(schedule.components, quality.directions, strict=True) if not d.known]
+    if one_way:
+        _doubt(
+            f"{schedule.name}: {', '.join(one_way)} loaded in one direction only; whether the bridge is bidirectional "
+            "is not known, and loads the other way are extrapolated"
+        )
+    missed = [
+        (name, 100 * d.difference)
+        for i, (name, d) in enumerate(zip(schedule.components, quality.directions, strict=True))
+        if d.bidirectional and not _has_direction(matrix, calibration.regressions[i].included, i)
+    ]
+    if missed:
+        texts = ", ".join(f"{name} ({difference:+.2g} %)" for name, difference in missed)
+        _doubt(
+            f"{schedule.name}: bridges with different sensitivities to + and - loads: {texts}; the model has no term "
+            "for that. Use --model abs, 96 or auto"
+        )
+    inflated = [float(np.nanmax(fit.vif)) for fit in calibration.regressions]
+    if max(inflated) > HIGHEST_INFLATION and calibration.model != "auto":
+        _doubt(
+            f"{schedule.name}: some terms are near copies of each other (variance inflation factor up to "
+            f"{inflation_text(max(inflated))}, above {HIGHEST_INFLATION:g}); their coefficients mean little one by "
+            "one. --model auto keeps of them what the readings support"
+        )
+    _doubt_reading_noise(calibration)
+
+
+def _doubt_reading_noise(calibration: Calibration) -> None:
+    """Warn of a noise of the readings that is more than they scatter."""
+    schedule, matrix = calibration.schedule, calibration.matrix
+    noise, found, freedom = matrix.noise_of_readings, matrix.residual_deviation, matrix.degrees_of_freedom
+    least = noise * np.sqrt(chi2.ppf(TOO_QUIET / noise.size, np.maximum(freedom, 1)) / np.maximum(freedom, 1))
+    quiet = np.flatnonzero(found < least)
+    if quiet.size:
+        given = np.broadcast_to(matrix.reading_noise, noise.shape)
+        by_bridge = matrix.way == "iterative"
+        texts = ", ".join(
+            f"{f'r{matrix.gauges[i]}' if by_bridge else schedule.components[i]} {found[i] / noise[i]:.2g} times"
+            + (f" the {given[i]:g} mV/V" if by_bridge else " what the bridges' noise makes of it")
+            for i in quiet
+        )
+        each = np.ndim(matrix.reading_noise) == 0 and quiet.size < noise.size
+        _doubt(
+            f"{schedule.name}: readings scatter less about the matrix than the noise given for them: {texts}. "
+            "That noise is too large, or not of these readings; their scatter counts for nothing in the "
+            "uncertainty of the loads"
+            + (". Where bridges differ, give each its own: --reading-noise rNAME=VALUE" if each else "")
+        )
+
+
+def _has_direction(matrix: BalanceMatrix, included: NDArray[np.bool_], index: int) -> bool:
+    """Whether the model of a component has a term that can stand for its direction: |F|, F*F or |F*F*F|."""
+    return any(
+        used and term.first == term.second == index and term.kind in (1, 2, 9)
+        for term, used in zip(matrix.terms, included, strict=True)
+    )
+
+
+def _doubt(text: str) -> None:
+    warnings.warn(text, DoubtWarning, stacklevel=3)

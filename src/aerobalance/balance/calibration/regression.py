@@ -1,0 +1,246 @@
+"""Least squares of one output (or load) on the terms: coefficients, their uncertainty, and how much to trust them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.stats import t as student
+from statsmodels.regression.linear_model import OLS
+from statsmodels.stats.outliers_influence import OLSInfluence
+
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import FitError
+
+LEAST_FREEDOM: Final = 1
+"""Fewest points beyond the number of unknowns."""
+
+FULL_LEVERAGE: Final = 1e-9
+"""Distance of a leverage from one within which a point alone tells an unknown."""
+
+HIGHEST_INFLATION: Final = 10.0
+"""Variance inflation factor above which terms are near copies of each other (AIAA R-091 warns from 5)."""
+
+
+MOST_INFLATION: Final = 1e6
+"""Variance inflation factor from which only that it is larger is said."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """Which terms the components have, and what draws their coefficients to zero: c components, t terms.
+
+    Attributes
+    ----------
+    included
+        Shape (c, t).
+    penalty
+        Variance of a reading over that expected of a coefficient, shape (c, t); zero for least squares.
+    """
+
+    included: NDArray[np.bool_]
+    penalty: Array
+
+    @classmethod
+    def everything(cls, components: int, terms: int) -> Choice:
+        """All terms, by least squares."""
+        return cls(np.ones((components, terms), dtype=bool), np.zeros((components, terms)))
+
+    def solve(self, index: int, design: Array, others: Array, values: Array) -> tuple[Array, Array]:
+        """Coefficients of one component, shape (t,), zero for terms left out, and of other columns, shape (s,)."""
+        mask = self.included[index]
+        X, y = _drawn_to_zero(np.hstack([design[:, mask], others]), values, self.penalty[index, mask])
+        solved = scipy.linalg.lstsq(X, y, lapack_driver="gelsy")[0]
+        kept = int(np.count_nonzero(mask))
+        return _spread(solved[:kept], mask, 0.0), np.asarray(solved[kept:])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regression:
+    """Least squares of one component, n points, p terms in the model, intercepts left out of what is kept.
+
+    Attributes
+    ----------
+    included
+        Which of the t candidate terms are in the model, shape (t,).
+    coefficients, covariance
+        Of all t terms, shape (t,) and (t, t). A term left out for want of significance has the coefficient zero and
+        yet an uncertainty, and what it may be worth is part of that of the others.
+    t, p
+        Student's statistic and its two-sided probability, shape (t,); NaN for those left out.
+    vif
+        Variance inflation factors, series intercepts taken out, shape (t,); NaN for those left out.
+    intercepts, u_intercepts
+        Of the series, shape (s,), and their standard uncertainties.
+    residuals
+        Shape (n,).
+    deviation
+        Standard deviation of the residuals about all candidate terms, degrees of freedom counted.
+    degrees_of_freedom
+        Points less unknowns; a coefficient drawn to zero counts as the part of one that the readings determine.
+    press
+        Root mean square of the residuals that each point would have, were it left out of the fit; NaN where no point
+        can be left out.
+    r_squared
+        Share of the variance that is explained.
+    studentised
+        Residuals over their standard deviation, each found without its own point, shape (n,); infinite where the
+        other points fit to the last digit.
+    """
+
+    included: NDArray[np.bool_]
+    coefficients: Array
+    covariance: Array
+    t: Array
+    p: Array
+    vif: Array
+    intercepts: Array
+    u_intercepts: Array
+    residuals: Array
+    deviation: float
+    degrees_of_freedom: int
+    press: float
+    r_squared: float
+    studentised: Array
+
+
+def regress(
+    values: Array, design: Array, intercepts: Array, *, included: NDArray[np.bool_], penalty: Array
+) -> Regression:
+    """Fit one component.
+
+    Parameters
+    ----------
+    values
+        Readings, shape (n,).
+    design
+        Values of all t candidate terms, shape (n, t).
+    intercepts
+        One column for each series, one in its points, shape (n, s).
+    included
+        Which terms to use, shape (t,).
+    penalty
+        What draws the coefficients to zero, shape (t,); zero for least squares. Terms that could be left out have one.
+
+    Raises
+    ------
+    FitError
+        There are fewer points than unknowns.
+    """
+    n, unknowns = values.size, int(np.count_nonzero(included)) + intercepts.shape[1]
+    if n < unknowns + LEAST_FREEDOM:
+        raise FitError(
+            f"{n} points for {unknowns} unknowns ({np.count_nonzero(included)} terms and {intercepts.shape[1]} series "
+            "intercepts); add points, or choose a model with fewer terms"
+        )
+    fit = _fit(values, design[:, included], intercepts, penalty[included])
+    # leaving a term out does not make it known: scatter and uncertainty are those with all terms
+    whole = fit if included.all() else _fit(values, design, intercepts, penalty)
+    freedom = n - float(np.sum(_leverage(whole, n)))
+    deviation = float(np.sqrt(np.sum(whole.resid[:n] ** 2) / freedom))
+    found = _spread(fit.params, np.concatenate([included, np.ones(intercepts.shape[1], dtype=bool)]), 0.0)
+    covariance = whole.normalized_cov_params * deviation**2 + np.outer(found - whole.params, found - whole.params)
+    u = np.sqrt(np.diag(covariance))
+    rest = np.asarray(fit.resid[:n])
+    squares = float(rest @ rest)
+    press, studentised = _left_out(fit, n)
+    spread = float(np.sum((values - values.mean()) ** 2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (found / u)[: included.size]
+    return Regression(
+        included=included,
+        coefficients=found[: included.size],
+        covariance=covariance[: included.size, : included.size],
+        t=np.where(included, t, np.nan),
+        p=np.where(included, 2 * student.sf(np.abs(t), freedom), np.nan),
+        vif=_spread(inflation(design[:, included], intercepts), included, np.nan),
+        intercepts=found[included.size :],
+        u_intercepts=u[included.size :],
+        residuals=rest,
+        deviation=deviation,
+        degrees_of_freedom=round(freedom),
+        press=press,
+        r_squared=1 - squares / spread if spread > 0 else 0.0,
+        studentised=studentised,
+    )
+
+
+def _left_out(fit: Any, points: int) -> tuple[float, Array]:
+    """Root mean square of the residuals of points left out one by one, and residuals over their deviation then.
+
+    What draws coefficients to zero are readings as well: counted with the others, what the rest leaves is never
+    negative. A point that alone tells an unknown (leverage one) fits whatever it reads, and shows nothing of itself.
+    """
+    rest, leverage = np.asarray(fit.resid[:points]), _leverage(fit, points)
+    told = leverage < 1 - FULL_LEVERAGE
+    studentised = np.zeros(points)
+    if not told.any():
+        return float("nan"), studentised
+    rest, leverage = rest[told], leverage[told]
+    squares = np.maximum(float(fit.resid @ fit.resid) - rest**2 / (1 - leverage), 0.0)
+    deviation = np.sqrt(squares / max(float(fit.df_resid) - 1, 1.0) * (1 - leverage))
+    exact = np.where(rest == 0, 0.0, np.copysign(np.inf, rest))
+    studentised[told] = np.divide(rest, deviation, out=exact, where=deviation > 0)
+    return float(np.sqrt(np.mean((rest / (1 - leverage)) ** 2))), studentised
+
+
+def _fit(values: Array, design: Array, intercepts: Array, penalty: Array) -> Any:
+    X, y = _drawn_to_zero(np.hstack([design, intercepts]), values, penalty)
+    return OLS(y, X).fit()
+
+
+def _leverage(fit: Any, points: int) -> Array:
+    """Part of each point's own reading in its fitted value, shape (n,)."""
+    return np.asarray(OLSInfluence(fit).hat_matrix_diag[:points])
+
+
+def _drawn_to_zero(X: Array, y: Array, penalty: Array) -> tuple[Array, Array]:
+    """Append readings of zero of the first coefficients, weighted as the penalty says."""
+    rows = np.flatnonzero(penalty)
+    added = np.zeros((rows.size, X.shape[1]))
+    added[np.arange(rows.size), rows] = np.sqrt(penalty[rows])
+    return np.vstack([X, added]), np.concatenate([y, np.zeros(rows.size)])
+
+
+def _spread(values: Array, included: NDArray[np.bool_], rest: float) -> Array:
+    full = np.full(included.size, rest)
+    full[included] = values
+    return full
+
+
+def residual_deviation(residuals: Array, fits: Sequence[Regression]) -> Array:
+    """Return the standard deviation of residuals, shape (n, c), each by its fit's degrees of freedom, shape (c,)."""
+    freedom = np.array([max(fit.degrees_of_freedom, LEAST_FREEDOM) for fit in fits])
+    return np.asarray(np.sqrt(np.sum(residuals**2, axis=0) / freedom))
+
+
+def without_intercepts(design: Array, intercepts: Array) -> Array:
+    """Take what series intercepts can explain out of the columns of a design matrix, shape (n, t)."""
+    if not intercepts.shape[1]:
+        return design
+    return np.asarray(design - intercepts @ np.linalg.lstsq(intercepts, design, rcond=None)[0])
+
+
+def inflation_text(factor: float) -> str:
+    """Return a variance inflation factor for people: beyond a million it is a matter of rounding."""
+    return f"{factor:.3g}" if factor < MOST_INFLATION else f"more than {MOST_INFLATION:,.0f}"
+
+
+def inflation(design: Array, intercepts: Array) -> Array:
+    """Variance inflation factors of the columns of a design matrix, shape (t,), series intercepts taken out.
+
+    They are the diagonal of the inverse of the correlation matrix.
+    """
+    own = without_intercepts(design, intercepts)
+    size = np.linalg.norm(own, axis=0)
+    unit = own / np.where(size > 0, size, 1.0)
+    R = np.linalg.qr(unit, mode="r")
+    try:
+        inverse = np.linalg.inv(R)
+    except np.linalg.LinAlgError:
+        return np.full(size.size, np.inf)
+    return np.asarray(np.sum(inverse**2, axis=1))

@@ -1,0 +1,369 @@
+"""From gauge outputs to the loads that the balance feels, Eq. (2) of [Gorbushin2020]_, with zeros and tares removed.
+
+References
+----------
+.. [Gorbushin2020] A. R. Gorbushin, A. A. Bolshakova, "Unsteady axial force measurement by the strain gauge balance",
+   Measurement 152 (2020) 107381. https://doi.org/10.1016/j.measurement.2019.107381
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_forms
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.zeros import GaugeZero, gauge_table
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import is_gauge
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.noise import channel_noise
+from aerobalance.recording.recording import Recording
+
+BEYOND: Final = 0.02
+"""Excess over the calibrated range, over the range, from which it is warned."""
+
+NEARLY_DIVERGING: Final = 0.5
+"""Contraction of the iteration from which it is warned: at 1 the plain iteration no longer converges."""
+
+MOST_POINTS: Final = 500
+"""Rows up to which a recording may be averaged points."""
+
+POINTS_APART: Final = 20.0
+"""Noise from row to row, over the scatter of the calibration's readings, from which rows are doubted to be samples."""
+
+SHARED_PITCH: Final = np.radians(0.2)
+"""Difference of the mean pitch up to which a wind-off recording is at the same attitude [rad]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadsFelt:
+    """Loads that the balance feels: n samples, c components.
+
+    Attributes
+    ----------
+    components
+        Names: NF PM SF YM RM AF where the gauges' places are known, else those of the balance.
+    units
+        ``"N"`` or ``"N*m"`` of each.
+    values
+        Shape (n, c) [N, N*m]; NaN where an output is missing.
+    noise
+        Standard uncertainty of one reading from the noise of the gauges, shape (c,) [N, N*m].
+    calibration
+        Standard uncertainty of every sample from matrix, zero and tare, shape (n, c) [N, N*m].
+    native
+        Loads in the balance's own components, tares not removed, shape (n, c) [N, N*m].
+    beyond
+        Samples outside the calibrated range, by the balance's own components.
+    contraction
+        Largest contraction factor of the iteration ([R091]_ converges below 1).
+    zero
+        The gauge zeros that were taken.
+    transform
+        Matrix from the balance's own components to those of the result, shape (c, c).
+    """
+
+    components: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    noise: Array
+    calibration: Array
+    native: Array
+    beyond: Mapping[str, int]
+    contraction: float
+    zero: GaugeZero
+    transform: Array
+
+    @property
+    def uncertainty(self) -> Array:
+        """Standard uncertainty of every sample, noise and calibration together, shape (n, c) [N, N*m]."""
+        return np.asarray(np.hypot(self.calibration, self.noise))
+
+
+def loads_felt(
+    recording: Recording,
+    balance: BalanceMatrix,
+    *,
+    zero: GaugeZero | None = None,
+    tare: tuple[Array, Array] | None = None,
+    form: Form | None = None,
+) -> LoadsFelt:
+    """Work out the loads felt, Eq. (2) of [Gorbushin2020]_.
+
+    Parameters
+    ----------
+    recording
+        With all bridges of the balance (``rAF`` ...), in mV/V, or in V with the excitation.
+    balance
+        The matrix.
+    zero
+        Gauge zeros; those of the calibration where left out.
+    tare
+        Loads to take off, shape (n, 6) or (1, 6) in the components of the result, and their standard uncertainty:
+        weight by `weighing`, or wind-off loads.
+    form
+        Form of the result; direct-read, where that is possible, if left out.
+
+    Raises
+    ------
+    FitError
+        A bridge was not recorded, or no sample has a load.
+
+    Warns
+    -----
+    DoubtWarning
+        Loads leave the calibrated range; the iteration nearly diverges, or found no load for some samples; zeros are
+        not those of this run.
+    """
+    table, channels = gauge_table(recording, balance)
+    zero = _calibration_zero(recording, balance) if zero is None else zero
+    progress = np.linspace(0, 1, table.shape[0])[:, None]
+    outputs = table - zero.values - zero.drift * progress
+    outputs = _at_reference_temperature(outputs, recording, balance)
+    solution = balance.loads(outputs)
+    known = np.isfinite(solution.loads).all(axis=1)
+    lost = int(np.count_nonzero(np.isfinite(outputs).all(axis=1) & ~known))
+    if not known.any():
+        raise FitError(
+            f"{recording.name}: no sample gives loads; {lost} of {table.shape[0]} have no solution, the rest lack a "
+            "gauge output. Check units, zeros and the order of the bridges"
+        )
+    if lost:
+        _doubt(
+            f"{recording.name}: {lost} of {table.shape[0]} samples have no loads that give their gauge outputs; they "
+            "are missing in the result. The outputs lie far outside the calibration"
+        )
+    native = solution.loads
+    beyond = _check_range(recording, balance, native[known])
+    contraction = _check_iteration(recording, balance, native[known])
+    noise = np.array([_noise(channel) for channel in channels])
+    _check_rows(recording, balance, channels, noise)
+    middle = balance.sensitivity(np.median(native[known], axis=0)[None, :])[0]
+    covariance = _static_covariance(balance, native, zero, channels)
+    components, moments, T = _form_of(balance, form)
+    values = native @ T.T if zero.operating_point is None else (native - zero.operating_point) @ T.T
+    calibration = np.sqrt(np.maximum(np.einsum("ij,njk,ik->ni", T, covariance, T), 0.0))
+    if tare is not None:
+        values = values - tare[0]
+        calibration = np.hypot(calibration, tare[1])
+    return LoadsFelt(
+        components=components,
+        units=tuple("N*m" if moment else "N" for moment in moments),
+        values=values,
+        noise=np.sqrt(np.maximum(np.diag(T @ middle @ np.diag(noise**2) @ middle.T @ T.T), 0.0)),
+        calibration=calibration,
+        native=native,
+        beyond=beyond,
+        contraction=contraction,
+        zero=zero,
+        transform=T,
+    )
+
+
+def _form_of(balance: BalanceMatrix, form: Form | None) -> tuple[tuple[str, ...], Sequence[bool], Array]:
+    """Names of the components of a form, which of them are moments, and the matrix from the balance's own."""
+    if form is None and balance.direct is None:
+        return balance.components, balance.moments.tolist(), np.eye(len(balance.components))
+    chosen: Form = form or "direct"
+    return FORMS[chosen], FORM_MOMENTS[chosen], between_forms(balance.components, chosen, balance.geometry)
+
+
+def _doubt(text: str) -> None:
+    warnings.warn(text, DoubtWarning, stacklevel=4)
+
+
+def _calibration_zero(recording: Recording, balance: BalanceMatrix) -> GaugeZero:
+    """Zeros of the calibration, for want of those of the run; or none."""
+    c = len(balance.components)
+    if balance.natural_zero is not None:
+        _doubt(
+            f"{recording.name}: no zero was given; the natural zeros of the calibration are taken. What the bridges' "
+            "zeros have moved since goes into the loads in full"
+        )
+        return GaugeZero(balance.natural_zero, np.zeros(c), "natural zeros of the calibration", np.zeros(c))
+    _doubt(
+        f"{recording.name}: no zero was given and the calibration has none; the gauge outputs are taken as they are. "
+        "Whatever they read without load goes into the loads in full; give a recording of the unloaded balance as zero"
+    )
+    return GaugeZero(np.zeros(c), np.zeros(c), "none: outputs as they are", np.zeros(c))
+
+
+def _at_reference_temperature(outputs: Array, recording: Recording, balance: BalanceMatrix) -> Array:
+    """Take out what temperature does to zeros and sensitivities, where both it and its effects are known."""
+    if not balance.temperature or "temperature" not in recording:
+        return outputs
+    temperature = recording.channel("temperature").values[:, None]
+    effects = [balance.temperature[name] for name in balance.components]
+    change = temperature - np.array([effect.reference for effect in effects])
+    zero = np.array([effect.zero for effect in effects])
+    gain = np.array([effect.sensitivity for effect in effects])
+    # the zero was read at the run's own temperature: only what changes within the run moves it
+    moved = temperature - np.nanmean(temperature)
+    return np.asarray((outputs - zero * moved) / (1 + gain * change))
+
+
+def _check_range(recording: Recording, balance: BalanceMatrix, native: Array) -> dict[str, int]:
+    """Count the samples outside the calibrated range, and warn."""
+    least, most = balance.calibrated
+    span = most - least
+    beyond = np.maximum(native - most, least - native) / span
+    counts = {name: int(np.count_nonzero(beyond[:, i] > BEYOND)) for i, name in enumerate(balance.components)}
+    for i, (name, count) in enumerate(counts.items()):
+        if count:
+            _doubt(
+                f"{recording.name}: {name} leaves the calibrated range ({least[i]:.4g} to {most[i]:.4g}) in {count} "
+                f"of {native.shape[0]} samples, by up to {100 * beyond[:, i].max():.3g} % of it; the matrix is "
+                "extrapolated there"
+            )
+    return {name: count for name, count in counts.items() if count}
+
+
+def _check_iteration(recording: Recording, balance: BalanceMatrix, native: Array) -> float:
+    """Largest contraction factor, looked for where each load is least and largest."""
+    extremes = np.unique(np.concatenate([native.argmin(axis=0), native.argmax(axis=0)]))
+    factor = float(np.max(balance.contraction(native[extremes])))
+    if factor > NEARLY_DIVERGING:
+        _doubt(
+            f"{recording.name}: the interactions are so strong at the largest loads that the iteration shrinks an "
+            f"error only by {factor:.2g} a step (at 1 it diverges and loads are not unique); check zeros and units"
+        )
+    return factor
+
+
+def _noise(channel: Channel) -> float:
+    """Standard uncertainty of one reading of a bridge [mV/V]."""
+    if channel.noise is not None:
+        return channel.noise
+    known = channel.values[~channel.missing]
+    return channel_noise(channel) if known.size >= 8 and float(np.ptp(known)) > 0 else 0.0
+
+
+def _check_rows(recording: Recording, balance: BalanceMatrix, channels: Sequence[Channel], noise: Array) -> None:
+    """Warn where rows look like averaged points at several loads: what their outputs differ by is no noise."""
+    scatter = balance.residual_deviation * balance.output_scale  # of the iterative way, and near enough of the other
+    if recording.samples > MOST_POINTS or not scatter.any():
+        return
+    strange = [
+        channel.name
+        for channel, own, usual in zip(channels, noise, scatter, strict=True)
+        if channel.noise is None and own > POINTS_APART * usual > 0
+    ]
+    if strange:
+        _doubt(
+            f"{recording.name}: from row to row {', '.join(strange)} change by more than {POINTS_APART:g} times what "
+            "readings of the calibration scatter, and that is taken for noise. If the rows are averaged points at "
+            "several loads, it is far too large, and the uncertainty with it: say the noise of a row in a channel map "
+            '(noise = ... under [channels.rNAME], with "aerobalance map")'
+        )
+
+
+def _static_covariance(balance: BalanceMatrix, native: Array, zero: GaugeZero, channels: Sequence[Channel]) -> Array:
+    """Covariance of the loads from matrix, zeros and the bridges' gains, shape (n, c, c)."""
+    filled = np.nan_to_num(native)
+    covariance = balance.load_covariance(filled)
+    slope = balance.sensitivity(np.median(filled, axis=0)[None, :])[0]
+    of_zero = np.diag(zero.u**2 + zero.drift**2 / 12)
+    covariance += slope @ of_zero @ slope.T
+    gains = np.array([channel.relative_uncertainty for channel in channels])
+    if gains.any():
+        own = filled * gains
+        covariance[:, np.arange(len(gains)), np.arange(len(gains))] += own**2
+    covariance[~np.isfinite(native).all(axis=1)] = np.nan
+    return covariance
+
+
+def wind_off_loads(
+    recording: Recording,
+    wind_off: Sequence[Recording],
+    balance: BalanceMatrix,
+    *,
+    zero: GaugeZero | None = None,
+    form: Form | None = None,
+) -> tuple[Array, Array]:
+    """Loads of wind-off recordings, at the attitude of a run: values and standard uncertainty, shape (n, c).
+
+    The mean loads of the wind-off recordings are joined by straight lines over pitch. One recording, or recordings
+    without pitch, give one constant tare.
+
+    Raises
+    ------
+    FitError
+        The run goes beyond the pitch angles of the wind-off recordings.
+    """
+    results = [loads_felt(item, balance, zero=zero, form=form) for item in wind_off]
+    means = np.array([np.nanmean(result.values, axis=0) for result in results])
+    us = np.array([result.noise / np.sqrt(max(len(result.values), 1)) for result in results])
+    with_pitch = all("pitch" in item for item in (recording, *wind_off))
+    if not with_pitch:
+        return means.mean(axis=0)[None, :], np.sqrt(np.sum(us**2, axis=0) / len(us) ** 2)[None, :]
+    angles = np.array([float(np.nanmean(item.channel("pitch").values)) for item in wind_off])
+    pitch = recording.channel("pitch").values
+    if len(wind_off) == 1 and np.nanmax(np.abs(pitch - angles[0])) <= SHARED_PITCH:
+        return means, us
+    least, most = (float(np.degrees(limit)) for limit in (np.nanmin(pitch), np.nanmax(pitch)))
+    first, last = float(np.degrees(angles.min())), float(np.degrees(angles.max()))
+    slack = float(np.degrees(SHARED_PITCH))
+    if least < first - slack or most > last + slack:
+        raise FitError(
+            f"{recording.name}: pitch goes from {least:.4g} to {most:.4g} deg, but the wind-off recordings cover "
+            f"{first:.4g} to {last:.4g} deg; add "
+            "wind-off recordings, or weigh the model and give its mass.json instead"
+        )
+    order = np.argsort(angles)
+    columns = [
+        np.column_stack([np.interp(pitch, angles[order], table[order, i]) for i in range(table.shape[1])])
+        for table in (means, us)
+    ]
+    return columns[0], columns[1]
+
+
+def smooth_variance(felt: LoadsFelt, balance: BalanceMatrix) -> Array:
+    """Mean variance of the loads from the coefficients of the matrix, the scatter of readings left out, shape (c,)."""
+    known = felt.native[np.isfinite(felt.native).all(axis=1)]
+    covariance = balance.load_covariance(known[:: max(len(known) // 200, 1)], residual=False)
+    T = felt.transform
+    return np.asarray(np.einsum("ij,njk,ik->ni", T, covariance, T).mean(axis=0))
+
+
+def static_uncertainty(felt: LoadsFelt, balance: BalanceMatrix, *, forces: Mapping[str, Array]) -> dict[str, Array]:
+    """Standard uncertainty that the calibration gives to static loads of the size of forces, by component.
+
+    Parameters
+    ----------
+    felt
+        Loads felt; they stand for the components that `forces` lacks.
+    balance
+        The matrix.
+    forces
+        Forces applied, shape (n,) each [N, N*m].
+    """
+    columns = [forces.get(name, felt.values[:, i]) for i, name in enumerate(felt.components)]
+    # what zeros and tares add does not depend on the load
+    T = felt.transform
+    offset = felt.native @ T.T - felt.values
+    native = np.linalg.solve(T, (np.column_stack(columns) + np.nan_to_num(offset)).T).T
+    covariance = balance.load_covariance(np.nan_to_num(native))
+    at_load = balance.load_covariance(np.nan_to_num(felt.native))
+    u = {}
+    for i, name in enumerate(felt.components):
+        own, before = (np.einsum("j,njk,k->n", T[i], table, T[i]) for table in (covariance, at_load))
+        u[name] = np.sqrt(np.maximum(felt.calibration[:, i] ** 2 - before, 0.0) + own)
+    return u
+
+
+def with_loads(recording: Recording, felt: LoadsFelt) -> Recording:
+    """Return the recording with its gauge outputs replaced by the loads felt."""
+    channels = {name: channel for name, channel in recording.channels.items() if not is_gauge(name)}
+    channels.pop("excitation", None)
+    delays = [channel.delay for channel in recording if is_gauge(channel.name)]
+    for index, (name, unit) in enumerate(zip(felt.components, felt.units, strict=True)):
+        noise = float(felt.noise[index])
+        channels[name] = Channel(
+            name, felt.values[:, index], unit, noise=noise or None, delay=float(np.mean(delays)), file_unit=unit
+        )
+    return replace(recording, channels=channels, pull_on_zero=felt.zero.pull)

@@ -1,0 +1,319 @@
+r"""Weighing with several components at once, the full form of Eq. (1) of [Gorbushin2020]_.
+
+Each force reads M g times its share of gravity, each moment reads the moment of that weight about the centre of the
+balance, all with offsets and with the balance turned against the inclinometer by small angles. Each component has a
+live end of its own mass, so the mass of every force and the centre of gravity of every moment are found by
+themselves, tested for agreement, and replaced by common ones where they agree.
+
+References
+----------
+.. [Gorbushin2020] A. R. Gorbushin, A. A. Bolshakova, "Unsteady axial force measurement by the strain gauge balance",
+   Measurement 152 (2020) 107381. https://doi.org/10.1016/j.measurement.2019.107381
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from scipy import stats
+
+from aerobalance.balance.weighing.adjustment import Adjustment, Readings, adjust
+from aerobalance.balance.weighing.advice import unidentified, what_would_help
+from aerobalance.balance.weighing.model import AXES, DIRECTIONS, LEVERS, WeightModel
+from aerobalance.balance.weighing.points import LoadPoints
+from aerobalance.balance.weighing.result import Agreement, Weighing, centre_of
+from aerobalance.balance.weighing.single import MovingMass
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.gravity import weight_direction
+
+LEAST_SHARE: Final = 1e-4
+"""Least rms change of a force's share of gravity from which a mass can be guessed [g]."""
+
+LEANS: Final[Mapping[str, Mapping[str, tuple[float, str]]]] = {
+    "AF": {"right": (-1.0, "yaw"), "up": (-1.0, "pitch")},
+    "SF": {"aft": (1.0, "yaw"), "up": (-1.0, "roll")},
+    "NF": {"aft": (1.0, "pitch"), "right": (1.0, "roll")},
+}
+"""Lean of every force's axis toward the other axes when the balance is turned: sign and angle."""
+
+
+def weigh_components(points: LoadPoints, *, gravity: float = STANDARD_GRAVITY) -> Weighing:
+    """Find weight, centre of gravity, offsets and misalignment from static readings of several components.
+
+    Weighted non-linear least squares over all points and components; every component is weighted by its own scatter,
+    or by the given noise where that is larger. What the attitudes cannot show is left out and named.
+
+    Parameters
+    ----------
+    points
+        Readings of at least one force, and any others.
+    gravity
+        Local acceleration of gravity [m/s^2].
+
+    Returns
+    -------
+    Weighing
+        The result; where components disagree, each keeps its own mass or centre of gravity in ``loads``.
+
+    Raises
+    ------
+    FitError
+        The readings cannot carry the mass; the message says what to add.
+    ValueError
+        No force is among the components, or gravity is not positive.
+
+    Warns
+    -----
+    DoubtWarning
+        The masses or the centres of gravity of the components differ.
+    """
+    components = points.components
+    if not any(name in AXES for name in components):
+        raise ValueError(f"no force among {', '.join(components)}; the mass needs AF, SF or NF")
+    separate_model = WeightModel(components, own_masses=True, own_centres=True, gravity=gravity)
+    common_model = WeightModel(components, gravity=gravity)
+    lead, readings = _readings(points, gravity)
+    separate, common = adjust(separate_model, readings), adjust(common_model, readings)
+    for adjustment, name in ((separate, f"mass.{lead}"), (common, "mass")):
+        _check_carried(adjustment, readings, name)
+    _check_signs(separate)
+    masses = _agreement(separate, _mass_pairs(separate))
+    centres = _agreement(separate, _centre_pairs(separate))
+    chosen = common
+    if not (masses is None or masses.agree) or not (centres is None or centres.agree):
+        own_masses = masses is not None and not masses.agree
+        own_centres = centres is not None and not centres.agree
+        _warn(separate, own_masses=own_masses, own_centres=own_centres)
+        model = WeightModel(components, own_masses=own_masses, own_centres=own_centres, gravity=gravity)
+        chosen = adjust(model, readings, assumed=_common_values(model, common))
+    return _result(readings, separate=separate, common=common, chosen=chosen, agreements=(masses, centres))
+
+
+def _readings(points: LoadPoints, gravity: float) -> tuple[str, Readings]:
+    """Check the points; find the force that shows the mass best, and about how large that is."""
+    rolls = np.zeros_like(points.pitch) if points.roll is None else points.roll
+    tables = {"pitch": points.pitch[:, None], "roll": rolls[:, None], "load": points.loads}
+    for name, values in tables.items():
+        lacking = np.argwhere(~np.isfinite(values))
+        if lacking.size:
+            what = points.components[int(lacking[0, 1])] if name == "load" else name
+            raise FitError(
+                f"the {what} of point {int(lacking[0, 0]) + 1} is missing; leave the point out or repeat it"
+            )
+    directions = weight_direction(points.pitch, rolls)
+    if points.pitch.size < 2:
+        raise FitError(f"{points.pitch.size} point(s) cannot tell weight from offset; {_basic_advice(points)}")
+    shares = {name: directions[:, DIRECTIONS.index(AXES[name])] for name in points.components if name in AXES}
+    lead = max(shares, key=lambda name: float(np.std(shares[name])))
+    if float(np.std(shares[lead])) < LEAST_SHARE:
+        raise FitError(
+            f"the share of gravity along {', '.join(shares)} is the same at all {points.pitch.size} points; "
+            f"{_basic_advice(points)}"
+        )
+    share = shares[lead] - shares[lead].mean()
+    load = points.loads[:, points.components.index(lead)]
+    mass = float(share @ (load - load.mean()) / (share @ share) / gravity)
+    if mass <= 0:
+        raise _wrong_sign(lead, mass)
+    noise = np.zeros_like(points.loads) if points.noise is None else points.noise
+    return lead, Readings(directions, points.loads, noise, mass)
+
+
+def _basic_advice(points: LoadPoints) -> str:
+    if "AF" in points.components:
+        return "add readings at other pitch angles, for example -10, -5, 0, 5, 10 deg"
+    return "add readings at other roll angles, for example 0, 90, 180, 270 deg"
+
+
+def _wrong_sign(component: str, mass: float) -> FitError:
+    return FitError(
+        f"the mass comes out as {mass:.4g} kg from {component}, which no mass is; check the signs of {component} "
+        "(AF positive aft, SF to the right, NF up), of pitch (positive nose up) and of roll (positive right side down)"
+    )
+
+
+def _check_carried(adjustment: Adjustment, readings: Readings, name: str) -> None:
+    if name not in adjustment.parameters:
+        advice = what_would_help(
+            adjustment.model, readings, values=adjustment.values, sigma=adjustment.sigma, name=name
+        )
+        raise FitError(f"these attitudes cannot tell the {name.replace('.', ' of ')} from the offset; {advice}")
+
+
+def _check_signs(separate: Adjustment) -> None:
+    for name, value in zip(separate.parameters, separate.values[separate.kept], strict=True):
+        if name.startswith("mass") and value <= 0:
+            raise _wrong_sign(name.removeprefix("mass."), float(value))
+
+
+def _mass_pairs(separate: Adjustment) -> list[tuple[str, str]]:
+    found = [name for name in separate.parameters if name.startswith("mass")]
+    return [(found[0], other) for other in found[1:]]
+
+
+def _centre_pairs(separate: Adjustment) -> list[tuple[str, str]]:
+    pairs = []
+    for axis in DIRECTIONS:
+        names = [f"moment.{moment}.{axis}" for moment, levers in LEVERS.items() if axis in levers]
+        if all(name in separate.parameters for name in names):
+            pairs.append((names[0], names[1]))
+    return pairs
+
+
+def _agreement(separate: Adjustment, pairs: Sequence[tuple[str, str]]) -> Agreement | None:
+    """Test the differences of pairs of parameters together."""
+    if not pairs:
+        return None
+    contrast = np.zeros((len(pairs), separate.kept.size))
+    for row, (first, second) in enumerate(pairs):
+        contrast[row, separate.parameters.index(first)] = 1.0
+        contrast[row, separate.parameters.index(second)] = -1.0
+    difference = contrast @ separate.values[separate.kept]
+    spread = contrast @ separate.covariance @ contrast.T
+    chi2 = float(difference @ np.linalg.solve(spread, difference))
+    compared = {name.split(".")[1] for pair in pairs for name in pair}
+    # The components have noises of their own; the least known of them bounds how well the spread is known.
+    freedom = min(separate.freedom[separate.model.components.index(name)] for name in compared)
+    freedom = max(float(freedom), 1.0)
+    return Agreement(chi2, len(pairs), float(stats.f.sf(chi2 / len(pairs), len(pairs), freedom)))
+
+
+def _warn(separate: Adjustment, *, own_masses: bool, own_centres: bool) -> None:
+    deviations = np.sqrt(np.diag(separate.covariance))
+    said = {
+        name: f"{value:.5g} (u = {deviation:.2g})"
+        for name, value, deviation in zip(separate.parameters, separate.values[separate.kept], deviations, strict=True)
+    }
+    cause = "live ends of their own mass, a sensitivity or a sign that is off, or cross effects"
+    if own_masses:
+        masses = ", ".join(f"{name.removeprefix('mass.')} {text} kg" for name, text in said.items() if "mass" in name)
+        warnings.warn(
+            f"the forces find different masses: {masses} ({cause}); each is corrected with its own, and the common "
+            "mass is uncertain by their scatter",
+            DoubtWarning,
+            stacklevel=3,
+        )
+    if own_centres:
+        moments = ", ".join(
+            f"{name.removeprefix('moment.').replace('.', ' ')} {text} kg*m"
+            for name, text in said.items()
+            if name.startswith("moment")
+        )
+        warnings.warn(
+            f"the moments find different centres of gravity; mass times coordinate is {moments} ({cause}); each is "
+            "corrected with its own, and the common centre is uncertain by their scatter",
+            DoubtWarning,
+            stacklevel=3,
+        )
+
+
+def _common_values(model: WeightModel, common: Adjustment) -> Array:
+    """Give what each component is taken to have where it cannot be told by itself: what they have in common."""
+    values = np.zeros(len(model.names))
+    for index, name in enumerate(model.names):
+        parts = name.split(".")
+        shared = {"mass": "mass", "moment": f"moment.{parts[-1]}"}.get(parts[0])
+        if shared is not None:
+            values[index] = common.values[common.model.names.index(shared)]
+    return values
+
+
+def _widening(agreement: Agreement | None) -> float:
+    """Birge ratio where components disagree, else one."""
+    if agreement is None or agreement.agree:
+        return 1.0
+    return float(np.sqrt(agreement.chi2 / agreement.degrees_of_freedom))
+
+
+def _moving_masses(separate: Adjustment) -> dict[str, MovingMass]:
+    """Mass, offset and leans of every force, with their covariance."""
+    names = separate.parameters
+    values = dict(zip(names, separate.values[separate.kept], strict=True))
+    result = {}
+    for column, component in enumerate(separate.model.components):
+        if f"mass.{component}" not in names:
+            continue
+        leans = {
+            axis: (sign, f"misalignment.{angle}")
+            for axis, (sign, angle) in LEANS[component].items()
+            if f"misalignment.{angle}" in names
+        }
+        sources = [(1.0, f"mass.{component}"), (1.0, f"offset.{component}"), *leans.values()]
+        select = np.zeros((len(sources), len(names)))
+        for row, (sign, name) in enumerate(sources):
+            select[row, names.index(name)] = sign
+        covariance = select @ separate.covariance @ select.T
+        deviations = np.sqrt(np.diag(covariance))
+        result[component] = MovingMass(
+            component=component,
+            mass=float(values[f"mass.{component}"]),
+            u=float(deviations[0]),
+            offset=float(values[f"offset.{component}"]),
+            u_offset=float(deviations[1]),
+            misalignment={axis: float(sign * values[name]) for axis, (sign, name) in leans.items()},
+            u_misalignment={axis: float(deviations[row]) for row, axis in enumerate(leans, 2)},
+            parameters=("mass", "offset", *leans),
+            covariance=(covariance + covariance.T) / 2,
+            residuals=separate.residuals[:, column].copy(),
+            degrees_of_freedom=int(max(np.floor(separate.freedom[column]), 0)),
+            gravity=separate.model.gravity,
+        )
+    return result
+
+
+def _result(
+    readings: Readings,
+    *,
+    separate: Adjustment,
+    common: Adjustment,
+    chosen: Adjustment,
+    agreements: tuple[Agreement | None, Agreement | None],
+) -> Weighing:
+    pooled = dict(zip(common.parameters, common.values[common.kept].tolist(), strict=True))
+    mass_u = float(np.sqrt(common.covariance[common.parameters.index("mass")][common.parameters.index("mass")]))
+    centre, centre_u = centre_of(pooled, common.covariance)
+    widening = _widening(agreements[1])
+    offsets, u_offsets = _group(chosen, "offset")
+    angles, u_angles = _group(chosen, "misalignment")
+    names = chosen.model.names
+    return Weighing(
+        model=chosen.model,
+        masses=_moving_masses(separate),
+        mass=pooled["mass"],
+        u_mass=mass_u * _widening(agreements[0]),
+        centre_of_gravity=centre,
+        u_centre_of_gravity={axis: u * widening for axis, u in centre_u.items()},
+        offsets=offsets,
+        u_offsets=u_offsets,
+        misalignment=angles,
+        u_misalignment=u_angles,
+        mass_agreement=agreements[0],
+        centre_agreement=agreements[1],
+        parameters=chosen.parameters,
+        values=chosen.values[chosen.kept],
+        covariance=(chosen.covariance + chosen.covariance.T) / 2,
+        left_out={names[index]: float(size) for index, size in zip(chosen.left_out, chosen.scales, strict=True)},
+        assumed={names[index]: float(chosen.values[index]) for index in chosen.left_out},
+        absorbed=chosen.absorbed,
+        residuals=chosen.residuals,
+        deviations=dict(zip(chosen.model.components, chosen.deviations.tolist(), strict=True)),
+        degrees_of_freedom=chosen.residuals.size - chosen.kept.size,
+        unidentified=unidentified(readings, chosen=chosen, common=common, separate=separate),
+    )
+
+
+def _group(adjustment: Adjustment, stem: str) -> tuple[dict[str, float], dict[str, float]]:
+    """Values and standard uncertainties of the parameters of one kind, by the last part of their names."""
+    deviations = np.sqrt(np.diag(adjustment.covariance))
+    values, uncertainties = {}, {}
+    for name, value, u in zip(
+        adjustment.parameters, adjustment.values[adjustment.kept].tolist(), deviations.tolist(), strict=True
+    ):
+        if name.startswith(f"{stem}."):
+            values[name.removeprefix(f"{stem}.")], uncertainties[name.removeprefix(f"{stem}.")] = value, u
+    return values, uncertainties

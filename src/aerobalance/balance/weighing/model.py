@@ -1,0 +1,148 @@
+"""What a balance reads of a weight: six loads from mass, centre of gravity, offsets and misalignment.
+
+Axes are aft, right, up, a right-handed triple. The weight W acts at r = (a, y, u) from the centre of the balance, so
+its moment is r x W, of which the part about right turns the nose up, the part about up turns it left and the part
+about aft turns the right side up:
+
+    PM = u W_aft - a W_up,    YM = y W_aft - a W_right,    RM = u W_right - y W_up.
+
+With the static moments M a, M y, M u in place of r, all six loads are linear in everything but the misalignment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
+
+AXES: Final[Mapping[str, str]] = {"AF": "aft", "SF": "right", "NF": "up"}
+"""Direction that each force component measures, positive."""
+
+DIRECTIONS: Final = ("aft", "right", "up")
+"""Order of vectors."""
+
+ANGLES: Final = ("pitch", "roll", "yaw")
+"""Misalignment of the balance against the inclinometer: nose up, right side down, nose right."""
+
+LEVERS: Final[Mapping[str, Mapping[str, tuple[float, str]]]] = {
+    "PM": {"up": (1.0, "aft"), "aft": (-1.0, "up")},
+    "YM": {"right": (1.0, "aft"), "aft": (-1.0, "right")},
+    "RM": {"up": (1.0, "right"), "right": (-1.0, "up")},
+}
+"""Moment by coordinate of the centre of gravity: sign, and the share of the weight that pulls on this lever."""
+
+
+_PLANES: Final = {"pitch": (0, 2), "roll": (1, 2), "yaw": (0, 1)}
+
+
+def _turn(name: str, angle: float) -> tuple[Array, Array]:
+    """Matrix that takes a fixed vector into axes turned by an angle, and its derivative."""
+    first, second = _PLANES[name]
+    matrix, derivative = np.eye(3), np.zeros((3, 3))
+    cosine, sine = np.cos(angle), np.sin(angle)
+    pair = np.ix_([first, second], [first, second])
+    matrix[pair] = [[cosine, -sine], [sine, cosine]]
+    derivative[pair] = [[-sine, -cosine], [cosine, -sine]]
+    return matrix, derivative
+
+
+def misalignment_matrix(angles: Array) -> tuple[Array, Array]:
+    """Matrix from the inclinometer's axes to the balance's, and its derivatives by the three angles.
+
+    The balance is turned nose right by yaw, then nose up by pitch, then right side down by roll; for small angles
+    the order does not matter.
+
+    Parameters
+    ----------
+    angles
+        Pitch, roll and yaw, shape (3,) [rad].
+
+    Returns
+    -------
+    matrix, derivatives
+        Shapes (3, 3) and (3, 3, 3), the derivatives in the order of the angles.
+    """
+    (pitch, by_pitch), (roll, by_roll), (yaw, by_yaw) = (
+        _turn(name, float(angle)) for name, angle in zip(ANGLES, angles, strict=True)
+    )
+    return roll @ pitch @ yaw, np.stack([roll @ by_pitch @ yaw, by_roll @ pitch @ yaw, roll @ pitch @ by_yaw])
+
+
+@dataclass(frozen=True, slots=True)
+class WeightModel:
+    """Loads as a function of attitude and parameters.
+
+    Attributes
+    ----------
+    components
+        Components that are read.
+    own_masses
+        Whether every force has a mass of its own (``mass.AF``) rather than one for all (``mass``).
+    own_centres
+        Whether every moment has a centre of gravity of its own (``moment.PM.aft``) rather than one for all
+        (``moment.aft``).
+    gravity
+        Acceleration of gravity [m/s^2].
+    """
+
+    components: tuple[str, ...]
+    own_masses: bool = False
+    own_centres: bool = False
+    gravity: float = STANDARD_GRAVITY
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.components if name not in COMPONENTS]
+        if unknown or len(set(self.components)) < len(self.components):
+            raise ValueError(
+                f"components must be some of {', '.join(COMPONENTS)}, each once, not {', '.join(self.components)}"
+            )
+        if not 0 < self.gravity < np.inf:
+            raise ValueError(f"gravity must be positive and finite, not {self.gravity}")
+
+    def weight_terms(self, component: str) -> dict[str, tuple[float, int]]:
+        """Parameters that carry the weight into a component: sign, and index of the share of gravity."""
+        if component not in MOMENTS:
+            name = f"mass.{component}" if self.own_masses else "mass"
+            return {name: (1.0, DIRECTIONS.index(AXES[component]))}
+        stem = f"moment.{component}" if self.own_centres else "moment"
+        return {f"{stem}.{lever}": (sign, DIRECTIONS.index(pull)) for lever, (sign, pull) in LEVERS[component].items()}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All parameters: masses [kg], static moments [kg*m], offsets [N, N*m], misalignment [rad]."""
+        weights = dict.fromkeys(name for component in self.components for name in self.weight_terms(component))
+        ordered = sorted(weights, key=lambda name: not name.startswith("mass"))
+        offsets = [f"offset.{component}" for component in self.components]
+        return (*ordered, *offsets, *(f"misalignment.{angle}" for angle in ANGLES))
+
+    def loads(self, directions: Array, values: Array) -> Array:
+        """Loads, shape (n, c) [N, N*m], from `weight_direction` and all parameters, shape (p,)."""
+        turn, _ = misalignment_matrix(values[-3:])
+        weights, offsets = self._structure()
+        result: Array = directions @ (turn.T @ (weights @ values)) + offsets @ values
+        return result
+
+    def jacobian(self, directions: Array, values: Array) -> Array:
+        """Derivatives of the loads by all parameters, shape (n, c, p)."""
+        turn, derivatives = misalignment_matrix(values[-3:])
+        weights, offsets = self._structure()
+        result: Array = np.einsum("nk,kcp->ncp", directions @ turn.T, weights) + offsets
+        for index, derivative in enumerate(derivatives):
+            result[:, :, index - 3] = directions @ (derivative.T @ (weights @ values))
+        return result
+
+    def _structure(self) -> tuple[Array, Array]:
+        """How gravity's shares, shape (3, c, p), and the offsets, shape (c, p), enter the components."""
+        names = self.names
+        weights = np.zeros((3, len(self.components), len(names)))
+        offsets = np.zeros((len(self.components), len(names)))
+        for row, component in enumerate(self.components):
+            for name, (sign, share) in self.weight_terms(component).items():
+                weights[share, row, names.index(name)] = sign * self.gravity
+            offsets[row, names.index(f"offset.{component}")] = 1.0
+        return weights, offsets

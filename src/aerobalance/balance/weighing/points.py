@@ -1,0 +1,194 @@
+"""Static points for weighing, and how they come from recordings at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple, overload
+
+import numpy as np
+
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import FitError
+from aerobalance.recording.recording import Recording
+
+
+class StaticPoints(NamedTuple):
+    """Static readings of one component: n points.
+
+    Attributes
+    ----------
+    pitch, load, roll
+        Angles [rad] and readings [N], shape (n,); roll is None where it was not recorded.
+    noise
+        Standard uncertainty of each mean reading, shape (n,) [N].
+    """
+
+    pitch: Array
+    load: Array
+    roll: Array | None
+    noise: Array
+
+
+PITCH_STEADY: Final = np.radians(0.02)
+"""Change of the mean pitch from block to block that still counts as standing still [rad]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadPoints:
+    """Static readings of several components: n points, c components.
+
+    Attributes
+    ----------
+    components
+        Names of the components, in the order of the columns.
+    pitch
+        Pitch of every point, shape (n,) [rad].
+    loads
+        Readings, shape (n, c) [N, N*m].
+    roll
+        Roll of every point, shape (n,) [rad]; None where it was not recorded (then it counts as zero).
+    noise
+        Standard uncertainty of each reading, shape (n, c) [N, N*m]; zero where it is not known.
+
+    Raises
+    ------
+    ValueError
+        The shapes do not fit, a component is unknown or given twice, or a noise is negative.
+    """
+
+    components: tuple[str, ...]
+    pitch: Array
+    loads: Array
+    roll: Array | None = None
+    noise: Array | None = None
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.components if name not in COMPONENTS]
+        if unknown or len(set(self.components)) < len(self.components) or not self.components:
+            raise ValueError(f"components must be some of {', '.join(COMPONENTS)}, each once, not {self.components}")
+        count = np.size(self.pitch)
+        shapes = {"pitch": (count,), "loads": (count, len(self.components))}
+        if self.roll is not None:
+            shapes["roll"] = (count,)
+        if self.noise is not None:
+            shapes["noise"] = shapes["loads"]
+        for name, shape in shapes.items():
+            values = np.array(getattr(self, name), dtype=np.float64)
+            if values.shape != shape:
+                raise ValueError(f"{name} must have shape {shape}, not {values.shape}")
+            values.flags.writeable = False
+            object.__setattr__(self, name, values)
+        if self.noise is not None and not (np.isfinite(self.noise) & (self.noise >= 0)).all():
+            raise ValueError("noise must be zero or more and finite")
+
+    def of(self, component: str) -> StaticPoints:
+        """Return the points of one component."""
+        column = self.components.index(component)
+        noise = np.zeros_like(self.pitch) if self.noise is None else self.noise[:, column]
+        return StaticPoints(self.pitch, self.loads[:, column], self.roll, noise)
+
+
+@overload
+def points_from_recordings(recordings: Sequence[Recording], components: str) -> StaticPoints: ...
+@overload
+def points_from_recordings(recordings: Sequence[Recording], components: tuple[str, ...] | list[str]) -> LoadPoints: ...
+def points_from_recordings(
+    recordings: Sequence[Recording], components: str | tuple[str, ...] | list[str]
+) -> StaticPoints | LoadPoints:
+    """Average recordings at rest into static points, one for every stretch of steady pitch and roll.
+
+    Parameters
+    ----------
+    recordings
+        Recordings with the components and ``pitch``, and ``roll`` in all or none of them.
+    components
+        The component to average, or several.
+
+    Returns
+    -------
+    StaticPoints or LoadPoints
+        Means of the stretches, of one component or of several; the uncertainty of each comes from the means of
+        twenty parts of it, so it holds for correlated noise (ringing, hum) too.
+
+    Raises
+    ------
+    FitError
+        A channel is missing, or pitch is nowhere steady.
+    """
+    names = (components,) if isinstance(components, str) else tuple(components)
+    with_roll = [recording for recording in recordings if "roll" in recording]
+    if with_roll and len(with_roll) < len(recordings):
+        lacking = next(recording.name for recording in recordings if "roll" not in recording)
+        raise FitError(f"{lacking} has no channel roll, but {with_roll[0].name} has; give it in all or in none")
+    parts = [_stretches(recording, names, with_roll=bool(with_roll)) for recording in recordings]
+    size = len(names)
+    table = np.concatenate([np.zeros((0, 2 + 2 * size)), *parts])
+    points = LoadPoints(
+        names, table[:, 0], table[:, 2 : 2 + size], table[:, 1] if with_roll else None, table[:, 2 + size :]
+    )
+    return points.of(components) if isinstance(components, str) else points
+
+
+def _stretches(recording: Recording, names: tuple[str, ...], *, with_roll: bool) -> Array:
+    """Points of one recording: columns pitch, roll, the means, and their uncertainties."""
+    loads = [recording.channel(name).values for name in names]
+    pitch = recording.channel("pitch").values
+    roll = recording.channel("roll").values if with_roll else np.zeros_like(pitch)
+    rows = []
+    for stretch in _plateaus(pitch, roll):
+        known = [load[stretch][np.isfinite(load[stretch])] for load in loads]
+        if min(values.size for values in known) >= 2:
+            means, deviations = zip(*(_mean(values) for values in known), strict=True)
+            rows.append([float(np.nanmean(pitch[stretch])), float(np.nanmean(roll[stretch])), *means, *deviations])
+    if not rows:
+        raise FitError(
+            f"{recording.name}: pitch is nowhere steady with {', '.join(names)} recorded; hold it at each angle, for "
+            "twenty samples and one part in forty of the recording at least"
+        )
+    return np.array(rows)
+
+
+def _plateaus(pitch: Array, roll: Array) -> list[slice]:
+    """Stretches in which pitch and roll stand still; the first and last block of a move are cut off."""
+    samples = pitch.size
+    length = max(samples // 200, 4)
+    blocks = samples // length
+    if blocks < 5:
+        still = all(np.nanmax(x) - np.nanmin(x) < 5 * PITCH_STEADY for x in (pitch, roll) if np.isfinite(x).any())
+        return [slice(0, samples)] if still and samples >= 2 else []
+    steady = np.ones(blocks - 1, dtype=bool)
+    for angle in (pitch, roll):
+        if not np.isfinite(angle).any():
+            return []
+        filled = np.where(np.isfinite(angle), angle, np.interp(np.arange(samples), *_known(angle)))
+        parts = filled[: blocks * length].reshape(blocks, length)
+        noise = float(np.median(np.std(np.diff(parts, axis=1), axis=1))) / np.sqrt(length)
+        steady &= np.abs(np.diff(parts.mean(axis=1))) < PITCH_STEADY + 5 * noise
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], steady.astype(np.int8), [0]))))
+    stretches = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        # Steady steps first..last-1 join the blocks first..last; those beside a move may hold a part of it.
+        begin, end = first + (first > 0), last - (last < blocks - 1)
+        if end - begin >= 4:
+            stretches.append(slice(begin * length, samples if end == blocks - 1 else (end + 1) * length))
+    return stretches
+
+
+def _known(values: Array) -> tuple[Array, Array]:
+    index = np.flatnonzero(np.isfinite(values))
+    return index.astype(np.float64), values[index]
+
+
+BATCHES: Final = 20
+"""Parts of a stretch whose means tell the uncertainty of the mean of the whole."""
+
+
+def _mean(values: Array) -> tuple[float, float]:
+    """Mean and its standard uncertainty, by the method of batch means."""
+    if values.size < 2 * BATCHES:
+        return float(values.mean()), float(values.std(ddof=1) / np.sqrt(values.size))
+    length = values.size // BATCHES
+    means = values[: length * BATCHES].reshape(BATCHES, length).mean(axis=1)
+    return float(values.mean()), float(means.std(ddof=1) / np.sqrt(BATCHES))

@@ -1,0 +1,200 @@
+"""Zeros of the gauges: what the bridges of the unloaded balance read, and how that drifts across a run."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from aerobalance.balance.bridge_outputs import gauge_outputs
+from aerobalance.balance.load_formats import role_of
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import COMPONENTS, is_gauge
+from aerobalance.recording.errors import FitError
+from aerobalance.recording.gravity import PullOnZero
+from aerobalance.recording.recording import Recording
+
+CLEARLY: Final = 0.5
+"""Distance of a zero from the natural zeros, over that from them under the weight, below which it was read without."""
+
+MOVED: Final = 0.05
+"""Distance of a zero from the natural zeros, over the calibrated span, up to which it may be drift since then."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GaugeZero:
+    """Gauge outputs of the unloaded balance.
+
+    Attributes
+    ----------
+    values, u
+        Shape (c,) [mV/V].
+    source
+        Where they are from.
+    drift
+        Change from the beginning to the end of the run, shape (c,) [mV/V]; zero where no closing zero was read.
+    weight, pull
+        Weight that was taken out and stays in the loads, shape (6,) along NF PM SF YM RM AF [N, N*m], and the pull of
+        gravity that made it; zero where none was.
+    operating_point
+        Loads in the balance's own components that the zero was read under beyond `weight`, shape (c,) [N, N*m]: curved
+        bridges are read from there, and the loads count from there. Zero where none are known.
+    """
+
+    values: Array
+    u: Array
+    source: str
+    drift: Array
+    weight: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
+    pull: PullOnZero = field(default_factory=PullOnZero)
+    operating_point: Array | None = None
+
+
+def gauge_table(recording: Recording, balance: BalanceMatrix) -> tuple[Array, tuple[Channel, ...]]:
+    """Gauge outputs in the order of the balance's bridges: shape (n, c) [mV/V], and their channels.
+
+    Bridges are found by name (``r`` and the bridge's name), or by another usual name of the same thing (rAx, rAxial).
+
+    Raises
+    ------
+    FitError
+        A bridge was not recorded.
+    """
+    ready = gauge_outputs(recording)
+    names = [channel.name for channel in ready if is_gauge(channel.name)]
+    chosen = []
+    for gauge, component in zip(balance.gauges, balance.components, strict=True):
+        exact = [name for name in (f"r{gauge}", f"r{component}") if name in ready]
+        role = role_of(gauge) or role_of(component)
+        alike = [name for name in names if role is not None and role_of(name[1:]) == role]
+        found = exact[:1] or (alike if len(alike) == 1 else [])
+        if not found:
+            raise FitError(
+                f"{recording.name} has no channel r{gauge} for the bridge {gauge} of the balance; it has "
+                f"{', '.join(names) or 'no gauge outputs (names beginning with r, such as rAF)'}"
+            )
+        chosen.append(ready.channel(found[0]))
+    return np.column_stack([channel.values for channel in chosen]), tuple(chosen)
+
+
+def gauge_zero(
+    recordings: Sequence[Recording], balance: BalanceMatrix, *, after: Sequence[Recording] = ()
+) -> GaugeZero:
+    """Average gauge zeros from recordings of the unloaded balance, and their drift to those after the run.
+
+    Parameters
+    ----------
+    recordings
+        Before the run.
+    balance
+        Whose bridges.
+    after
+        Closing zeros, where they were read.
+    """
+    first, u = _mean_outputs(recordings, balance)
+    drift = np.zeros_like(first)
+    if after:
+        last, u_last = _mean_outputs(after, balance)
+        drift, u = last - first, np.hypot(u, u_last)
+    return GaugeZero(first, u, ", ".join(recording.name for recording in recordings), drift)
+
+
+def without_weight(zero: GaugeZero, balance: BalanceMatrix) -> GaugeZero:
+    """Zero less what the bridges read by its weight and operating point, at the sum of both."""
+    under = in_own_components(zero.weight, balance)
+    if zero.operating_point is not None:
+        under = under + zero.operating_point
+    if not under.any():
+        return zero
+    outputs = balance.outputs(under[None, :])[0]
+    source = f"{zero.source}, less the weight" if zero.weight.any() else zero.source
+    return replace(zero, values=zero.values - outputs, source=source)
+
+
+def seen_on_zero(zero: GaugeZero, balance: BalanceMatrix) -> Array:
+    """Loads that a zero was read under, by its distance from the calibration's natural zeros, shape (c,) [N, N*m].
+
+    They are in the balance's own components, and as wrong as the bridges' zeros have moved since the calibration: good
+    enough to tell where on their curves bridges are, not to weigh. Nothing without natural zeros, or where the
+    distance is no more than bridges move in years.
+    """
+    nothing = np.zeros(len(balance.components))
+    if balance.natural_zero is None:
+        return nothing
+    seen = balance.loads((zero.values - balance.natural_zero)[None, :]).loads[0]
+    size = np.ptp(np.array(balance.calibrated), axis=0)
+    clear = np.isfinite(seen).all() and np.max(np.abs(seen) / size) > MOVED
+    return seen if clear else nothing
+
+
+def beyond_weight(point: Array, weight: Array, known: Collection[str], balance: BalanceMatrix) -> Array:
+    """Loads at an operating point along the components whose weight is not known, shape (c,) [N, N*m].
+
+    Parameters
+    ----------
+    point
+        Loads on the zero in the balance's own components, shape (c,) [N, N*m].
+    weight
+        What is known of them along NF PM SF YM RM AF, shape (6,) [N, N*m].
+    known
+        Components along which that is.
+    balance
+        The balance matrix.
+    """
+    if balance.direct is None:
+        return np.where([name in known for name in balance.components], 0.0, point)
+    others = np.where([name in known for name in COMPONENTS], weight, balance.direct @ point)
+    return np.asarray(np.linalg.solve(balance.direct, others - weight))
+
+
+def change_of_sensitivity(point: Array, balance: BalanceMatrix) -> float:
+    """Largest change of the matrix from no load to an operating point, shape (c,), as part of full range."""
+    at = balance.sensitivity(np.stack([np.zeros_like(point), point]))
+    return float(np.max(np.abs((at[1] - at[0]) * balance.output_scale / balance.load_scale[:, None])))
+
+
+def reads_no_weight(zero: GaugeZero, weight: Array, balance: BalanceMatrix) -> bool:
+    """Whether a zero is clearly nearer to the calibration's natural zeros than to them under a weight, shape (6,).
+
+    Distances are over the calibrated range; without natural zeros, or without a weight, nothing is clear.
+    """
+    if balance.natural_zero is None or not weight.any():
+        return False
+    size = np.ptp(np.array(balance.calibrated), axis=0)
+    seen = balance.loads((zero.values - balance.natural_zero)[None, :]).loads[0]
+    return bool(
+        np.linalg.norm(seen / size) < CLEARLY * np.linalg.norm((seen - in_own_components(weight, balance)) / size)
+    )
+
+
+def in_own_components(weight: Array, balance: BalanceMatrix) -> Array:
+    """Weight along NF PM SF YM RM AF in the balance's own components, shape (c,)."""
+    if balance.direct is not None:
+        return np.linalg.solve(balance.direct, weight).astype(np.float64)
+    return np.array([weight[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in balance.components])
+
+
+def _mean_outputs(recordings: Sequence[Recording], balance: BalanceMatrix) -> tuple[Array, Array]:
+    """Mean of the gauge outputs over recordings, and its standard uncertainty, both of shape (c,)."""
+    means, variances = [], []
+    for recording in recordings:
+        table, _ = gauge_table(recording, balance)
+        known = table[np.isfinite(table).all(axis=1)]
+        if known.shape[0] < 2:
+            raise FitError(f"{recording.name}: no samples with all gauge outputs to take a zero from")
+        means.append(known.mean(axis=0))
+        variances.append(_variance_of_mean(known))
+    return np.mean(means, axis=0), np.sqrt(np.sum(variances, axis=0)) / len(means)
+
+
+def _variance_of_mean(table: Array) -> Array:
+    """Variance of column means by batch means, which holds for ringing and hum too, shape (c,)."""
+    batches = min(20, table.shape[0] // 2)
+    if batches < 2:
+        return np.asarray(table.var(axis=0, ddof=1) / table.shape[0])
+    length = table.shape[0] // batches
+    means = table[: batches * length].reshape(batches, length, -1).mean(axis=1)
+    return np.asarray(means.var(axis=0, ddof=1) / batches)

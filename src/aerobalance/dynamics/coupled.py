@@ -1,0 +1,372 @@
+r"""Several components that ring together: F = X + D X' + A X'' with matrices for D and A.
+
+X are the loads felt and F the loads applied, both in the order of the components. A = M K^-1 and D = C K^-1 carry the
+mass, damping and stiffness matrices of Eq. (8) of [Gorbushin2020]_ written for several components, so that F is
+Eq. (17) with matrices in place of M/k and b/k. A diagonal A and D is the paper's way, each component for itself.
+
+Where the model or the sting bends there are more modes than components: the loads Y in springs that no channel shows
+are coordinates as well, [F; 0] = [X; Y] + D [X; Y]' + A [X; Y]''. Whatever way the force has into them is undone by
+other coordinates T Y + S X, so nothing is lost by the zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.signal import lfilter
+
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, VECTORS
+from aerobalance.recording.gravity import pull_of_gravity
+
+MASS_PARAMETERS: Final = (
+    "mass",
+    *(f"centre {axis}" for axis in ("aft", "right", "up")),
+    *(f"inertia {axes}" for axes in ("aft-aft", "right-right", "up-up", "aft-right", "aft-up", "right-up")),
+)
+"""Order of the rows and columns of `RigidMass.covariance`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigidMass:
+    """A rigid moving mass about the balance's centre.
+
+    Attributes
+    ----------
+    mass
+        Mass [kg].
+    centre
+        Centre of gravity along aft, right and up, shape (3,) [m].
+    inertia
+        Moments of inertia about the centre of gravity, shape (3, 3), symmetric [kg*m^2].
+    covariance
+        Covariance of mass, centre and the inertia's aa, rr, uu, ar, au, ru, shape (10, 10); all zero where not given.
+    """
+
+    mass: float
+    centre: Array
+    inertia: Array
+    covariance: Array = field(default_factory=lambda: np.zeros((10, 10)))
+
+    def __post_init__(self) -> None:
+        if not 0 < self.mass < np.inf:
+            raise ValueError(f"mass must be positive and finite, not {self.mass}")
+        for name, shape in (("centre", (3,)), ("inertia", (3, 3)), ("covariance", (10, 10))):
+            value = getattr(self, name)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise ValueError(f"{name} must have shape {shape} and be finite")
+        if not np.allclose(self.inertia, self.inertia.T, rtol=1e-9, atol=0):
+            raise ValueError("inertia must be symmetric")
+
+    @classmethod
+    def of_values(cls, values: Array) -> RigidMass:
+        """A mass from values of `MASS_PARAMETERS`, shape (10,), taken as known exactly."""
+        aa, rr, uu, ar, au, ru = (float(value) for value in values[4:])
+        inertia = np.array([[aa, ar, au], [ar, rr, ru], [au, ru, uu]])
+        return cls(float(values[0]), np.array(values[1:4]), inertia)
+
+    @property
+    def values(self) -> Array:
+        """Values of `MASS_PARAMETERS`, shape (10,)."""
+        return np.array([self.mass, *self.centre, *self.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
+
+    @property
+    def matrix(self) -> Array:
+        """Mass matrix in the order and signs of `COMPONENTS`, shape (6, 6) [kg, kg*m, kg*m^2].
+
+        Times the acceleration of the balance's centre, its moments turns, it is the load that the acceleration takes.
+        """
+        across = np.cross(np.eye(3), self.centre)  # rows e x r, so that across.T @ turn = turn x r
+        whole = np.zeros((6, 6))
+        whole[:3, :3] = self.mass * np.eye(3)
+        whole[:3, 3:] = self.mass * across.T
+        whole[3:, :3] = self.mass * across
+        whole[3:, 3:] = self.inertia + self.mass * across @ across.T
+        turn = _directions()
+        return turn @ whole @ turn.T
+
+    def weight(self, pitch: ArrayLike, roll: ArrayLike = 0.0, *, gravity: float = STANDARD_GRAVITY) -> Array:
+        """Loads of the weight about the balance's centre, shape (n, 6) [N, N*m].
+
+        Parameters
+        ----------
+        pitch, roll
+            Angles nose up and right side down, shape (n,) or one [rad].
+        gravity
+            Acceleration of gravity [m/s^2].
+        """
+        return np.asarray(pull_of_gravity(pitch, roll, gravity=gravity) @ self.matrix.T)
+
+    def turning_load(self, rate: Array) -> Array:
+        """Loads that keep the mass turning at a steady rate: m w x (w x r) and its moment, with w x I w.
+
+        It is to be added to `matrix` times the acceleration of the balance's centre.
+
+        Parameters
+        ----------
+        rate
+            Turn of the ground end in the signs of PM, YM and RM, shape (n, 3) [rad/s].
+
+        Returns
+        -------
+        loads
+            Shape (n, 6) [N, N*m].
+        """
+        w = rate @ np.array([VECTORS[name] for name in MOMENTS])
+        force = self.mass * np.cross(w, np.cross(w, self.centre))
+        moment = np.cross(self.centre, force) + np.cross(w, w @ self.inertia)
+        return np.asarray(np.hstack([force, moment]) @ _directions().T)
+
+
+def _directions() -> Array:
+    """Matrix from force and moment along aft, right, up to the order and signs of `COMPONENTS`, shape (6, 6)."""
+    turn = np.zeros((6, 6))
+    for row, name in enumerate(COMPONENTS):
+        turn[row, slice(3, 6) if name in MOMENTS else slice(0, 3)] = VECTORS[name]
+    return turn
+
+
+def hidden_names(count: int) -> tuple[str, ...]:
+    """What hidden coordinates are called."""
+    return tuple(f"hidden {number}" for number in range(1, count + 1))
+
+
+class ModalForm(NamedTuple):
+    """Free motion of coupled components as 2 N modes z' = pole z + weight @ net load, loads felt = sum shape z.
+
+    Attributes
+    ----------
+    poles
+        Shape (2 N,) [rad/s], in conjugate pairs where they oscillate.
+    shapes
+        Loads felt by mode, shape (n, 2 N).
+    weights
+        What each mode takes of the net load, shape (2 N, n).
+    """
+
+    poles: NDArray[np.complex128]
+    shapes: NDArray[np.complex128]
+    weights: NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoupledDynamics:
+    """Dynamics of several components at once.
+
+    Attributes
+    ----------
+    components
+        Which components, n of them, in the order of `COMPONENTS`.
+    inertia
+        A = M K^-1, shape (N, N); the unit of row i over that of column j [s^2]. The N - n rows and columns behind
+        those of the components are of hidden coordinates, whose unit is free.
+    damping
+        D = C K^-1, shape (N, N); the unit of row i over that of column j [s].
+    covariance
+        Covariance of `parameters`, shape (2 N^2, 2 N^2), as the readings that they were found from leave it; all zero
+        where not given. With the balance matrix of these readings it is the one to work out a force with: what is
+        linear in the errors of that matrix is in the loads and in the dynamics alike, and is counted once, with the
+        matrix.
+    mass
+        What the ground's motion and gravity act on; None where it is not known.
+    covariance_of_calibration
+        What the calibration of the balance leaves in `parameters` beside that, shape (2 N^2, 2 N^2); all zero where
+        not known.
+    balance
+        SHA-256 of the file of the balance matrix that has this calibration; empty where it is not known.
+    """
+
+    components: tuple[str, ...]
+    inertia: Array
+    damping: Array
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    mass: RigidMass | None = None
+    covariance_of_calibration: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    balance: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.components or tuple(c for c in COMPONENTS if c in self.components) != tuple(self.components):
+            raise ValueError(f"components must be some of {', '.join(COMPONENTS)}, in this order and each once")
+        n = max(len(self.components), len(self.inertia))
+        for name in ("inertia", "damping"):
+            value = getattr(self, name)
+            if value.shape != (n, n) or not np.isfinite(value).all():
+                raise ValueError(f"{name} must have shape ({n}, {n}) and be finite")
+        for name in ("covariance", "covariance_of_calibration"):
+            if getattr(self, name).size == 0:
+                object.__setattr__(self, name, np.zeros((2 * n * n, 2 * n * n)))
+            value = getattr(self, name)
+            if value.shape != (2 * n * n, 2 * n * n):
+                raise ValueError(f"{name} must have shape ({2 * n * n}, {2 * n * n}), not {value.shape}")
+            if not np.isfinite(value).all() or (np.diag(value) < 0).any():
+                raise ValueError(f"{name} must be finite, with variances of zero or more")
+        if not (np.linalg.eigvals(self._generator).real < 0).all():
+            raise ValueError("inertia and damping make a free oscillation that grows or never ends")
+
+    @classmethod
+    def of_components(cls, parts: Sequence[Dynamics]) -> CoupledDynamics:
+        """Components that do not ring together, one mode each: the paper's way, with diagonal matrices."""
+        if any(part.further_modes for part in parts):
+            raise ValueError("components with further modes of their own cannot be put into one set of matrices")
+        parts = sorted(parts, key=lambda part: COMPONENTS.index(part.component))
+        n = len(parts)
+        covariance = np.zeros((2 * n * n, 2 * n * n))
+        for place, part in enumerate(parts):
+            stiffness, size = part.stiffness, 4
+            slopes = np.zeros((2, size))
+            slopes[0, :2] = 1 / stiffness, -part.mass / stiffness**2
+            slopes[1, 1:3] = -part.damping / stiffness**2, 1 / stiffness
+            where = [place * n + place, n * n + place * n + place]
+            covariance[np.ix_(where, where)] = slopes @ part.covariance[:4, :4] @ slopes.T
+        return cls(
+            tuple(part.component for part in parts),
+            np.diag([part.mass / part.stiffness for part in parts]),
+            np.diag([part.damping / part.stiffness for part in parts]),
+            covariance,
+        )
+
+    @classmethod
+    def of_rigid_mass(cls, mass: RigidMass, *, stiffness: Array, damping: Array) -> CoupledDynamics:
+        """All six components of a rigid mass on springs and dampers: A = M K^-1, D = C K^-1.
+
+        Parameters
+        ----------
+        mass
+            The moving mass.
+        stiffness
+            K, load over displacement and turn of the balance's centre, shape (6, 6) [N/m, N, N*m].
+        damping
+            C, load over their rates, shape (6, 6) [N*s/m, N*s, N*m*s].
+        """
+        flexibility = np.linalg.inv(stiffness)
+        return cls(COMPONENTS, mass.matrix @ flexibility, damping @ flexibility, mass=mass)
+
+    @property
+    def total_covariance(self) -> Array:
+        """Covariance of `parameters` from readings and calibration together, shape (2 N^2, 2 N^2)."""
+        return np.asarray(self.covariance + self.covariance_of_calibration)
+
+    @property
+    def with_calibration(self) -> CoupledDynamics:
+        """The same for what does not know the calibration by itself: all that is not known is in `covariance`."""
+        nothing = np.zeros_like(self.covariance)
+        return replace(self, covariance=self.total_covariance, covariance_of_calibration=nothing, balance="")
+
+    @property
+    def hidden(self) -> int:
+        """Number of hidden coordinates: modes beyond one for each component."""
+        return len(self.inertia) - len(self.components)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the N rows of the matrices: the components, then hidden 1, hidden 2 and so on."""
+        return (*self.components, *hidden_names(self.hidden))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the rows of `covariance`: the inertia row by row, then the damping."""
+        names = self.coordinates
+        return tuple(f"{kind} {row}/{column}" for kind in ("inertia", "damping") for row in names for column in names)
+
+    @property
+    def _generator(self) -> Array:
+        """Matrix of the free motion of the coordinates and their rates, shape (2 N, 2 N)."""
+        size = len(self.inertia)
+        whole = np.zeros((2 * size, 2 * size))
+        whole[:size, size:] = np.eye(size)
+        whole[size:, :size] = -np.linalg.inv(self.inertia)
+        whole[size:, size:] = -np.linalg.solve(self.inertia, self.damping)
+        return whole
+
+    @property
+    def modal_form(self) -> ModalForm:
+        """The free motion, mode by mode."""
+        n, size = len(self.components), len(self.inertia)
+        poles, shapes = np.linalg.eig(self._generator)
+        drive = np.vstack([np.zeros((size, n)), np.linalg.inv(self.inertia)[:, :n]]).astype(np.complex128)
+        weights = np.linalg.solve(shapes, drive).astype(np.complex128)
+        return ModalForm(poles.astype(np.complex128), shapes[:n].astype(np.complex128), weights)
+
+    @property
+    def _motion(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Poles by size, shape (2 N,), and the loads and rates of each, columns, shape (2 N, 2 N)."""
+        poles, vectors = np.linalg.eig(self._generator)
+        order = np.lexsort((poles.imag, np.round(np.abs(poles), 9)))
+        return poles[order].astype(np.complex128), vectors[:, order].astype(np.complex128)
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Poles of the free motion, shape (2 N,), by size [rad/s]."""
+        return self._motion[0]
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """Frequency and damping ratio of every oscillation, the slowest first; the shares are left at 1."""
+        up = [pole for pole in self.poles if pole.imag > 0]
+        return tuple(Mode(float(np.abs(pole)) / (2 * np.pi), float(-pole.real / np.abs(pole))) for pole in up)
+
+    @property
+    def mode_slopes(self) -> Array:
+        """Slopes of the frequencies of `modes` [Hz], then of their damping ratios, by `parameters`, (2 modes, 2 N^2).
+
+        A pole s with the shape x, 1 + D s + A s^2 times x being zero, moves by -w (dD s + dA s^2) x with its weight w.
+        """
+        size = len(self.inertia)
+        poles, vectors = self._motion
+        up = np.flatnonzero(poles.imag > 0)
+        drive = np.vstack([np.zeros((size, size)), np.linalg.inv(self.inertia)])
+        weights, s = np.linalg.solve(vectors, drive)[up], poles[up, None]
+        product = -(weights[:, :, None] * vectors[:size, up].T[:, None, :]).reshape(up.size, size**2)
+        slopes = np.hstack([product * s**2, product * s])
+        radius = np.abs(s)
+        by_radius = np.real(s.conj() * slopes) / radius
+        by_ratio = (s.real / radius * by_radius - slopes.real) / radius
+        return np.asarray(np.vstack([by_radius / (2 * np.pi), by_ratio]))
+
+    @property
+    def mode_covariance(self) -> Array:
+        """Covariance of the frequencies of `modes` [Hz], then of their damping ratios, (2 modes, 2 modes).
+
+        To first order in `total_covariance`: modes that nearly coincide in frequency and damping move farther.
+        """
+        slopes = self.mode_slopes
+        return np.asarray(slopes @ self.total_covariance @ slopes.T)
+
+    def equation(self, s: ArrayLike) -> NDArray[np.complex128]:
+        """1 + D s + A s^2 of all coordinates, hidden ones too, at s of shape (m,) [rad/s]; shape (m, N, N)."""
+        s = np.asarray(s, dtype=np.complex128)[:, None, None]
+        return np.asarray(np.eye(len(self.inertia)) + s * self.damping + s**2 * self.inertia)
+
+    def inverse_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """F over X at frequencies of shape (m,) [Hz], shape (m, n, n): 1 + D s + A s^2 without hidden coordinates."""
+        n = len(self.components)
+        whole = self.equation(2j * np.pi * np.asarray(frequency, dtype=np.float64))
+        seen = whole[:, :n, :n]
+        if not self.hidden:
+            return seen
+        return np.asarray(seen - whole[:, :n, n:] @ np.linalg.solve(whole[:, n:, n:], whole[:, n:, :n]))
+
+    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Loads felt over loads applied at frequencies of shape (m,) [Hz], shape (m, n, n)."""
+        n = len(self.components)
+        whole = self.equation(2j * np.pi * np.asarray(frequency, dtype=np.float64))
+        return np.asarray(np.linalg.inv(whole)[:, :n, :n])
+
+    def load_felt(self, net: Array, *, interval: float) -> Array:
+        """Loads felt under loads that are linear between samples and were held before the first; both (samples, n)."""
+        n = len(self.components)
+        poles, shapes, weights = self.modal_form
+        change = net - net[0]
+        before = np.vstack([np.zeros((1, n)), change[:-1]])
+        felt = np.zeros(net.shape, dtype=np.complex128)
+        for pole, shape, weight in zip(poles, shapes.T, weights, strict=True):
+            growth = np.exp(pole * interval)
+            late = (np.expm1(pole * interval) - pole * interval) / (pole**2 * interval)
+            early = np.expm1(pole * interval) / pole - late
+            felt += lfilter([1.0], [1.0, -growth], (early * before + late * change) @ weight)[:, None] * shape
+        return np.asarray(net[0] + np.real(felt))

@@ -1,0 +1,227 @@
+r"""Coupled components taken apart: readings of which each is that of a balance with one component.
+
+Row i of F = X + D X' + A X'' gives F_i with noise of the spectrum N_i = r R r*, r_j = delta_ij + D_ij s + A_ij s^2,
+and R the covariance of the channels' noise. It is a polynomial of second degree in the square of the frequency, so it
+has a stable factor, N_i = R_ii |1 + d s + a s^2|^2: the noise with which a balance of one component, of mass over
+stiffness a and damping over stiffness d, would give F_i.
+What that balance would read,
+
+    z_i = (X_i + sum_j (D_ij s + A_ij s^2) X_j) / (1 + d s + a s^2) = G_i F_i + white noise of variance R_ii,
+
+is found from the readings without any derivative of them, and contains nothing of the other components' forces. All
+that is done with one component is done with z_i; where row i of D and A has no other components, z_i is X_i.
+
+With hidden coordinates row i is q F_i = sum_j p_ij X_j (`aerobalance.dynamics.condensation`). N_i is that of p over q,
+its stable factor has one mode more than there are hidden coordinates, and G_i = q over that factor is a balance with
+these modes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+
+from aerobalance.dynamics.condensation import Eliminated, modes_of, shares_of, stable_factor
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.recording.channel import Array
+from aerobalance.recording.resampling import FINE, finer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fractions:
+    """A weighted sum of series, and of what they are behind modes: value and rate of each.
+
+    Attributes
+    ----------
+    direct
+        Weight of each of c series, shape (c,).
+    modes
+        The m modes.
+    by_value, by_rate
+        What each series drives a mode with to show as value and as rate, shape (m, c) and the same [s].
+    """
+
+    direct: Array
+    modes: tuple[Mode, ...]
+    by_value: Array
+    by_rate: Array
+
+    @classmethod
+    def of(cls, polynomials: Array, modes: Sequence[Mode]) -> Fractions:
+        """Polynomials in s, shape (c, k) with rising powers, over the product of the modes."""
+        direct, values, rates = shares_of(polynomials, modes)
+        return cls(direct, tuple(modes), values.T, rates.T)
+
+    def through(self, series: Array, *, interval: float) -> Array:
+        """What becomes of series of shape (samples, c), held before the first sample; shape (samples,)."""
+        found = series @ self.direct
+        if not self.modes:
+            return np.asarray(found)
+        driving = series @ np.vstack([self.by_value, self.by_rate]).T
+        fine, step = finer(driving), interval / FINE
+        for place, mode in enumerate(self.modes):
+            value, rate = fine[:, place], fine[:, len(self.modes) + place]
+            found = found + mode.driven(value, interval=step)[0][::FINE] + mode.driven(rate, interval=step)[1][::FINE]
+        return np.asarray(found)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoneComponent:
+    """The balance of one component that gives its force with the same noise as the coupled one.
+
+    Attributes
+    ----------
+    place
+        Row of the component.
+    dynamics
+        That balance, its stiffness taken as 1.
+    row
+        What its reading is of the loads felt, over the product of its modes: powers of s, shape (n, 2 e + 3).
+    hidden
+        Loads in hidden springs by the loads felt, shape (e, n, 2 e + 1), over the product of `still`.
+    still
+        Motions in which no component shows anything, e of them.
+    carried
+        What the reading is of a term more in the equation of the component itself and of every hidden coordinate,
+        over the product of its modes, shape (1 + e, 2 e + 1).
+    """
+
+    place: int
+    dynamics: Dynamics
+    row: Array
+    hidden: Array
+    still: tuple[Mode, ...]
+    carried: Array
+
+    @classmethod
+    def of(cls, dynamics: CoupledDynamics, component: str, *, noise: Array) -> LoneComponent:
+        """Find it for a component.
+
+        Parameters
+        ----------
+        dynamics
+            The coupled components.
+        component
+            Which of them.
+        noise
+            Covariance of the noise of a reading, shape (n, n) [N^2, N^2*m, N^2*m^2]; the ratios are what matters.
+
+        Raises
+        ------
+        ValueError
+            A hidden coordinate moves without end while no component shows anything.
+        """
+        place = dynamics.components.index(component)
+        free = Eliminated.of(dynamics)
+        row, common = free.forces[place], free.common
+        still = modes_of(polynomial.polyroots(common).astype(np.complex128)) if dynamics.hidden else ()
+        if still or np.delete(row, place, axis=0).any():
+            own = _balance(component, stable_factor(_spectrum(row, noise) / noise[place, place]), common)
+        else:
+            own = Dynamics(component, mass=float(row[place, 2]), stiffness=1.0, damping=float(row[place, 1]))
+        return cls(place, own, row, free.hidden, still, np.vstack([common, -free.carried[place]]))
+
+    @property
+    def component(self) -> str:
+        """Its name."""
+        return self.dynamics.component
+
+    @property
+    def partners(self) -> NDArray[np.bool_]:
+        """True for the component itself and for those that have a part in its reading, shape (n,)."""
+        return np.asarray(self.row.any(axis=1))
+
+    @property
+    def alone(self) -> bool:
+        """True where its reading is that of its own channel."""
+        return int(np.count_nonzero(self.partners)) == 1 and not self.still
+
+    def reading(self, loads: Array, *, interval: float) -> Array:
+        """What that balance reads when the coupled one reads these loads, shape (samples,).
+
+        Before its first sample every load is taken as held; another past of it is a free oscillation of z.
+
+        Parameters
+        ----------
+        loads
+            Shape (samples, n), without gaps.
+        interval
+            Time between samples [s].
+        """
+        if self.alone:
+            return loads[:, self.place].copy()
+        return self.fractions.through(loads, interval=interval)
+
+    @property
+    def fractions(self) -> Fractions:
+        """How its reading comes from the loads felt."""
+        return Fractions.of(self.row, self.dynamics.modes)
+
+    def noise_response(self, frequency: Array) -> NDArray[np.complex128]:
+        """What its reading is of sines in the readings of every channel, at frequencies (m,) [Hz]; shape (m, n)."""
+        s = 2j * np.pi * np.asarray(frequency, dtype=np.float64)
+        whole = np.stack([polynomial.polyval(s, powers) for powers in self.row], axis=-1)
+        for mode in self.dynamics.modes:
+            w = mode.angular_frequency
+            whole = whole / (1 + 2 * mode.damping_ratio * s / w + (s / w) ** 2)[:, None]
+        return np.asarray(whole)
+
+    def rows(self, dynamics: CoupledDynamics) -> NDArray[np.intp]:
+        """Which of the parameters of the coupled dynamics have a part in the reading: the columns of the slopes."""
+        size = len(dynamics.inertia)
+        own = [self.place, *range(len(dynamics.components), size)]
+        element = np.arange(2 * size * size).reshape(2, size, size)
+        return np.asarray(element[:, own].ravel())
+
+    def parameter_slopes(self, loads: Array, *, interval: float) -> Array:
+        """Change of `reading` with each element of `rows`: of A, equation by equation, then of D; (samples, k)."""
+        hidden = [self._inside(loads, place, interval=interval) for place in range(len(self.still))]
+        coordinates = np.column_stack([loads, *hidden])
+        fine, step = finer(coordinates), interval / FINE
+        behind = []
+        for mode in self.dynamics.modes:
+            motion = [mode.driven(series, interval=step) for series in fine.T]
+            behind.append([np.column_stack([part[show][::FINE] for part in motion]) for show in (0, 1)])
+        columns: list[Array] = []
+        for power in (2, 1):
+            for error in self.carried:
+                numerator = np.concatenate([np.zeros(power), error, np.zeros(2 - power)])
+                parts = Fractions.of(numerator[None, : self.row.shape[1]], self.dynamics.modes)
+                slopes = coordinates * parts.direct
+                for (value, rate), of_value, of_rate in zip(behind, parts.by_value, parts.by_rate, strict=True):
+                    slopes = slopes + of_value * value + of_rate * rate
+                columns.append(slopes)
+        return np.column_stack(columns)
+
+    def _inside(self, loads: Array, place: int, *, interval: float) -> Array:
+        """Load in a hidden spring, shape (samples,)."""
+        return Fractions.of(self.hidden[place], self.still).through(loads, interval=interval)
+
+
+def _spectrum(row: Array, noise: Array) -> Array:
+    """Coefficients of s^0, s^2, ... of what noise becomes through a row of polynomials."""
+    signs = (-1.0) ** np.arange(row.shape[1])
+    found = np.zeros(2 * row.shape[1] - 1)
+    for one in range(len(row)):
+        for other in range(len(row)):
+            if noise[one, other]:
+                found += noise[one, other] * np.convolve(row[one], row[other] * signs)
+    return found[::2]
+
+
+def _balance(component: str, modes: Sequence[Mode], common: Array) -> Dynamics:
+    """The balance of one component whose response is a polynomial over the product of modes."""
+    _, shares, rates = shares_of(common, modes)
+    first, *_ = modes
+    w0 = first.angular_frequency
+    further = [
+        Mode(mode.natural_frequency, mode.damping_ratio, float(share), float(rate))
+        for mode, share, rate in list(zip(modes, shares, rates, strict=True))[1:]
+    ]
+    single = Dynamics(component, mass=w0**-2, stiffness=1.0, damping=2 * first.damping_ratio / w0)
+    return single.with_modes(*further)

@@ -1,0 +1,330 @@
+r"""Noise that components taken apart have in common, taken off the one by what the others show of it.
+
+The readings of all channels have a part in every component that has been taken apart, z_i = G_i F_i + e_i, and so has
+their noise. Above the band of its own force component j shows little but noise, some of which is in z_i as well. With
+E the spectra of e, and Phi = G S G* those of the forces in the readings, a diagonal, the best linear estimate of F_i
+from all readings is that from
+
+    z_i' = z_i - B z_o,    B = E_io (E_oo + Phi_o)^-1,
+
+alone, where o are the other components: the inverse of a matrix in blocks. What is left in z_i' is F_i as before, with
+noise of the spectrum E_ii - B E_oi. So what one estimator does with one component becomes the best that can be done
+with six. In z_o the force is first taken for what it was found to be by the component alone: what is left over of the
+reading is E_jj / (E_jj + Phi_j) of z_j where nothing but Phi is in it, and holds no step, no constant, and no free
+oscillation that was under way when the record began.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
+from scipy.signal import oaconvolve
+
+from aerobalance.dynamics.decoupling import LoneComponent
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.prior import Learned, Reading, bridged
+from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
+from aerobalance.estimation.spectra.periodogram import Periodogram
+from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
+from aerobalance.recording.channel import Array
+from aerobalance.recording.resampling import EDGE
+
+WORTHWHILE: Final = 0.02
+"""Decrease of the expected error, as a share of it, from which on noise is taken off."""
+
+NOTICEABLE: Final = 0.05
+"""Noise by which another component changes the reading at most, over that of the reading, below which it is let be."""
+
+EXCESS: Final = 0.15
+"""Power beyond what is expected of the noise that is left, over it, in a sixteenth of the frequencies above the force:
+more would be taken for a force there, and what is off by a seventh of that costs nothing."""
+
+PARTS: Final = 16
+"""Parts in which it is looked for."""
+
+FREQUENCIES: Final = 1 << 13
+"""Steps from zero to half the sampling rate in which the filters are given; half as many samples either side is
+their reach, a few times as long as any mode within the noise rings."""
+
+UNSEEN: Final = 0.03
+"""Force of another component in its reading, over the noise there, that may have been missed at any frequency: a
+spectrum over a thousand ordinates shows no less."""
+
+CLOSE: Final = 0.02
+"""Error of the square root of the density of what is left, over that of the noise before, that saves states."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedNoise:
+    """Noise of one component that others show.
+
+    Attributes
+    ----------
+    others
+        Places of those others, c of them.
+    balances
+        Their balances: with other dynamics of the components it is these that the others go on to be read with.
+    found
+        The noise to be taken off its reading, shape (samples,) [N].
+    readings
+        The others' readings that it was found in, shape (samples, c).
+    weights
+        Impulse response of B, shape (2 m + 1, c); the middle one is at no delay.
+    before
+        Standard deviation of the noise of its reading as it was [N].
+    white
+        Standard deviation of the white part of what is left [N].
+    color
+        What is left beyond that.
+    error
+        Expected error of its force over what it was [1].
+    level
+        Variance of its force over what is expected from the noise that is left, shape (samples,): beside an end of the
+        record and beside missing readings, which the others' readings are wanted for, it is what it was before [1].
+    """
+
+    others: tuple[int, ...]
+    balances: tuple[Dynamics, ...]
+    found: Array
+    readings: Array
+    weights: Array
+    before: float
+    white: float
+    color: ShapedNoise
+    error: float
+    level: Array
+
+    def of(self, readings: Array) -> Array:
+        """What is to be taken off when the others read this, shape (samples, c); with other dynamics, say."""
+        change = readings - self.readings
+        return self.found + filtered(self.weights, change) if change.any() else self.found
+
+    def slopes(self, series: Array, other: int) -> Array:
+        """What is taken off for series that one of the others reads, both of shape (samples, k)."""
+        weights = self.weights[:, [self.others.index(other)]]
+        return np.column_stack([filtered(weights, column[:, None]) for column in series.T])
+
+
+def filtered(weights: Array, series: Array) -> Array:
+    """Sum of series (samples, c) through filters (2 m + 1, c), zero beyond their ends; shape (samples,)."""
+    middle = weights.shape[0] // 2
+    whole = oaconvolve(series, weights, axes=0).sum(axis=1)
+    return np.asarray(whole[middle : middle + series.shape[0]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseMatrix:
+    """Spectra of the noise of all components taken apart, and of their forces in the readings.
+
+    Attributes
+    ----------
+    balances
+        The components' own balances, n of them.
+    frequency
+        Frequencies [Hz], shape (m,).
+    whole
+        Two-sided cross-spectral densities of the noise, shape (m, n, n).
+    own
+        Those of the readings' noise alone, without that of the ground's motion.
+    force
+        Spectral densities of the forces, shape (m, n).
+    gain
+        Squares of the balances' responses, shape (m, n).
+    """
+
+    balances: tuple[Dynamics, ...]
+    frequency: Array
+    whole: NDArray[np.complex128]
+    own: NDArray[np.complex128]
+    force: Array
+    gain: Array
+
+    @classmethod
+    def of(
+        cls,
+        lones: Sequence[LoneComponent],
+        learned: Sequence[Learned],
+        *,
+        interval: float,
+        noise: Array,
+        ground: Array,
+    ) -> NoiseMatrix:
+        """Work them out.
+
+        Parameters
+        ----------
+        lones, learned
+            The components' own balances, and what was learned of their forces and noise.
+        interval
+            Time between samples [s].
+        noise
+            Covariance of the noise of a reading, shape (n, n); its ratios are what matters.
+        ground
+            Covariance of the force that the noise of the ground's motion is taken for, shape (n, n) [N^2].
+        """
+        frequency: Array = np.linspace(0, 0.5 / interval, FREQUENCIES + 1)
+        rows = np.stack([lone.noise_response(frequency) for lone in lones], axis=1)
+        answers = np.stack([lone.dynamics.response(frequency) for lone in lones], axis=1)
+        size = np.array([one.noise for one in learned]) / np.sqrt(np.diag(noise))
+        own = interval * (rows * size[:, None]) @ noise @ (rows * size[:, None]).conj().transpose(0, 2, 1)
+        shaken = interval * answers[:, :, None] * ground * answers.conj()[:, None, :]
+        force = np.stack([one.shaping.spectrum(frequency) for one in learned], axis=1)
+        return cls(tuple(lone.dynamics for lone in lones), frequency, own + shaken, own, force, np.abs(answers) ** 2)
+
+    @property
+    def felt(self) -> Array:
+        """Spectral densities of the forces in the readings, what may have been missed included, shape (m, n)."""
+        noise = np.real(np.einsum("mjj->mj", self.whole))
+        return np.asarray(np.maximum(self.gain * self.force, UNSEEN * noise))
+
+    def left_of(self, place: int, others: Sequence[int]) -> tuple[NDArray[np.complex128], Array, Array]:
+        """The weights B of others (m, c), the density of the noise that is left (m,), and the least it could be."""
+        pick = np.ix_(range(self.frequency.size), others, others)
+        shown = self.whole[pick] + self.felt[:, others, None] * np.eye(len(others))
+        weights = _weights(shown, self.whole[:, others, place])
+        left = self._left(self.whole, place, weights, others)
+        least = _weights(self.own[pick], self.own[:, others, place])
+        return weights, left, self._left(self.own, place, least, others)
+
+    @staticmethod
+    def _left(
+        spectra: NDArray[np.complex128], place: int, weights: NDArray[np.complex128], others: Sequence[int]
+    ) -> Array:
+        taken = np.einsum("mj,mj->m", weights, spectra[:, others, place])
+        return np.asarray(np.real(spectra[:, place, place] - taken))
+
+    def error_of(self, place: int, noise: Array) -> float:
+        """Variance of the error that a noise of this density leaves [N^2]."""
+        force, gain = self.force[:, place], self.gain[:, place]
+        step = float(self.frequency[1] - self.frequency[0])
+        return 2 * step * float(np.sum(force * noise / np.maximum(gain * force + noise, 1e-300)))
+
+
+def _weights(shown: NDArray[np.complex128], common: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    return np.linalg.solve(shown, common[..., None])[..., 0].conj().astype(np.complex128)
+
+
+def shared_noise(
+    spectra: NoiseMatrix,
+    place: int,
+    *,
+    residuals: Array,
+    present: NDArray[np.bool_],
+    readings: Callable[[int], Array],
+) -> SharedNoise | None:
+    """What others show of the noise of one component; None where that would not make its force better.
+
+    Parameters
+    ----------
+    spectra
+        Spectra of noise and forces.
+    place
+        Which component.
+    residuals
+        What each component's force leaves of its reading, on the clock of this one, shape (samples, n).
+    present
+        False where a component has no reading, shape (samples, n).
+    readings
+        Gives the reading of another component by its place, on the same clock, shape (samples,).
+    """
+    others = [other for other in range(spectra.force.shape[1]) if other != place]
+    if not others:
+        return None
+    size = np.sqrt(np.real(np.einsum("mjj->mj", spectra.whole)))
+    weights, *_ = spectra.left_of(place, others)
+    changes = np.abs(weights) * size[:, others] / size[:, [place]]
+    others = [other for other, change in zip(others, changes.max(axis=0), strict=True) if change > NOTICEABLE]
+    if not others:
+        return None
+    weights, left, least = spectra.left_of(place, others)
+    before, after = (spectra.error_of(place, noise) for noise in (size[:, place] ** 2, left))
+    if not after < (1 - WORTHWHILE) ** 2 * before:
+        return None
+    shown = 1 + spectra.felt[:, others] / size[:, others] ** 2
+    # the white noise of the ground's motion is told to the estimator apart
+    shaken = size[:, place] ** 2 - np.real(spectra.own[:, place, place])
+    interval = 0.5 / float(spectra.frequency[-1])
+    own = float(np.mean(np.real(spectra.own[:, place, place])))
+    rest = np.maximum(left - shaken, least)
+    white, color = _colored(spectra.frequency, rest, before=own, interval=interval)
+    inside = minimum_filter1d(present[:, [place, *others]].all(axis=1), 2 * EDGE + 1, mode="constant", cval=False)
+    error = float(np.sqrt(after / before))
+    return SharedNoise(
+        others=tuple(others),
+        balances=tuple(spectra.balances[other] for other in others),
+        found=filtered(_impulses(weights * shown), residuals[:, others]),
+        readings=np.column_stack([readings(other) for other in others]),
+        weights=_impulses(weights),
+        before=float(np.sqrt(own / interval)),
+        white=float(np.sqrt(white / interval)),
+        color=color,
+        error=error,
+        level=np.where(inside, 1.0, error**-2),
+    )
+
+
+def as_expected(reading: Reading, before: Learned) -> bool:
+    """Whether a reading with noise taken off has no more of it than is said, where its force shows nothing.
+
+    It has where readings were shifted by parts of a sample, which weakens noise near half the sampling rate, or where
+    the noise of the channels is not white.
+
+    Parameters
+    ----------
+    reading
+        The component's record with what is left of the noise.
+    before
+        What was learned of its force before.
+    """
+    if reading.noise is None:
+        raise ValueError("the noise that is left has to be known")
+    values, color = reading.values - np.nanmean(reading.values), reading.color
+    seen = Periodogram.of(
+        values if reading.present.all() else bridged(values, reading.present),
+        reading.dynamics,
+        interval=reading.interval,
+        input_density=reading.input_density,
+        color=None if color is None else lambda f, width: color.density(f, width=width),
+    )
+    noise = seen.background(reading.noise**2 * reading.interval)
+    force = seen.gain * before.shaping.spectrum(seen.frequency)
+    silent = np.flatnonzero((force < noise / 10) & (seen.frequency > reading.dynamics.natural_frequency))
+    ratios, weight = (seen.density / (noise + force))[silent], seen.weight[silent]
+    share = np.cumsum(weight) / max(float(weight.sum()), 1e-300)
+    parts = np.array_split(np.arange(silent.size), np.searchsorted(share, np.arange(1, PARTS) / PARTS))
+    if not all(part.size for part in parts):
+        return False
+    chance = 5 * float(np.sqrt(PARTS / weight.sum()))
+    return max(float(np.average(ratios[part], weights=weight[part])) for part in parts) < 1 + EXCESS + chance
+
+
+def _impulses(weights: NDArray[np.complex128]) -> Array:
+    """Impulse responses of filters given at frequencies, tapered towards the ends of their reach."""
+    taps = np.fft.irfft(weights, axis=0)
+    middle = taps.shape[0] // 2
+    taps = np.roll(taps, middle, axis=0)[middle - middle // 2 : middle + middle // 2 + 1]
+    return np.asarray(taps * np.hanning(taps.shape[0] + 2)[1:-1, None])
+
+
+def _colored(frequency: Array, density: Array, *, before: float, interval: float) -> tuple[float, ShapedNoise]:
+    """A noise as a white part, the level at half the sampling rate, and what is above it.
+
+    Where it falls below that level, above the band of the force, it is taken for more than it is.
+    """
+    white = float(density[-1])
+    above = np.maximum(density - white, 0.0)
+    highest = float(frequency[-1])
+    low = np.flatnonzero(above >= above.max() / 2)
+    centre = float(frequency[min(low[-1] + 1, frequency.size - 2)])
+
+    def whole(f: Array) -> Array:
+        known = np.interp(f, frequency, above, right=0.0) + CLOSE**2 * before
+        return np.asarray(known / (1 + (f / highest) ** 8))
+
+    shaping = ShapingFilter.of_spectrum(whole, centre=centre, tolerance=CLOSE * float(np.sqrt(before)))
+    return white, ShapedNoise(shaping, interval)

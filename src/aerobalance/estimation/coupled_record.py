@@ -1,0 +1,280 @@
+"""A recording of components that ring together, made ready for the estimator of one component.
+
+The load that ground motion and gravity put on the moving mass is taken off, and every component is taken apart from
+the others (`aerobalance.dynamics.decoupling`).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.decoupling import LoneComponent
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.correlated_noise import SharedNoise
+from aerobalance.estimation.decoupled_record import LoneJob, load_felt, mass_rows
+from aerobalance.estimation.record import FEWEST_SAMPLES
+from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
+from aerobalance.motion.platform import PlatformMotion
+from aerobalance.motion.single_axis import GroundMotion
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.noise import white_noise
+from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import EXACT, at_instants, bridged, later
+from aerobalance.recording.sensors import corrected
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoupledRecord:
+    """A recording with coupled dynamics and the ground's motion that go with it.
+
+    Attributes
+    ----------
+    recording
+        The recording.
+    dynamics
+        The coupled components.
+    platform
+        What the ground end does.
+    channels
+        The components' channels.
+    loads
+        Their readings, shape (samples, n); NaN where missing or at a limit.
+    noise
+        Covariance of the noise of a reading, shape (n, n) [N^2, N^2*m, N^2*m^2].
+    from_ground
+        Loads felt under gravity and the ground's motion alone, on the clock, shape (samples, n); less what other
+        dynamics' mass would have put on the zero that the loads count from, where that was read under the weight.
+    on_zero
+        Weight in the loads that was taken out of their zero, shape (n,) [N, N*m].
+    lones
+        The components' own balances.
+    """
+
+    recording: Recording
+    dynamics: CoupledDynamics
+    platform: PlatformMotion
+    channels: tuple[Channel, ...]
+    loads: Array
+    noise: Array
+    from_ground: Array
+    on_zero: Array
+    lones: tuple[LoneComponent, ...]
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        dynamics: CoupledDynamics,
+        *,
+        gravity: float = STANDARD_GRAVITY,
+        gravity_uncertainty: float = 0.0,
+    ) -> CoupledRecord:
+        """Take a recording as it was written.
+
+        Raises
+        ------
+        FitError
+            A component that the others ring with is not in the recording, or has too few readings; or the ground end
+            moves and the dynamics hold no mass.
+        """
+        recording = corrected(recording)
+        channels = _channels(recording, dynamics)
+        platform = PlatformMotion.of(recording, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
+        loads = np.column_stack([np.where(channel.at_limit, np.nan, channel.values) for channel in channels])
+        noise = noise_covariance(channels, bridged(loads))
+        nothing, on_zero = np.zeros_like(loads), _weight_on_zero(platform, dynamics)
+        return cls(recording, dynamics, platform, channels, loads, noise, nothing, on_zero, ()).taken_with(dynamics)
+
+    def taken_with(self, dynamics: CoupledDynamics, *, noise: Array | None = None) -> CoupledRecord:
+        """The same record with other dynamics of its components, or with another covariance of their noise."""
+        noise = self.noise if noise is None else noise
+        from_ground = load_felt(dynamics, net_load(self.platform, dynamics), interval=self.interval)
+        shift = self.on_zero - _weight_on_zero(self.platform, dynamics)
+        return replace(
+            self,
+            dynamics=dynamics,
+            noise=noise,
+            from_ground=later(from_ground, self.platform.delay, interval=self.interval) + shift,
+            lones=tuple(LoneComponent.of(dynamics, name, noise=noise) for name in dynamics.components),
+        )
+
+    @property
+    def interval(self) -> float:
+        """Time between samples [s]."""
+        return 1 / self.recording.rate
+
+    @property
+    def rings_together(self) -> bool:
+        """True where a component's force needs the readings of another."""
+        return not all(lone.alone for lone in self.lones)
+
+    @property
+    def has_gaps(self) -> bool:
+        """True where readings are missing that the force of another component needs."""
+        return self.rings_together and not np.isfinite(self.loads).all()
+
+    def jobs(self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None) -> dict[str, LoneJob]:
+        """The components taken apart, by name.
+
+        Parameters
+        ----------
+        filled
+            The readings with something in the place of those that are missing, shape (samples, n). A component's
+            reading stays missing where one that has a part in it is.
+        noises
+            Spectra of the noise of the components taken apart, where they are known.
+        """
+        spectra = {} if noises is None else noises
+        return {name: self.job(name, filled, noise=spectra.get(name)) for name in self.dynamics.components}
+
+    def job(
+        self,
+        component: str,
+        filled: Array,
+        *,
+        noise: NoiseSpectrum | None = None,
+        shared: SharedNoise | None = None,
+    ) -> LoneJob:
+        """One component taken apart; the arguments are those of `jobs`, and the noise that is to be taken off."""
+        lone = self.lones[self.dynamics.components.index(component)]
+        channel = self.channels[lone.place]
+        own = at_instants(filled, self.channels, to=channel, interval=self.interval)
+        reading = self.reading(lone.place, on_clock_of=lone.place, filled=filled)
+        others = () if shared is None else shared.others
+        gap = ~np.isfinite(self.loads[:, lone.partners]).all(axis=1)
+        if shared is not None:
+            theirs = [
+                self.reading(other, on_clock_of=lone.place, filled=filled, balance=balance)
+                for other, balance in zip(others, shared.balances, strict=True)
+            ]
+            reading = reading - shared.of(np.column_stack(theirs))
+        values = np.where(gap, np.nan, reading)
+        apart = Channel(name=channel.name, values=values, unit=channel.unit, noise=channel.noise)
+        return LoneJob(
+            recording=replace(self.recording, channels={channel.name: apart}),
+            dynamics=lone.dynamics,
+            motion=_at_rest(self.platform, self.dynamics, lone),
+            coupled=self.dynamics,
+            lone=lone,
+            loads=own,
+            channels=self.channels,
+            platform=self.platform,
+            noise=noise,
+            shared=shared,
+            others=tuple(self.lones[place] for place in others),
+        )
+
+    def reading(self, place: int, *, on_clock_of: int, filled: Array, balance: Dynamics | None = None) -> Array:
+        """What a component's own balance reads at the instants of a component's channel, shape (samples,).
+
+        Parameters
+        ----------
+        place, on_clock_of
+            Rows of the two.
+        filled
+            The readings without gaps, as in `jobs`; what the ground's motion has put on them is taken off.
+        balance
+            Another balance in the place of the component's own.
+        """
+        channel = self.channels[on_clock_of]
+        own = at_instants(filled, self.channels, to=channel, interval=self.interval)
+        ground = later(self.from_ground, -channel.delay, interval=self.interval)
+        lone = self.lones[place] if balance is None else replace(self.lones[place], dynamics=balance)
+        return lone.reading(own - ground, interval=self.interval)
+
+
+def net_load(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
+    """Loads that ground motion and gravity put on the moving mass, W - M x1'', shape (samples, n).
+
+    Raises
+    ------
+    FitError
+        There is motion, and the mass is not known.
+    """
+    if not platform.specific_force.any():
+        return np.zeros((platform.specific_force.shape[0], len(dynamics.components)))
+    if dynamics.mass is None and not np.ptp(platform.specific_force, axis=0).any():
+        warnings.warn(
+            "the dynamics hold no mass: the weight at the steady attitude of the record stays in the forces",
+            DoubtWarning,
+            stacklevel=5,
+        )
+        return np.zeros((platform.specific_force.shape[0], len(dynamics.components)))
+    if dynamics.mass is None:
+        raise FitError(
+            "the ground end moves or pitches, but the dynamics hold no mass: give mass, centre of gravity and inertia "
+            "when they are identified (--mass)"
+        )
+    return platform.force(dynamics.mass)[:, [COMPONENTS.index(name) for name in dynamics.components]]
+
+
+def _weight_on_zero(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
+    """Weight of the mass while the zero of the loads was read, shape (n,); zero where it was not taken out of it."""
+    if dynamics.mass is None:
+        return np.zeros(len(dynamics.components))
+    own = [COMPONENTS.index(name) for name in dynamics.components]
+    return np.asarray((platform.pull_on_zero @ dynamics.mass.matrix.T)[own])
+
+
+def _channels(recording: Recording, dynamics: CoupledDynamics) -> tuple[Channel, ...]:
+    lacking = [name for name in dynamics.components if name not in recording]
+    if lacking:
+        raise FitError(
+            f"{recording.name} has no {', '.join(lacking)}; the components ring together, so the force of each needs "
+            f"the readings of all: {', '.join(dynamics.components)}"
+        )
+    channels = tuple(recording.channel(name) for name in dynamics.components)
+    for channel in channels:
+        count = int(np.count_nonzero(np.isfinite(channel.values)))
+        if count < FEWEST_SAMPLES:
+            raise FitError(
+                f"{recording.name}: {count} readings of {channel.name}; a force needs at least {FEWEST_SAMPLES}"
+            )
+    return channels
+
+
+def noise_covariance(channels: Sequence[Channel], filled: Array) -> Array:
+    """Covariance of the noise of a reading, shape (n, n): a balance matrix mixes the noise of the gauges.
+
+    What the channels have in common is judged from the upper half of the spectrum, where no load is left.
+    """
+    deviation = np.array(
+        [
+            max(
+                white_noise(column) if channel.noise is None else channel.noise,
+                EXACT * float(np.max(np.abs(column))),
+                1e-60,
+            )
+            for channel, column in zip(channels, filled.T, strict=True)
+        ]
+    )
+    spectrum = np.fft.rfft(np.diff(filled, 4, axis=0), axis=0)
+    upper = spectrum[spectrum.shape[0] // 2 :]
+    power = np.real(upper.conj().T @ upper)
+    size = np.sqrt(np.maximum(np.diag(power), 1e-300))
+    correlation: Array = power / np.outer(size, size)
+    # between independent channels it scatters by 1 / sqrt(2 m) over m ordinates; one in 1e8 passes this
+    correlation[np.abs(correlation) < 4 / np.sqrt(upper.shape[0])] = 0.0
+    return np.outer(deviation, deviation) * correlation
+
+
+def _at_rest(platform: PlatformMotion, dynamics: CoupledDynamics, lone: LoneComponent) -> GroundMotion:
+    """No motion, but the noise that the motion taken off has brought into the component's force."""
+    rows = mass_rows(dynamics)[lone.place]
+    force_noise = float(np.sqrt(max(rows @ platform.covariance @ rows, 0.0)))
+    still = np.zeros(platform.specific_force.shape[0])
+    return GroundMotion(
+        specific_force=still,
+        noise=force_noise / lone.dynamics.mass,
+        acceleration=still,
+        relative_uncertainty=0.0,
+        delay=0.0,
+        assumptions=platform.assumptions,
+    )

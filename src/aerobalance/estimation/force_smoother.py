@@ -1,0 +1,367 @@
+"""The force by the smoother once its prior and the steps are known, and the errors that it then has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.stats import norm
+
+from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
+from aerobalance.estimation.prior import Learned, Reading, generalised_least_squares
+from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_lines, hum_lines
+from aerobalance.estimation.spectra.noise_floor import Floor, floor_of
+from aerobalance.estimation.statespace import _series_kernels
+from aerobalance.estimation.statespace.kalman import FORCE, LOAD, Filter, StateSpace
+from aerobalance.estimation.steps import Step, columns_of, find_steps, response_to, shape_of
+from aerobalance.recording.channel import Array
+
+FREQUENCIES: Final = 1 << 14
+"""Steps from zero to half the sampling rate in the spectrum of the error: finer than the resonance is wide."""
+
+NEVER: Final = 1e-12
+"""Probability that is taken for none."""
+
+LARGEST_HUM: Final = 0.1
+"""Amplitude of a line over half the span of the readings above which it is no hum but what was recorded."""
+
+SAME_LINE: Final = 0.02
+"""Change of a line's frequency in ordinates for which the steps are not looked for again."""
+
+SHIFT: Final = 0.05
+"""Change of a step's instant over which its slopes are taken, in sampling intervals."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Apart:
+    """What a record is made of.
+
+    Attributes
+    ----------
+    reading
+        The record, its hum named.
+    steps
+        The steps of the force.
+    learned
+        The prior of what else the force does, and the noise.
+    hum
+        Lines that are taken for hum.
+    large
+        Lines at frequencies of the mains that are too large a part of the record to be taken for hum.
+    floor
+        What may be a color of the noise, far above the natural frequency; None if there is nothing.
+    """
+
+    reading: Reading
+    steps: list[Step]
+    learned: Learned
+    hum: tuple[Line, ...]
+    large: tuple[Line, ...]
+    floor: Floor | None = None
+
+
+def taken_apart(reading: Reading, *, hum: Hum) -> Apart:
+    """Find hum, steps and prior of a record.
+
+    Steps ring over a wide band and hide weak lines, so the lines are looked for again when the steps are known. A
+    floor of the noise that is not flat is looked for last; with it, steps and prior are found again.
+    """
+    lines, large = _hum_of(reading, reading.values, hum)
+    named = replace(reading, hum=tuple(line.frequency for line in lines))
+    steps, learned = find_steps(named)
+    if steps and hum != "keep":
+        heights = np.array([0.0, *(step.height for step in steps)])
+        left = reading.values - columns_of(steps, reading) @ heights
+        lines, large = _hum_of(reading, left, hum)
+        again = tuple(line.frequency for line in lines)
+        resolved = 1 / (reading.values.size * reading.interval)
+        same = len(again) == len(named.hum) and np.allclose(again, named.hum, rtol=0, atol=SAME_LINE * resolved)
+        named = replace(reading, hum=again)
+        if not same:
+            steps, learned = find_steps(named)
+    left = reading.values - columns_of(steps, reading) @ np.array([0.0, *(step.height for step in steps)])
+    floor = floor_of(named, learned, left=left)
+    if floor is not None and floor.color is not None:
+        named = replace(named, color=floor.color)
+        steps, learned = find_steps(named)
+    return Apart(named, steps, learned, lines, large, floor)
+
+
+def _hum_of(reading: Reading, values: Array, hum: Hum) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
+    """Lines of hum, and lines of the mains that are too large for it: a drive at 50 or 60 Hz is what is recorded."""
+    lines = hum_lines(values, reading.interval, hum=hum)
+    largest = LARGEST_HUM * float(np.nanmax(reading.values) - np.nanmin(reading.values)) / 2
+    if hum == "mains" and any(line.amplitude > largest for line in lines):
+        return (), lines
+    return lines, ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Smoothed:
+    """What the smoother makes of a reading with a given prior and given steps.
+
+    Attributes
+    ----------
+    reading
+        The record.
+    learned
+        The prior of the force, and the noise.
+    steps
+        The steps.
+    filter
+        The filter that goes with them.
+    columns
+        Reading under the constant, each step of 1 N, and sine and cosine of each line of hum, shape (n, p).
+    shapes
+        The force itself of each of these, shape (n, p).
+    sizes
+        Their sizes [N], shape (p,).
+    states
+        Load, load rate and force that are left when they are taken out, shape (n, 3) [N].
+    variance
+        Variance of that force, the sizes taken as known, shape (n,) [N^2].
+    """
+
+    reading: Reading
+    learned: Learned
+    steps: tuple[Step, ...]
+    filter: Filter
+    columns: Array
+    shapes: Array
+    sizes: Array
+    states: Array
+    variance: Array
+
+    @classmethod
+    def of(cls, reading: Reading, *, learned: Learned, steps: Sequence[Step]) -> Smoothed:
+        """Smooth a reading."""
+        filter_ = Filter.of(reading.system(learned), reading.present)
+        columns = columns_of(list(steps), reading)
+        shapes = np.zeros_like(columns)  # hum is no force
+        shapes[:, 0] = 1.0
+        for place, step in enumerate(steps, start=1):
+            shapes[:, place] = shape_of(step, reading)
+        sizes, _, _ = generalised_least_squares(filter_, reading.filled, columns)
+        states, variance = filter_.smooth(reading.filled - columns @ sizes)
+        return cls(reading, learned, tuple(steps), filter_, columns, shapes, sizes, states, variance)
+
+    @property
+    def force(self) -> Array:
+        """The force, shape (n,) [N]."""
+        return np.asarray(self.states[:, FORCE] + self.shapes @ self.sizes)
+
+    @property
+    def residuals(self) -> Array:
+        """What force, hum and steps leave of the readings, 0 where one is missing, shape (n,) [N]."""
+        left = self.reading.filled - self.columns @ self.sizes - self.states[:, LOAD]
+        return np.where(self.reading.present, left, 0.0)
+
+    def sized(self, lines: Sequence[Line]) -> tuple[Line, ...]:
+        """The lines of hum with the sizes that were found together with everything else."""
+        sizes = self.sizes[1 + len(self.steps) :].reshape(-1, 2)
+        return tuple(
+            replace(line, sine=float(sine), cosine=float(cosine))
+            for line, (sine, cosine) in zip(lines, sizes, strict=True)
+        )
+
+    @property
+    def estimator(self) -> Estimator:
+        """The estimator that gave it."""
+        heights = [step.height for step in self.steps]
+        return Estimator(self.filter.system, self.filter, *instant_columns(self.reading, self.steps, heights=heights))
+
+    @property
+    def innovations(self) -> Array:
+        """Innovations over their expected standard deviation, shape (n,); 0 where a reading is missing."""
+        return self.filter.whiten((self.reading.filled - self.columns @ self.sizes)[:, None])[:, 0]
+
+    def noise_errors(self, level: Array, *, sources: tuple[str, str]) -> list[Contribution]:
+        """Errors from noise: of the readings, of the ground's motion, and what the model does not explain.
+
+        Parameters
+        ----------
+        level
+            Variance of the innovations over what is expected, where that is more than chance, else 1; shape (n,).
+        sources
+            Channels of the load and of the ground's motion.
+        """
+        load, ground = _error_spectra(self.reading, self.learned, factor=1.0)
+        halved = [_error_spectra(self.reading, self.learned, factor=0.5, only=index) for index in (0, 1)]
+        both = float(np.mean(load + ground))
+        if not both > 0:
+            return [Noise("noise of the readings", sources[0], np.sqrt(self.variance), np.ones(1))]
+        parts: list[Contribution] = []
+        names = ("noise of the readings", "noise of the ground motion")
+        for name, source, density, after in zip(names, sources, (load, ground), halved, strict=True):
+            own = float(np.mean(density))
+            if own > 0:
+                left = max(1 - (both - float(np.mean(after[0] + after[1]))) / own, 0.0)
+                deviation = np.sqrt(self.variance * own / both)
+                parts.append(Noise(name, source, deviation, density / own, float(np.sqrt(left))))
+        beyond = np.sqrt(self.variance * np.maximum(level - 1, 0.0))
+        return [*parts, Noise("what the model does not explain", sources[0], beyond, (load + ground) / both)]
+
+    def step_errors(self) -> list[Contribution]:
+        """Errors from the sizes of constant and steps and from the steps' instants."""
+        reading, filter_ = self.reading, self.filter
+        heights = self.sizes[1 : 1 + len(self.steps)]
+        time = np.arange(reading.values.size) * reading.interval
+        edge = np.zeros(time.size)
+        for step, size in zip(self.steps, heights, strict=True):
+            if step.duration <= 0:  # each sample lies before or after it with some probability
+                after = norm.cdf((time - step.instant) / max(step.instant_uncertainty, 1e-12 * reading.interval))
+                chance = after * (1 - after)
+                edge += size**2 * np.where(chance > NEVER, chance, 0.0)
+        numbers = range(1, 1 + heights.size)
+        names = ["constant", *(f"step {i}" for i in numbers), *(f"instant of step {i}" for i in numbers)]
+        for line in reading.hum:
+            names += [
+                f"{part} of hum at {line:.4g} Hz" for part in ("sine", "cosine", "growing sine", "growing cosine")
+            ]
+        X, forms = instant_columns(reading, self.steps, heights=heights)
+        covariance = generalised_least_squares(filter_, reading.filled, X)[1]
+        slopes = forms - self.estimator.smooth(X)
+        source = self.reading.dynamics.component
+        return [
+            Systematic("size and instant of steps", source, tuple(names), slopes, covariance),
+            Noise("which side of a step a sample is on", source, np.sqrt(edge), np.ones(1)),
+        ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimator:
+    """The smoother with prior and steps given, run on several series at once.
+
+    Attributes
+    ----------
+    system, filter
+        The state space, and its filter.
+    columns, forms
+        Load and force of the constant, of every step and of a later instant of it, as `instant_columns` gives them.
+    """
+
+    system: StateSpace
+    filter: Filter
+    columns: Array
+    forms: Array
+
+    @classmethod
+    def of(cls, reading: Reading, *, learned: Learned, steps: Sequence[Step]) -> Estimator:
+        """Make the estimator for a reading; the heights of the steps are those found before."""
+        system = reading.system(learned)
+        columns, forms = instant_columns(reading, steps, heights=[step.height for step in steps])
+        return cls(system, Filter.of(system, reading.present), columns, forms)
+
+    def sizes(self, series: Array) -> Array:
+        """Sizes of the known shapes in several series, shape (p, c)."""
+        count = series.shape[1]
+        white = self.filter.whiten(np.column_stack([series, self.columns]))
+        shapes = white[:, count:]
+        scale = np.sqrt(np.sum(shapes**2, axis=0))
+        scale[scale == 0] = 1.0
+        found, *_ = np.linalg.lstsq(shapes / scale, white[:, :count], rcond=1e-10)
+        return np.asarray(found / scale[:, None])
+
+    def smooth(self, series: Array) -> Array:
+        """Smoothed force of several series whose shapes are taken out, shape (n, c) [N]."""
+        f = self.filter
+        return _series_kernels.smoothed(
+            np.ascontiguousarray(series),
+            f.present,
+            self.system.transition,
+            self.system.observation,
+            f.which,
+            f.covariances,
+            f.gains,
+            f.variances,
+            FORCE,
+        )
+
+    def run(self, series: Array) -> Array:
+        """The force that several series lead to, shape (n, c) [N]."""
+        sizes = self.sizes(series)
+        return self.smooth(series - self.columns @ sizes) + self.forms @ sizes
+
+    def simulate(self, generator: np.random.Generator) -> tuple[Array, Array]:
+        """Draw a force, without constant and steps, and readings of it, shape (n,) each [N]."""
+        system = self.system
+        size = system.transition.shape[0]
+        count = self.filter.which.size
+        states = _series_kernels.simulate(
+            system.transition,
+            _root(system.process_noise),
+            _root(system.initial) @ generator.normal(size=size),
+            generator.normal(size=(count, size)),
+            np.array([LOAD, FORCE, *system.colors]),
+        )
+        readings = states[:, 0] + np.sqrt(system.noise_variance) * generator.normal(size=count)
+        readings += np.sum(states[:, 2:], axis=1)
+        return states[:, 1], np.where(self.filter.present, readings, 0.0)
+
+
+def _root(covariance: Array) -> Array:
+    """A square root of a covariance, in units in which its diagonal is 1."""
+    unit = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    level, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    return np.ascontiguousarray(unit[:, None] * vectors * np.sqrt(np.maximum(level, 0.0)))
+
+
+def instant_columns(
+    reading: Reading, steps: Sequence[Step], *, heights: Sequence[float] | Array
+) -> tuple[Array, Array]:
+    """Load felt under the constant, under every step of 1 N and under a later instant of every step, and their forces.
+
+    Lines of hum come last, each with its sine and cosine and the same growing along the record: that is what an error
+    of its frequency does, and a slow change of its amplitude.
+
+    Returns
+    -------
+    columns, forms
+        Reading [1; N/s] and force, shape (n, 1 + 2 steps + 4 lines). The force of a pure step has no slope with its
+        instant.
+    """
+    count, small = reading.values.size, SHIFT * reading.interval
+    steady = replace(reading, hum=())
+    columns, forms = [columns_of(list(steps), steady)], [np.ones(count)]
+    forms += [shape_of(step, reading) for step in steps]
+    for step, height in zip(steps, heights, strict=True):
+        late, early = (Step(step.instant + shift, step.duration) for shift in (small, -small))
+        columns.append(height * (response_to(late, reading) - response_to(early, reading)) / (2 * small))
+        slope = height * (shape_of(late, reading) - shape_of(early, reading)) / (2 * small)
+        forms.append(slope if step.duration > 0 else np.zeros_like(slope))
+    growing = np.linspace(-1, 1, count)[:, None]
+    for line in reading.hum:
+        both = columns_of_lines([line], count=count, interval=reading.interval)
+        columns += [both, growing * both]
+        forms += [np.zeros((count, 4))]
+    return np.column_stack(columns), np.column_stack(forms)
+
+
+def _error_spectra(
+    reading: Reading, learned: Learned, *, factor: float, only: int | None = None
+) -> tuple[Array, Array]:
+    """Spectrum of the force's error, S_F N / (S_F + N), shared out over the two noises that make up N.
+
+    N = R / |G|^2 + U: the noise of the reading seen through the balance, and that of the ground's motion.
+
+    Parameters
+    ----------
+    factor
+        What the noises are multiplied by.
+    only
+        The one of them that is; both if None.
+    """
+    frequency = np.linspace(0, 0.5 / reading.interval, FREQUENCIES + 1)
+    force = learned.shaping.spectrum(frequency)
+    gain = np.abs(reading.dynamics.response(frequency)) ** 2
+    noises = [
+        learned.noise_density(frequency, interval=reading.interval) / gain,
+        np.full(frequency.size, reading.input_density),
+    ]
+    for index in (0, 1):
+        if only in (None, index):
+            noises[index] = noises[index] * factor**2
+    whole = np.maximum(force + noises[0] + noises[1], 1e-300)
+    return force * noises[0] / whole, force * noises[1] / whole

@@ -1,0 +1,76 @@
+"""Fewer samples of a channel, chunk by chunk: a filter that leaves white noise white, then every n-th sample."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from aerobalance.recording.channel import Array
+
+ROLL_OFF: Final = 0.25
+"""Part of the new Nyquist frequency that the filter takes to fall off, on either side of it."""
+
+SPAN: Final = 8
+"""New samples on either side that the filter reaches over."""
+
+
+def root_raised_cosine(factor: int) -> Array:
+    """Coefficients of the filter, shape (2 SPAN factor + 1,), of sum 1.
+
+    The squares of its gain at a frequency and at the one that folds onto it add up to 1: white noise stays white.
+    Up to 1 - ROLL_OFF of the new Nyquist frequency the gain is 1.
+    """
+    t = np.arange(-SPAN * factor, SPAN * factor + 1) / factor
+    beta = ROLL_OFF
+    with np.errstate(divide="ignore", invalid="ignore"):
+        numerator = np.sin(np.pi * t * (1 - beta)) + 4 * beta * t * np.cos(np.pi * t * (1 + beta))
+        values = numerator / (np.pi * t * (1 - (4 * beta * t) ** 2))
+    values[t == 0] = 1 - beta + 4 * beta / np.pi
+    pole = np.isclose(np.abs(t), 1 / (4 * beta))
+    angle = np.pi / (4 * beta)
+    values[pole] = beta / np.sqrt(2) * ((1 + 2 / np.pi) * np.sin(angle) + (1 - 2 / np.pi) * np.cos(angle))
+    return np.asarray(values / values.sum())
+
+
+class Thinner:
+    """Takes every n-th sample of a filtered stream; what comes out does not depend on how it came cut.
+
+    Parameters
+    ----------
+    columns
+        Number of channels, c.
+    factor
+        How many samples become one.
+    """
+
+    def __init__(self, columns: int, factor: int) -> None:
+        if factor < 1:
+            raise ValueError(f"one sample of {factor} cannot be taken; the factor is at least 1")
+        self.factor = factor
+        self._taps = root_raised_cosine(factor) if factor > 1 else np.ones(1)
+        self._half = self._taps.size // 2
+        self._held = np.empty((0, columns))
+
+    def push(self, samples: Array) -> Array:
+        """Take samples, shape (n, c); return those that have become due, shape (m, c).
+
+        The first is at sample `SPAN` times the factor of the stream, each further one a factor later.
+        """
+        if self.factor == 1:
+            return samples
+        held = np.concatenate((self._held, samples))
+        count = max(0, (held.shape[0] - self._taps.size) // self.factor + 1)
+        if not count:
+            self._held = held
+            return np.empty((0, held.shape[1]))
+        windows = sliding_window_view(held, self._taps.size, axis=0)[:: self.factor][:count]
+        made = windows @ self._taps
+        self._held = held[count * self.factor :]
+        return np.ascontiguousarray(made)
+
+    @property
+    def first(self) -> int:
+        """Sample of the stream at which the first output is."""
+        return self._half

@@ -1,0 +1,164 @@
+r"""Modes of a balance driven by series as they come in, from sample to sample.
+
+A mode 1 / (1 + d s + a s^2) is driven by u + s v. Between samples u and v are interpolated band-limited to a clock
+`FINE` times as fast, and straight there, as `aerobalance.recording.resampling.finer` does with a whole record; the
+response at the samples is then exactly
+
+    y_k = tr y_(k-1) - det y_(k-2) + sum over t of g_t u_(k+t) + h_t v_(k+t),
+
+with trace and determinant of the transition of the mode's state over a sampling interval: with the weights g and h
+known, no fine clock is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+from aerobalance.dynamics.single import Mode
+from aerobalance.recording.channel import Array
+from aerobalance.recording.resampling import FINE, SHARPNESS
+
+REACH: Final = 10
+"""Samples on either side that an interpolated value is made from."""
+
+
+class LiveModes:
+    """Responses of modes, chunk by chunk.
+
+    Parameters
+    ----------
+    modes
+        The m modes; their shares are not used.
+    interval
+        Time between samples [s].
+    delays
+        Times by which the responses to series lag them [s].
+
+    Attributes
+    ----------
+    ahead
+        Samples after a sample that the responses at it wait for.
+    """
+
+    def __init__(self, modes: Sequence[Mode], *, interval: float, delays: Sequence[float] = (0.0,)) -> None:
+        made = [[_taps(mode, interval=interval, delay=delay) for delay in delays] for mode in modes]
+        self._poles = [parts[0][0] for parts in made]
+        spans = [(first, first + taps.shape[0]) for parts in made for _, first, taps in parts]
+        self._first = min(0, *(first for first, _ in spans))
+        last = max(1, *(stop for _, stop in spans))
+        self.kinds = 2 * len(delays)
+        self._weights = np.zeros((last - self._first, self.kinds, len(modes)))
+        for place, parts in enumerate(made):
+            for number, (_, first, taps) in enumerate(parts):
+                begin = first - self._first
+                self._weights[begin : begin + taps.shape[0], 2 * number : 2 * number + 2, place] = taps
+        self.ahead: int = last - 1
+        self._state = np.zeros((len(modes), 2))
+        # what came before the first sample is zero
+        self._driving = np.zeros((-self._first, self.kinds, len(modes)))
+
+    def push(self, driving: Array) -> Array:
+        """Take u and v of every delay, shape (k, `kinds`, m), zero before the first; the responses known by them.
+
+        Returns
+        -------
+        responses
+            Shape (k', m).
+        """
+        self._driving = np.concatenate([self._driving, driving])
+        count = max(self._driving.shape[0] + self._first - self.ahead, 0)
+        push = np.zeros((count, self._weights.shape[2]))
+        if not count:
+            return push
+        # one product a tap, so that the sum does not hang on how many samples come at once
+        for tap, weights in enumerate(self._weights):
+            part = self._driving[tap : tap + count]
+            for kind in range(self.kinds):
+                push += part[:, kind] * weights[kind]
+        for place, pole in enumerate(self._poles):
+            push[:, place], self._state[place] = lfilter([1.0], pole, push[:, place], zi=self._state[place])
+        self._driving = self._driving[count:]
+        return push
+
+    def finish(self) -> Array:
+        """The responses that wait for what comes after: the series go on turned about their last sample."""
+        end = np.arange(self._driving.shape[0] - 2, self._driving.shape[0] - 2 - self.ahead, -1)
+        return self.push(2 * self._driving[-1:] - self._driving[np.maximum(end, 0)])
+
+
+def _taps(mode: Mode, *, interval: float, delay: float) -> tuple[Array, int, Array]:
+    """Recursion of a mode whose response is late, the first sample that drives it, and the weights of u and v.
+
+    Returns
+    -------
+    pole, first, taps
+        Shapes (3,), scalar, and (t, 2).
+    """
+    a, d = mode.angular_frequency**-2, 2 * mode.damping_ratio / mode.angular_frequency
+    # states y and one that makes y' of it: a y'' + d y' + y = u + v'
+    generator = np.array([[-d / a, 1.0], [-1.0 / a, 0.0]])
+    gain = np.array([[0.0, 1.0 / a], [1.0 / a, 0.0]])
+    transition, hold, ramp = _fine_step(generator, gain, interval / FINE)
+    whole = np.linalg.matrix_power(transition, FINE)
+    series, first = _between(delay / interval)
+    drive = np.zeros((series.shape[1], 2, 2))
+    for step in range(FINE):
+        onward = np.linalg.matrix_power(transition, FINE - 1 - step)
+        early, late = onward @ (hold - ramp), onward @ ramp
+        for kind in range(2):
+            drive[:, :, kind] += np.outer(series[step], early[:, kind])
+            drive[:, :, kind] += np.outer(series[step + 1], late[:, kind])
+    trace, determinant = float(np.trace(whole)), float(np.linalg.det(whole))
+    across = (whole - trace * np.eye(2))[0]
+    taps = np.zeros((series.shape[1] + 1, 2))
+    taps[1:] = drive[:, 0]
+    taps[:-1] += np.einsum("tsk,s->tk", drive, across)
+    return np.array([1.0, -trace, determinant]), first - 1, taps
+
+
+def _fine_step(generator: Array, gain: Array, step: float) -> tuple[Array, Array, Array]:
+    """Transition of a state over a step, and its response to inputs held, and to ones that rise by 1, exactly."""
+    size = generator.shape[0]
+    block = np.zeros((3 * size, 3 * size))
+    block[:size, :size], block[:size, size : 2 * size] = generator * step, gain * step
+    block[size : 2 * size, 2 * size :] = np.eye(size)
+    whole = expm(block)
+    return whole[:size, :size], whole[:size, size : 2 * size], whole[:size, 2 * size :]
+
+
+def _between(shift: float) -> tuple[Array, int]:
+    """Weights of samples in a series on the fine clock over the interval up to a sample, shape (FINE + 1, t).
+
+    As `aerobalance.recording.resampling.finer` makes it: a twelfth of the second difference is taken off, so that
+    straight lines between its points do no harm. The first weight is that of the sample of the number returned beside
+    them.
+    """
+    weights, first = interpolation(shift)
+    count = weights.shape[1]
+    # point p of the fine clock is at sample p // FINE and its phase; two intervals before the sample to one after it
+    dense = np.zeros((4 * FINE, count + 3))
+    for point in range(4 * FINE):
+        sample, phase = divmod(point, FINE)
+        dense[point, sample : sample + count] += weights[phase]
+    begin = FINE  # the point one interval before the sample
+    points = np.arange(begin, begin + FINE + 1)
+    bent = dense[points] - (dense[points + 1] - 2 * dense[points] + dense[points - 1]) / 12
+    used = np.flatnonzero(np.abs(bent).max(axis=0) > 0)
+    return bent[:, used[0] : used[-1] + 1], first - 2 + int(used[0])
+
+
+def interpolation(shift: float) -> tuple[Array, int]:
+    """Weights (FINE, taps) of the samples in the values on the fine clock, and the first tap's distance in samples."""
+    place = np.arange(FINE) / FINE - shift
+    first = int(np.floor(place[0])) - REACH + 1
+    last = int(np.floor(place[-1])) + REACH
+    distance = np.arange(first, last + 1) - place[:, None]
+    inside = np.abs(distance) < REACH
+    window = np.i0(SHARPNESS * np.sqrt(np.where(inside, 1 - (distance / REACH) ** 2, 0.0))) * inside
+    weights = np.sinc(distance) * window
+    return np.ascontiguousarray(weights / weights.sum(axis=1, keepdims=True)), first

@@ -1,0 +1,299 @@
+"""What the record itself says of the force before it is known: its spectrum, and the noise of the reading."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
+from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, share_seen
+from aerobalance.estimation.spectra.whittle import fit_spectrum
+from aerobalance.estimation.statespace.kalman import LOAD, Filter, StateSpace
+from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import FitError
+
+BACKGROUND: Final = 1e-2
+"""Variance of the force's background, over the variance of the estimate's error: nothing is taken as impossible."""
+
+
+TOLERANCE: Final = 100.0
+"""Error of the shaping filter's density where it is largest, over the density of that background."""
+
+EDGE_MOVES: Final = (0.5, 1.0, 2.0, 4.0)
+"""Ordinates of the periodogram by which an edge of the spectrum is tried farther out, one after the other."""
+
+EDGE_EVIDENCE: Final = 3.0
+"""Gain in log-likelihood of the innovations for which an edge is moved by one of them."""
+
+
+BESIDE_A_GAP: Final = 64
+"""Readings on either side of a gap at most from whose mean a line leads across it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Learned:
+    """The process that the force is taken for, and the noise, that go with a record.
+
+    Attributes
+    ----------
+    spectrum
+        Spectrum of the force.
+    shaping
+        Shaping filter of that spectrum.
+    noise
+        Standard deviation of the white noise of a reading [N].
+    color
+        What the noise has beyond that; None if nothing.
+    """
+
+    spectrum: Spectrum
+    shaping: ShapingFilter
+    noise: float
+    color: ColoredNoise | ShapedNoise | None = None
+
+    def noise_density(self, frequency: Array, *, interval: float) -> Array:
+        """Two-sided density of the noise of a reading, its mean about evenly spaced frequencies [Hz], [N^2/Hz]."""
+        white = np.full(frequency.shape, self.noise**2 * interval)
+        if self.color is None:
+            return white
+        return white + self.color.density(frequency, width=float(frequency[1] - frequency[0]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """One component's record as the estimator takes it.
+
+    Attributes
+    ----------
+    values
+        Load felt less the response to known inputs, shape (n,) [N]; NaN where missing.
+    interval
+        Time between samples [s].
+    dynamics
+        The balance.
+    input_density
+        Density of the white force noise that comes with the known inputs [N^2/Hz].
+    noise
+        Standard deviation of the white noise of a reading [N]; None when it is to be learned.
+    hum
+        Frequencies of steady lines that are no force [Hz].
+    color
+        What the noise has beyond that; None if nothing is known of it.
+    """
+
+    values: Array
+    interval: float
+    dynamics: Dynamics
+    input_density: float = 0.0
+    noise: float | None = None
+    hum: tuple[float, ...] = ()
+    color: ColoredNoise | ShapedNoise | None = None
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """True where there is a reading, shape (n,)."""
+        return np.isfinite(self.values)
+
+    @property
+    def filled(self) -> Array:
+        """The readings with zero where one is missing, shape (n,) [N]."""
+        return np.where(self.present, self.values, 0.0)
+
+    @property
+    def swing(self) -> float:
+        """Largest departure from the mean [N]: no free oscillation under way at the start is larger."""
+        return float(np.nanmax(np.abs(self.values - np.nanmean(self.values)))) + self.least_noise
+
+    @property
+    def least_noise(self) -> float:
+        """Noise below which double precision cannot tell a reading from its prediction [N]."""
+        return 1e-7 * float(np.nanmax(np.abs(self.values))) + 1e-60
+
+    def system(self, learned: Learned) -> StateSpace:
+        """The state space of this reading with what was learned."""
+        return StateSpace.of_balance(
+            self.dynamics,
+            learned.shaping,
+            interval=self.interval,
+            noise=learned.noise,
+            input_density=self.input_density,
+            swing=self.swing,
+            colors=() if learned.color is None else learned.color.shapings,
+        )
+
+
+def learn(reading: Reading, *, columns: Array, before: Learned | None = None) -> Learned:
+    """Find the spectrum of the force and the noise that make the readings most likely.
+
+    Known shapes are taken out first by plain, then by generalised least squares; missing readings are bridged first by
+    straight lines, then twice by what the smoother says they were.
+
+    Parameters
+    ----------
+    reading
+        The record.
+    columns
+        Known shapes whose sizes are free, shape (n, p): the constant, and the response to every step found so far.
+    before
+        What was learned before with nearly the same shapes: they are then taken out with it to begin with.
+    """
+    present = reading.present
+    if before is not None:
+        return _learned_beside(reading, before, columns)
+    sizes, *_ = np.linalg.lstsq(columns[present], reading.values[present], rcond=None)
+    left = reading.values - columns @ sizes
+    if not present.all():
+        left = bridged(left, present)
+    learned = _learn(reading, left)
+    if not present.all():
+        # what a straight line leaves in a gap is noise to this first answer, and to the bridge that follows from it
+        return _learned_beside(reading, _learned_beside(reading, learned, columns), columns)
+    return learned if columns.shape[1] == 1 else _learned_beside(reading, learned, columns)
+
+
+def bridged(left: Array, present: NDArray[np.bool_]) -> Array:
+    """Gaps filled by straight lines between the means of some readings on either side.
+
+    A line between two single readings is as uncertain as they are, and looks like a slow force.
+    """
+    filled = left.copy()
+    place, known = np.arange(left.size), np.flatnonzero(present)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~present, [False]]))).reshape(-1, 2)
+    for first, last in edges:
+        count = int(np.clip((last - first) // 4, 1, BESIDE_A_GAP))
+        middle = int(np.searchsorted(known, first))
+        before, after = known[max(middle - count, 0) : middle], known[middle : middle + count]
+        ends = np.array([(side.mean(), left[side].mean()) for side in (before, after) if side.size])
+        filled[first:last] = np.interp(place[first:last], ends[:, 0], ends[:, 1])
+    return filled
+
+
+def _learned_beside(reading: Reading, learned: Learned, columns: Array) -> Learned:
+    """What is learned when the known shapes are taken out under a prior, and gaps bridged by its smoother."""
+    present = reading.present
+    filter_ = Filter.of(reading.system(learned), present)
+    sizes, *_ = generalised_least_squares(filter_, reading.filled, columns)
+    left = np.where(present, reading.values - columns @ sizes, 0.0)
+    if not present.all():
+        left = np.where(present, left, filter_.smooth(left)[0][:, LOAD])
+    return _learn(reading, left)
+
+
+def confirmed(reading: Reading, learned: Learned, *, columns: Array) -> Learned:
+    """The same with the edges of its spectrum where the innovations want them.
+
+    Of a short record the periodogram shows an edge to a good ordinate only, but its readings tell much better: a load
+    just beyond an edge that lies too far in is as strong as that within it, and is taken for a shock after the other.
+
+    Parameters
+    ----------
+    reading
+        The record.
+    learned
+        What was learned from its periodogram.
+    columns
+        Known shapes whose sizes are free, shape (n, p).
+    """
+    spectrum = learned.spectrum
+    ordinate = 1 / (reading.values.size * reading.interval)
+    # the shaping filter makes the edges of a longer record wider than that
+    narrow = [place for place in range(spectrum.edges.size - 1) if 2 * ordinate > EDGE * spectrum.edges[place]]
+    if spectrum.roll_off or not narrow:
+        return learned
+    here = log_likelihood(reading, _filter(reading, learned), columns=columns)
+    for place in narrow:
+        for move in EDGE_MOVES:
+            wider = _widened(reading, learned, place=place, width=move * ordinate)
+            found = log_likelihood(reading, _filter(reading, wider), columns=columns)
+            if found < here + EDGE_EVIDENCE:
+                break
+            learned, here = wider, found
+    return learned
+
+
+def _widened(reading: Reading, learned: Learned, *, place: int, width: float) -> Learned:
+    """The same with one edge moved into the fainter of its two segments, or to the end of it."""
+    edges, levels = learned.spectrum.edges.copy(), learned.spectrum.levels
+    if levels[place] > levels[place + 1]:
+        edges[place] = min(edges[place] + width, 0.5 * (edges[place] + edges[place + 1]))
+    else:
+        edges[place] = max(edges[place] - width, 0.5 * (edges[place] + (edges[place - 1] if place else 0.0)))
+    spectrum = replace(learned.spectrum, edges=edges)
+    return replace(learned, spectrum=spectrum, shaping=_shaped(reading, spectrum, learned.noise**2 * reading.interval))
+
+
+def _learn(reading: Reading, values: Array) -> Learned:
+    """The answer from readings without gaps and known shapes; what bridges a gap has no noise."""
+    interval, share = reading.interval, share_seen(reading.present)
+    color = reading.color
+    periodogram = Periodogram.of(
+        values,
+        reading.dynamics,
+        interval=interval,
+        input_density=reading.input_density,
+        color=None if color is None else lambda f, width: share * color.density(f, width=width),
+    )
+    fit = fit_spectrum(
+        periodogram,
+        noise_density=None if reading.noise is None else share * reading.noise**2 * interval,
+        floor=reading.least_noise**2 * interval,
+    )
+    density = fit.noise_density / share
+    shaping = _shaped(reading, fit.spectrum, density)
+    return Learned(fit.spectrum, shaping, float(np.sqrt(density / interval)), color)
+
+
+def _shaped(reading: Reading, spectrum: Spectrum, noise_density: float) -> ShapingFilter:
+    """The shaping filter of a spectrum, over a background so faint that the noise hides it."""
+    highest = 0.5 / reading.interval
+    frequency = np.linspace(0, highest, 8193)[1:]
+    gain = np.abs(reading.dynamics.response(frequency)) ** 2
+    density = spectrum.density(frequency)
+    noise = noise_density + gain * reading.input_density
+    if reading.color is not None:
+        noise = noise + reading.color.density(frequency, width=float(frequency[0]))
+    error = float(np.mean(density * noise / (gain * density + noise)))
+    if not error > 0:
+        return ShapingFilter.silent()
+    resolved = frequency[gain * density > noise]
+    edge = float(resolved[-1]) if resolved.size else frequency[0]
+    if spectrum.roll_off:
+        edge = float(np.sqrt(edge * min(spectrum.roll_off[0], edge)))
+
+    def whole(f: Array) -> Array:
+        ratio = f / highest
+        return np.asarray(spectrum.density(f) / (1 + (ratio / 32) ** 4) + BACKGROUND * error / (1 + ratio**4))
+
+    return ShapingFilter.of_spectrum(whole, centre=edge, tolerance=float(np.sqrt(TOLERANCE * BACKGROUND * error)))
+
+
+def generalised_least_squares(filter_: Filter, readings: Array, columns: Array) -> tuple[Array, Array, float]:
+    """Sizes of known shapes in a record: values (p,), covariance (p, p) and the sum of squares left over [1]."""
+    series = filter_.whiten(np.column_stack([readings, columns]))
+    white, shapes = series[:, 0], series[:, 1:]
+    scale = np.sqrt(np.sum(shapes**2, axis=0))
+    scale[scale == 0] = 1.0  # a shape that no reading shows: its size stays zero
+    if not np.isfinite(series).all():
+        raise FitError("the readings cannot be told from their model: they do not change, or their scale is absurd")
+    solution, _, rank, singular = np.linalg.lstsq(shapes / scale, white, rcond=1e-10)
+    _, _, rows = np.linalg.svd(shapes / scale, full_matrices=False)
+    kept = slice(0, int(rank))
+    spread = rows[kept].T / singular[kept]
+    covariance = spread @ spread.T / np.outer(scale, scale)
+    residual = white - shapes @ (solution / scale)
+    return solution / scale, covariance, float(residual @ residual)
+
+
+def _filter(reading: Reading, learned: Learned) -> Filter:
+    return Filter.of(reading.system(learned), reading.present)
+
+
+def log_likelihood(reading: Reading, filter_: Filter, *, columns: Array) -> float:
+    """Logarithm of the likelihood of a filter's innovations, the sizes of the columns at their best."""
+    *_, squares = generalised_least_squares(filter_, reading.filled, columns)
+    return -0.5 * (filter_.log_determinant + squares)

@@ -1,0 +1,396 @@
+r"""The spectrum of a reading's noise learned from a record of noise alone: wind off, balance at rest.
+
+Level, corner, exponent and humps are found by Whittle's likelihood [Whittle1953]_; a corner or a hump is taken up only
+on evidence. What shakes in the balance itself is no noise of the reading: frequencies near its modes are left out, and
+so are the mains and other lines.
+
+References
+----------
+.. [Whittle1953] P. Whittle, "Estimation and information in stationary time series", Ark. Mat. 2 (1953) 423.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+from scipy.optimize import minimize
+from scipy.signal.windows import tukey
+from scipy.stats import gamma
+
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.spectra.line_noise import columns_of_lines, hum_lines
+from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, Hump, NoiseSpectrum
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, FitError
+
+FEWEST_SAMPLES: Final = 512
+"""Shortest record that a spectrum of noise is learned from."""
+
+TAPER: Final = 0.2
+"""Share of the record over which the window rises and falls: enough for 1/f^2, and most of the record counts."""
+
+FIRST: Final = 2
+"""First ordinate that is used: the mean, which is taken away, is missing in those below."""
+
+FINENESS: Final = 0.01
+"""Width of an average of ordinates over its frequency."""
+
+STRENGTHENED: Final = 4.0
+"""Square of the response above which a frequency is left out: what shakes in the balance is strongest there."""
+
+BESIDE_MODE: Final = 0.1
+"""Relative distance from any mode up to which a frequency is left out."""
+
+UNLIKELY: Final = 1e-4
+"""Probability with which chance makes one ordinate of a record stand out so far that it is taken for a line."""
+
+COLOR_EVIDENCE: Final = 6.0
+"""Gain in log-likelihood that a corner must bring; chance brings it in one of 400 records."""
+
+HUMP_EVIDENCE: Final = 20.0
+"""Gain in log-likelihood that a hump must bring: Schwarz's price is 14, and it is looked for at many places."""
+
+MOST_HUMPS: Final = 4
+"""Most humps."""
+
+WIDTHS: Final = (0.1, 3.0)
+"""Widths of a hump over its frequency."""
+
+MISFIT_BANDS: Final = 24
+"""Bands, a constant ratio wide, in which the record is compared with what is taken for its spectrum."""
+
+MISFIT: Final = 1e-7
+"""Probability of a departure by chance from which on it is none."""
+
+MATTERS: Final = 0.3
+"""Logarithm of the ratio of power from which on they are said to differ."""
+
+FAINTEST: Final = 0.05
+"""Least white density over the mean one."""
+
+
+def noise_spectrum_of(
+    values: Array, dynamics: Dynamics, *, interval: float, input_density: float = 0.0, name: str = "noise"
+) -> NoiseSpectrum:
+    """Learn it from a record of noise alone: wind off, balance at rest.
+
+    Parameters
+    ----------
+    values
+        Readings, shape (n,) [N]; NaN where missing: the longest stretch without is taken.
+    dynamics
+        The balance; frequencies near its modes are left out.
+    interval
+        Time between samples [s].
+    input_density
+        Density of the white noise that enters as a force with known inputs [N^2/Hz].
+    name
+        What the record is called in messages.
+
+    Raises
+    ------
+    FitError
+        The record is too short, does not change, or shows nothing but the modes of the balance.
+    """
+    values = _longest_stretch(values)
+    if values.size < FEWEST_SAMPLES:
+        raise FitError(
+            f"{name}: {values.size} readings of {dynamics.component} without a gap; "
+            f"a spectrum of noise needs at least {FEWEST_SAMPLES}"
+        )
+    if not float(np.ptp(values)) > 0:
+        raise FitError(f"{name}: {dynamics.component} does not change; a record of its noise is needed")
+    seen = Ordinates.of(values, dynamics, interval=interval, input_density=input_density, name=name)
+    point = fitted(seen)
+    covariance = _covariance(point, seen)
+    _tell_of_misfit(seen, model_of(point, seen), component=dynamics.component, name=name)
+    white = float(np.exp(point[0]))
+    humps = humps_of(point)
+    slow = np.isfinite(point[1])
+    exponent = float(point[2]) if slow else 0.0
+    corner = float(np.exp((point[1] - point[0]) / exponent)) if slow else 0.0
+    return NoiseSpectrum(
+        white=white,
+        corner=corner,
+        exponent=exponent,
+        humps=humps,
+        interval=interval,
+        covariance=covariance[1:3, 1:3],
+        u_white=float(np.sqrt(covariance[0, 0])),
+        left_out=seen.lines,
+    )
+
+
+def _tell_of_misfit(seen: Ordinates, model: Array, *, component: str, name: str) -> None:
+    """Say where a record of noise departs from its model by more than chance and by enough to matter."""
+    edges = np.geomspace(seen.frequency[0], seen.frequency[-1] * (1 + 1e-9), MISFIT_BANDS + 1)
+    place = np.digitize(seen.frequency, edges) - 1
+    weight = np.bincount(place, seen.weight, MISFIT_BANDS)
+    ratio = np.bincount(place, seen.weight * seen.density / model, MISFIT_BANDS) / np.maximum(weight, 1e-300)
+    chance = np.minimum(gamma.sf(weight * ratio, weight), gamma.cdf(weight * ratio, weight))
+    wrong = np.flatnonzero((weight > 0) & (ratio > 0) & (chance < MISFIT))
+    wrong = wrong[np.abs(np.log(ratio[wrong])) > MATTERS]
+    if wrong.size:
+        worst = int(wrong[np.argmax(np.abs(np.log(ratio[wrong])))])
+        warnings.warn(
+            f"{name}: the noise of {component} is no white noise with 1/f and broad humps: between {edges[worst]:.3g} "
+            f"and {edges[worst + 1]:.3g} Hz its power is {ratio[worst]:.2g} times what is taken; the uncertainty of a "
+            "force there is wrong by as much",
+            DoubtWarning,
+            stacklevel=3,
+        )
+
+
+def _longest_stretch(values: Array) -> Array:
+    """The longest part without a missing reading."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.isfinite(values).astype(np.int8), [0]])))
+    starts, ends = edges[::2], edges[1::2]
+    if not starts.size:
+        return values[:0]
+    longest = int(np.argmax(ends - starts))
+    return values[starts[longest] : ends[longest]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ordinates:
+    """Averaged ordinates of a record of noise, those that shake or are lines left out.
+
+    Attributes
+    ----------
+    frequency
+        Middle of each average [Hz], shape (m,).
+    density
+        Two-sided density of the reading [N^2/Hz].
+    weight
+        Number of independent ordinates in each average [1].
+    gain
+        Square of the response load over force, averaged alike [1].
+    fixed
+        Density that comes with known inputs [N^2/Hz].
+    interval
+        Time between samples [s].
+    lines
+        Frequencies of lines that are left out [Hz].
+    """
+
+    frequency: Array
+    density: Array
+    weight: Array
+    gain: Array
+    fixed: Array
+    interval: float
+    lines: tuple[float, ...]
+
+    @classmethod
+    def of(
+        cls,
+        values: Array,
+        dynamics: Dynamics,
+        *,
+        interval: float,
+        input_density: float = 0.0,
+        taper: float = TAPER,
+        name: str = "noise",
+    ) -> Ordinates:
+        """Take the periodogram of a record without gaps under a window that tapers over a share of it."""
+        values = values - values.mean()
+        mains = [line.frequency for line in hum_lines(values, interval)]
+        columns = columns_of_lines(mains, count=values.size, interval=interval)
+        values = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+        window = tukey(values.size, taper)
+        power = np.abs(np.fft.rfft(values * window)) ** 2 * (interval / np.sum(window**2))
+        frequency = np.arange(power.size) / (values.size * interval)
+        gain = np.abs(dynamics.response(frequency)) ** 2
+        kept = gain < STRENGTHENED
+        for mode in dynamics.modes:
+            kept &= np.abs(frequency / mode.natural_frequency - 1) > BESIDE_MODE
+        kept[:FIRST] = kept[-1] = False
+        lines = _lines(power) & kept
+        places = np.flatnonzero(lines)
+        kept &= ~maximum_filter1d(lines, 5)
+        if np.count_nonzero(kept) < FEWEST_SAMPLES // 8:
+            raise FitError(
+                f"{name}: beside the modes of {dynamics.component} nothing is left to tell its noise from; "
+                "a higher sampling rate or a longer record would help"
+            )
+        index = np.flatnonzero(kept)
+        edges = _averages(index)
+        count = np.diff(np.append(edges, index.size))
+        found = np.stack([frequency, power, gain])[:, index]
+        frequency, power, gain = np.add.reduceat(found, edges, axis=1) / count
+        # the taper's ordinates are not independent: as many as sum(w^2)^2 / sum(w^4) readings give
+        share = float(np.sum(window**2) ** 2 / np.sum(window**4) / values.size)
+        separate = [float(f) for f in places[np.diff(places, prepend=-9) > 2] / (values.size * interval)]
+        lines_left_out = tuple(sorted([*mains, *separate]))
+        return cls(frequency, power, count * share, gain, gain * input_density, interval, lines_left_out)
+
+    @property
+    def lowest_hump(self) -> float:
+        """Lowest frequency at which a hump is looked for [Hz]: above the 1/f part, or from the first ordinate on."""
+        first, last = float(self.frequency[0]), float(self.frequency[-1])
+        return min(4 * first, max(first, 0.02 * last))
+
+    def above(self, frequency: float) -> Ordinates:
+        """Those above a frequency [Hz]."""
+        kept = self.frequency > frequency
+        return replace(
+            self,
+            frequency=self.frequency[kept],
+            density=self.density[kept],
+            weight=self.weight[kept],
+            gain=self.gain[kept],
+            fixed=self.fixed[kept],
+        )
+
+
+def _lines(power: Array) -> NDArray[np.bool_]:
+    """Ordinates that stand so far out of those around them that they are lines."""
+    found = np.zeros(power.size, dtype=np.bool_)
+    limit = np.log(power.size / UNLIKELY)
+    first = 16
+    while first < power.size - 8:
+        part = slice(first, first + max(first // 8, 16))
+        near = power[max(first - max(first // 4, 16), 8) : part.stop + max(first // 4, 16)]
+        # of exponential ordinates the median is log 2 of the mean; a slope of 1/f^2 bends that by under a half
+        level = float(np.median(near)) / np.log(2)
+        found[part] = power[part] > 1.5 * limit * level
+        first = part.stop
+    return found
+
+
+def _averages(index: NDArray[np.intp]) -> NDArray[np.intp]:
+    """First places of the averages of ordinates, never over a part that is left out."""
+    edges, here = [], 0
+    while here < index.size:
+        edges.append(here)
+        width = max(1, int(FINENESS * index[here]))
+        last = int(np.searchsorted(index, index[here] + width))
+        here = max(last, here + 1)
+    return np.array(edges)
+
+
+def model_of(point: Array, seen: Ordinates) -> Array:
+    """Density of a point: log white, log of the 1/f part at 1 Hz, exponent, then log of frequency, width and level."""
+    model = seen.fixed + np.exp(point[0])
+    if np.isfinite(point[1]):
+        model = model + np.exp(point[1] - point[2] * np.log(seen.frequency))
+    for hump in humps_of(point):
+        model = model + hump.sampled(seen.frequency, seen.interval)
+    return np.asarray(model)
+
+
+def humps_of(point: Array) -> tuple[Hump, ...]:
+    """The humps of a point."""
+    return tuple(Hump(*(float(number) for number in np.exp(part))) for part in point[3:].reshape(-1, 3))
+
+
+def cost_of(model: Array, seen: Ordinates) -> float:
+    """Less the logarithm of Whittle's likelihood."""
+    return float(seen.weight @ (np.log(model) + seen.density / model))
+
+
+def fitted(seen: Ordinates, *, slow: bool = True) -> Array:
+    """The likeliest point with as many parts as there is evidence for; without a 1/f part if that is not wanted."""
+    mean = float(np.average(seen.density, weights=seen.weight))
+    plain = np.array([np.log(float(np.median(seen.density))), -np.inf, 1.0])
+    best, here = _lowered(plain, seen, mean)
+    if slow:
+        trial, cost = min(
+            (_lowered(start, seen, mean) for start in _slow_starts(best, seen)), key=lambda pair: pair[1]
+        )
+        if here - cost > COLOR_EVIDENCE and _corner_inside(trial, seen):
+            best, here = trial, cost
+    for _ in range(MOST_HUMPS):
+        start = _hump_start(best, seen)
+        trials = [_lowered(np.concatenate([best, start]), seen, mean)]
+        if slow and not np.isfinite(best[1]):  # a hump may have hidden the corner
+            trials += [
+                _lowered(np.concatenate([other, start]), seen, mean) for other in _slow_starts(best[:3], seen)[:1]
+            ]
+        trial, cost = min(trials, key=lambda pair: pair[1])
+        if here - cost < HUMP_EVIDENCE or not _corner_inside(trial, seen):
+            break
+        best, here = trial, cost
+    return best
+
+
+def _corner_inside(point: Array, seen: Ordinates) -> bool:
+    """Whether a 1/f part, if there is one, has fallen below the white part within the band."""
+    return bool(point[1] - point[0] < -point[2] * np.log(2 * seen.interval))
+
+
+def _slow_starts(point: Array, seen: Ordinates) -> list[Array]:
+    """Points with a 1/f part to begin with: exponents, each as strong as the lowest ordinates show."""
+    low = slice(0, 12)
+    f = float(np.exp(np.mean(np.log(seen.frequency[low]))))
+    level = max(float(np.mean(seen.density[low])) - np.exp(point[0]), 1e-3 * np.exp(point[0]))
+    starts = []
+    for exponent in (0.7, 1.0, 1.6):
+        start = point.copy()
+        start[1:3] = np.log(level) + exponent * np.log(f), exponent
+        starts.append(start)
+    return starts
+
+
+def _hump_start(point: Array, seen: Ordinates) -> Array:
+    """Frequency, width and level of the hump that promises most beside a point, their logarithms."""
+    model = model_of(point, seen)
+    best, gain = np.zeros(3), -np.inf
+    for centre in np.geomspace(seen.lowest_hump, 0.6 / seen.interval, 40):
+        for width in (0.2, 0.6, 1.5):
+            shape = Hump(float(centre), width, 1.0).sampled(seen.frequency, seen.interval)
+            size = shape / model
+            level = float(seen.weight @ ((seen.density / model - 1) * size) / (seen.weight @ size**2))
+            if level <= 0:
+                continue
+            promise = cost_of(model, seen) - cost_of(model + level * shape, seen)
+            if promise > gain:
+                best, gain = np.log([centre, width, level]), promise
+    return best if np.isfinite(gain) else np.log([seen.frequency[-1] / 2, 1.0, 1e-3 * model[-1]])
+
+
+def _lowered(start: Array, seen: Ordinates, mean: float) -> tuple[Array, float]:
+    """The point of least cost from a start, and that cost."""
+    free = np.isfinite(start)
+    free[2] = free[1]
+    humps = (start.size - 3) // 3
+    logarithms = [[FAINTEST, 1e3], [1e-12, 1e12]], [[0.5 * seen.lowest_hump, 0.7 / seen.interval], WIDTHS, [1e-9, 1e9]]
+    of_noise, of_hump = (np.log(part) for part in logarithms)
+    of_noise += np.log(mean)
+    of_hump[2] += np.log(mean)
+    limits = np.concatenate([of_noise, [EXPONENTS], np.tile(of_hump, (humps, 1))])[free].T
+
+    def whole(point: Array) -> Array:
+        full = start.copy()
+        full[free] = point
+        return full
+
+    found = minimize(  # type: ignore[call-overload]
+        lambda point: cost_of(model_of(whole(point), seen), seen),
+        np.clip(start[free], *limits),
+        method="L-BFGS-B",
+        bounds=list(zip(*limits, strict=True)),
+        options={"maxiter": 200, "ftol": 1e-10},
+    )
+    return whole(found.x), float(found.fun)
+
+
+def _covariance(point: Array, seen: Ordinates) -> Array:
+    """Covariance of a point's numbers, from Fisher's information; zero for those that it does not have."""
+    model = model_of(point, seen)
+    free = np.isfinite(point)
+    free[2] = free[1]
+    slopes = np.zeros((model.size, point.size))
+    for place in np.flatnonzero(free):
+        change = 1e-4 * np.eye(point.size)[place]
+        moved = [np.where(np.isfinite(point), point, -np.inf) + sign * change for sign in (1, -1)]
+        slopes[:, place] = (model_of(moved[0], seen) - model_of(moved[1], seen)) / (2e-4 * model)
+    information = (slopes * seen.weight[:, None]).T @ slopes
+    covariance = np.zeros((point.size, point.size))
+    covariance[np.ix_(free, free)] = np.linalg.pinv(information[np.ix_(free, free)], hermitian=True)
+    return covariance

@@ -1,0 +1,1 @@
+"""Linear systems on a clock: shaping filters, Kalman filter and smoother, and their kernels."""

@@ -1,0 +1,1 @@
+"""Dynamics from a shaken ground end: stepped sine, sweep or random, one component or several."""

@@ -1,0 +1,1 @@
+"""Dynamics of one component from a free decay of its load."""

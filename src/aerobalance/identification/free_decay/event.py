@@ -1,0 +1,102 @@
+"""Where a ringing begins, before anything is fitted: the strongest line of a record and its sharpest onset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from scipy.signal import find_peaks
+
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import FitError
+
+Shape = Literal["release", "ramp", "free"]
+
+CANDIDATES: Final = 3
+"""Lines of the spectrum among which the ringing with the sharpest onset is taken."""
+
+SIDELOBES: Final = 0.2
+"""Distance, in the logarithm of frequency, within which a peak is taken for a sidelobe of a stronger one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Where to start: shape, frequency [Hz], decay rate [1/s], instant of release [s] and sampling rate [Hz]."""
+
+    shape: Shape
+    frequency: float
+    decay: float
+    start: float
+    rate: float
+
+
+def first_look(values: Array, *, rate: float, name: str) -> Look:
+    """Find the strongest ringing of a record and the instant at which it begins.
+
+    Raises
+    ------
+    FitError
+        Nothing rings: no line stands out of the spectrum.
+    """
+    present = np.isfinite(values)
+    filled = np.interp(np.arange(values.size), np.flatnonzero(present), values[present])
+    candidates = _peaks(filled, rate, name)
+    looks = [_onset(filled, frequency, rate) for frequency in candidates]
+    return max(looks, key=lambda pair: pair[1])[0]
+
+
+def _peaks(values: Array, rate: float, name: str) -> list[float]:
+    """The strongest lines of a record's increments, in which a step is no more than an impulse [Hz]."""
+    change = np.diff(values)
+    change = change - change.mean()
+    spectrum = np.abs(np.fft.rfft(change, 2 * change.size)) ** 2
+    frequency = np.fft.rfftfreq(2 * change.size, 1 / rate)
+    lowest = int(np.searchsorted(frequency, 3 * rate / values.size))
+    spectrum[: max(lowest, 2)] = 0.0
+    # white noise grows with frequency in the increments: weigh it flat before comparing
+    flat = spectrum / np.maximum(np.sin(np.pi * frequency / rate), 1e-6) ** 2
+    flat[: max(lowest, 2)] = 0.0
+    floor = float(np.median(flat[max(lowest, 2) :]))
+    peaks, _ = find_peaks(flat, distance=8)
+    peaks = peaks[flat[peaks] > 30 * max(floor, np.finfo(float).tiny)]
+    if peaks.size == 0:
+        raise FitError(
+            f"{name}: nothing rings: no line of the spectrum stands out of the noise; is the release in the record?"
+        )
+    chosen: list[float] = []
+    for place in peaks[np.argsort(spectrum[peaks])[::-1]]:
+        if all(abs(np.log(frequency[place] / other)) > SIDELOBES for other in chosen):
+            chosen.append(float(frequency[place]))
+        if len(chosen) == CANDIDATES:
+            break
+    return chosen
+
+
+def _onset(values: Array, frequency: float, rate: float) -> tuple[Look, float]:
+    """Where the ringing at a frequency begins, how it decays, and how much its envelope rises there."""
+    width = max(round(2 * rate / frequency), 4)
+    carrier = np.exp(-2j * np.pi * frequency * np.arange(values.size) / rate)
+    centred = values - np.convolve(
+        np.pad(values, width, mode="edge"), np.ones(2 * width + 1) / (2 * width + 1), "valid"
+    )
+    envelope = 2 * np.abs(np.convolve(centred * carrier, np.ones(width) / width, "same"))
+    mean = np.cumsum(np.concatenate(([0.0], envelope)))
+    span = min(3 * width, values.size // 3)
+    places = np.arange(span, values.size - span)
+    rise = (mean[places + span] - 2 * mean[places] + mean[places - span]) / span
+    place = int(places[np.argmax(rise)]) if places.size else 0
+    head = float(envelope[:span].mean())
+    released = bool(rise.size and rise.max() > head)
+    first = place if released else 0
+    tail = envelope[first + width :]
+    floor = float(np.median(envelope[-max(width, envelope.size // 10) :]))
+    above = np.flatnonzero(tail < max(3 * floor, 0.05 * float(np.max(tail[: width + 1], initial=0.0))))
+    count = int(above[0]) if above.size else tail.size
+    if count > 8 and tail.size > 8:
+        slope = np.polyfit(np.arange(count) / rate, np.log(np.maximum(tail[:count], 1e-300)), 1)[0]
+    else:
+        slope = -0.05 * 2 * np.pi * frequency
+    decay = float(np.clip(-slope, 1e-5 * frequency, 4 * frequency))
+    strength = float(rise.max()) if released else head
+    return Look("release" if released else "free", frequency, decay, first / rate, rate), strength

@@ -1,0 +1,60 @@
+"""The line that the residuals of a fitted waveform still show: hum, or a mode that the fit lacks."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from aerobalance.identification.free_decay.waveform import Line, Ring, projected
+
+FALSE_ALARM: Final = 1e-6
+"""Probability that white noise shows a line somewhere in the spectrum of the residuals."""
+
+
+def leftover_line(ring: Ring) -> Line | None:
+    """The strongest line that the residuals still show, steady or decaying from the release; None if all is noise."""
+    if ring.variance < (1e-9 * ring.amplitude) ** 2:
+        return None
+    centre = _strongest_line(ring)
+    if centre is None:
+        return None
+    left, since = ring.residuals, np.maximum(ring.time - ring.start, 0.0)
+    begun = ring.time >= ring.start
+    best: tuple[float, Line] | None = None
+    for decay in (0.0, *(2 * np.pi * centre * np.geomspace(0.002, 0.1, 8))):
+        for shift in np.linspace(-1, 1, 9) * max(1 / (ring.time[-1] - ring.time[0]), 0.2 * decay):
+            w = 2 * np.pi * (centre + shift)
+            fall = np.exp(-decay * since) * (begun if decay > 0 else 1.0)
+            phase = w * (since if decay > 0 else ring.time - ring.time[0])
+            remaining = projected(np.column_stack([fall * np.cos(phase), fall * np.sin(phase)]), left)[1]
+            squares = float(remaining @ remaining)
+            if best is None or squares < best[0]:
+                best = squares, Line(centre + shift, decay)
+    return best[1] if best else None
+
+
+def _strongest_line(ring: Ring) -> float | None:
+    """Frequency of the most significant peak of the residual spectrum [Hz], over the record and shortly after release.
+
+    A mode that dies quickly stands out only of a short stretch, hum only of a long one.
+    """
+    first = int(np.searchsorted(ring.time, ring.start))
+    after = ring.time.size - first
+    stretches = [slice(0, ring.time.size), *(slice(first, first + after // part) for part in (4, 16))]
+    best: tuple[float, float] | None = None
+    for stretch in stretches:
+        left = ring.residuals[stretch]
+        if left.size < 64:
+            continue
+        duration = left.size / ring.rate
+        power = np.abs(np.fft.rfft(left - left.mean(), 2 * left.size)) ** 2
+        frequency = np.fft.rfftfreq(2 * left.size, 1 / ring.rate)
+        power[: int(np.searchsorted(frequency, 4 / duration))] = 0.0
+        width = max(5 * ring.decay / (2 * np.pi), 4 / duration)
+        power[np.abs(frequency - ring.frequency) < width] = 0.0  # what is left there is the first mode's own misfit
+        place = int(np.argmax(power))
+        significance = power[place] / (left.size * ring.variance) + np.log(FALSE_ALARM / left.size)
+        if significance > 0 and (best is None or significance > best[0]):
+            best = float(significance), float(frequency[place])
+    return best[1] if best else None

@@ -1,0 +1,215 @@
+"""What a set of releases tells about coupled components, and what is doubtful about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Mode
+from aerobalance.identification.rigid_body import RigidMassFit
+from aerobalance.identification.step_relaxation.experiment_design import ReleaseAdvice, combination_text
+from aerobalance.identification.step_relaxation.free_response import Complex
+from aerobalance.identification.step_relaxation.internal_coordinates import static_shares
+from aerobalance.identification.step_relaxation.model import Kind
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.wording import percent_text
+
+FORCE_ERROR_SAID: Final = 10.0
+"""Force error, over half of range, beyond which only that it is larger is said."""
+
+APPLIED: Final = 0.1
+"""Rms of the load for which the force error is predicted, over half of range."""
+
+TOO_LARGE: Final = 1e-3
+"""Predicted force error over half of range above which a further release is asked for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReleaseFound:
+    """What was found of one release.
+
+    Attributes
+    ----------
+    name
+        The recording.
+    kind
+        ``"release"``: held and let go at once. ``"ramp"``: let go over a duration. ``"free"``: no clean release from
+        rest (a tap, or a recording that begins later); only the free decay was used.
+    instant, u_instant
+        Instant of the release, or of the first reading used, on the recording's clock, and its standard uncertainty
+        [s]; zero where the decay is free.
+    duration
+        Time over which the load was let go [s].
+    step
+        Loads held before less loads after, shape (n,) [N, N*m]; NaN where the decay is free.
+    shares
+        Amplitude of every mode over the sum of all, each load over half of range, shape (modes,).
+    visibility
+        Root of the energy of every mode over the noise of one reading, shape (modes,).
+    time, residuals
+        Readings less fit, shape (m,) on the recording's clock [s] and (m, n) [N, N*m].
+    """
+
+    name: str
+    kind: Kind
+    instant: float
+    u_instant: float
+    duration: float
+    step: Array
+    shares: Array
+    visibility: Array
+    time: Array
+    residuals: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoupledResult:
+    """What recordings tell about coupled components, from releases or from shaking.
+
+    Attributes
+    ----------
+    dynamics
+        A and D with their covariance, and the rigid mass where it is known.
+    modes, u_natural_frequency, u_damping_ratio
+        Modes, the slowest first, and their standard uncertainties, shape (modes,) [Hz] and [1].
+    mode_shapes
+        Loads felt in every mode over half of range, rows, the largest of a row 1; shape (modes, n).
+    combinations
+        Combination of loads, each over half of range, that sets off a mode and no other, rows; shape (modes, n).
+    half_range, half_range_given
+        Half of range by component, shape (n,) [N, N*m], and whether it was given; otherwise the largest change of
+        load in the recordings stands for it.
+    residual_deviation
+        Standard deviation of the residuals, shape (n,) [N, N*m].
+    reduced_chi2
+        Variance of the residuals over that of the noise as given for the channel or judged from it, shape (n,).
+    colour
+        Power of the residuals near the modes over that of white noise, 1 where they pass as white, shape (n,);
+        the uncertainties contain it.
+    degrees_of_freedom
+        Readings used less parameters.
+    applied, band
+        Load for which the force error is predicted: rms by component, shape (n,) [N, N*m], white between two
+        frequencies [Hz].
+    force_error
+        Rms error of the force under that load from the uncertainty of A and D alone, shape (n,) [N, N*m].
+    notes
+        What a reader of the result should know, each a sentence.
+    """
+
+    dynamics: CoupledDynamics
+    modes: tuple[Mode, ...]
+    u_natural_frequency: Array
+    u_damping_ratio: Array
+    mode_shapes: Complex
+    combinations: Array
+    half_range: Array
+    half_range_given: bool
+    residual_deviation: Array
+    reduced_chi2: Array
+    colour: Array
+    degrees_of_freedom: int
+    applied: Array
+    band: tuple[float, float]
+    force_error: Array
+    notes: tuple[str, ...]
+
+    @property
+    def shares(self) -> Array:
+        """Part of the loads felt at rest that each mode carries, shape (modes,)."""
+        return static_shares(self.dynamics.modal_form)
+
+    @property
+    def further(self) -> tuple[int, ...]:
+        """Places of the modes of the model or sting: those of least share, one for each hidden coordinate."""
+        return tuple(sorted(int(place) for place in np.argsort(self.shares)[: self.dynamics.hidden]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoupledIdentification(CoupledResult):
+    """What a set of releases tells about coupled components.
+
+    Attributes
+    ----------
+    releases
+        What was found of every release.
+    advice
+        What one further release would bring.
+    rigid
+        The rigid mass behind A, and its tests; None where no mass was given or none was found.
+    """
+
+    releases: tuple[ReleaseFound, ...]
+    advice: ReleaseAdvice
+    rigid: RigidMassFit | None
+
+
+def doubt_about_error(found: CoupledResult, *, left_by: str, energy: Array, remedy: str, after: float) -> list[str]:
+    """Say that the force error that the recordings leave is large, and what would bring it down.
+
+    Parameters
+    ----------
+    found
+        What was found.
+    left_by
+        The recordings in words.
+    energy
+        How strongly each mode was excited, shape (modes,).
+    remedy, after
+        What to add, and the largest force error that it would leave, over half of range.
+    """
+    names = found.dynamics.components
+    relative = found.force_error / found.half_range
+    if relative.max() <= TOO_LARGE:
+        return []
+    range_text = "half of range" if found.half_range_given else "the largest load in the recordings"
+    large = ", ".join(
+        f"{name} {error:.2g} {si_unit(name)} ({percent_text(part, most=FORCE_ERROR_SAID)})"
+        for name, error, part in zip(names, found.force_error, relative, strict=True)
+        if part > TOO_LARGE
+    )
+    weak = int(np.argmin(energy))
+    text = (
+        f"the {left_by} leave a force error of more than {100 * TOO_LARGE:g} % of {range_text} under a broadband "
+        f"load of {100 * APPLIED:g} % rms to {found.band[1]:.4g} Hz: {large}; least excited is the mode at "
+        f"{found.modes[weak].natural_frequency:.4g} Hz (by {combination_text(found.combinations[weak], names)}); "
+        f"{remedy} brings it down to {percent_text(after, most=FORCE_ERROR_SAID)}"
+    )
+    return [text]
+
+
+def doubt_about_colour(found: CoupledResult) -> list[str]:
+    """Say that the residuals near the modes are more than noise."""
+    names = found.dynamics.components
+    coloured = [f"{name} ({value:.1f})" for name, value in zip(names, found.colour, strict=True) if value > 2]
+    if not coloured:
+        return []
+    text = (
+        f"the residuals near the modes are stronger than white noise in {', '.join(coloured)} (power over white); "
+        "something else moves too, and the uncertainties are enlarged accordingly"
+    )
+    return [text]
+
+
+def doubts_about(found: CoupledIdentification) -> list[str]:
+    """What is doubtful about the identification from releases."""
+    names = found.dynamics.components
+    best = names.index(found.advice.best)
+    notes = doubt_about_error(
+        found,
+        left_by="releases",
+        energy=np.sum([release.visibility**2 for release in found.releases], axis=0),
+        remedy=f"a release along {names[best]} of {found.advice.sizes[best]:.3g} {si_unit(names[best])}",
+        after=float((found.advice.errors[best] / found.half_range).max()),
+    )
+    notes += doubt_about_colour(found)
+    free = [release.name for release in found.releases if release.kind == "free"]
+    if free:
+        notes.append(
+            f"the ringing of {', '.join(free)} is not that of a clean release from rest; only its free decay is used"
+        )
+    return notes

@@ -1,0 +1,1 @@
+"""Dynamics of coupled components from loads that are let go."""

@@ -1,0 +1,338 @@
+"""Least squares over the matrices of all releases together and what is each release's own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.linalg import cho_factor, solve_triangular
+
+from aerobalance.identification.step_relaxation.free_response import FreeMotion
+from aerobalance.identification.step_relaxation.internal_coordinates import coordinates_of, invariances, pinned
+from aerobalance.identification.step_relaxation.model import Linear, Piece, damped, linearise, of_matrices
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import FitError
+
+MOST_STEPS: Final = 60
+"""Gauss-Newton steps after which the fit is given up."""
+
+ENOUGH: Final = 1e-3
+"""Promised drop of the squares, in variances, at which a fit has settled."""
+
+VALLEY: Final = 20
+"""Steps over which a fit that gains less than one variance has settled, or at the end less than one of the misfit."""
+
+LARGEST_GROWTH: Final = 20.0
+"""Logarithm of the growth of a trial motion over a record beyond which it is not tried."""
+
+FIRM: Final = 1e4
+"""Weight with which directions that change nothing are held in the information, over that of a single parameter."""
+
+LEAST_INDEPENDENCE: Final = 1e-3
+"""Least eigenvalue of the correlation matrix of the noise that is believed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReleaseFit:
+    """Matrices and own parameters that explain all pieces best.
+
+    Attributes
+    ----------
+    pieces
+        The records.
+    matrices
+        A^-1 and A^-1 D row by row, shape (2 N^2,), in the units of the pieces.
+    own
+        Own parameters of every piece.
+    noise
+        Covariance of the noise of a row, shape (n, n).
+    linears
+        Every record near the solution.
+    """
+
+    pieces: tuple[Piece, ...]
+    matrices: Array
+    own: tuple[Array, ...]
+    noise: Array
+    linears: tuple[Linear, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of components n."""
+        return int(self.pieces[0].values.shape[1])
+
+    @property
+    def motion(self) -> FreeMotion:
+        """Free motion of the matrices found."""
+        return motion_of(self.matrices, self.size)
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters that change readings, those of the records included."""
+        return self.matrices.size - 2 * self.hidden**2 + sum(piece.own for piece in self.pieces)
+
+    @property
+    def hidden(self) -> int:
+        """Number of hidden coordinates e."""
+        return coordinates_of(self.matrices) - self.size
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Readings used less parameters."""
+        return self.size * sum(linear.rows for linear in self.linears) - self.parameters
+
+    @property
+    def information(self) -> Array:
+        """Rows whose squares are the information on the matrices, shape (k, 2 N^2).
+
+        The 2 e^2 directions that change neither readings nor forces are held where they are.
+        """
+        rows = self._rows
+        table = np.vstack(rows)
+        scale = np.linalg.norm(table, axis=0)
+        unseen = invariances(self.matrices, self.size, loads=np.eye(self.size))
+        rows.append(FIRM * pinned(unseen, scale) * scale)
+        return np.asarray(np.linalg.qr(np.vstack(rows), mode="r"))
+
+    @property
+    def _rows(self) -> list[Array]:
+        return [
+            of_matrices(linear.block, piece.own)[:, :-1]
+            for linear, piece in zip(self.linears, self.pieces, strict=True)
+        ]
+
+
+def motion_of(matrices: Array, n: int) -> FreeMotion:
+    """Free motion of A^-1 and A^-1 D given row by row, of n loads felt and hidden coordinates behind them."""
+    size = coordinates_of(matrices)
+    return FreeMotion.of(*matrices.reshape(2, size, size), components=n)
+
+
+def loads_let_go(pieces: Sequence[Piece], own: Sequence[Array]) -> Array:
+    """Loads let go from rest, one a column, shape (n, r)."""
+    n = pieces[0].values.shape[1]
+    found = [
+        mine[n : 2 * n] - mine[:n]
+        for piece, mine in zip(pieces, own, strict=True)
+        if piece.kind != "free" and not piece.anywhere
+    ]
+    return np.array(found).reshape(-1, n).T
+
+
+def whitener_of(noise: Array) -> Array:
+    """What turns noise of this covariance into independent unit noise."""
+    factor = cho_factor(noise, lower=True)[0]
+    return np.asarray(solve_triangular(np.tril(factor), np.eye(noise.shape[0]), lower=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What is known of the matrices beside the pieces: squares of (target - rows (matrices - about)), unit noise."""
+
+    rows: Array
+    target: Array
+    about: Array
+
+    def left(self, matrices: Array) -> Array:
+        """Residuals of this knowledge, shape (k,)."""
+        return np.asarray(self.target - self.rows @ (matrices - self.about))
+
+
+def others_than(fit: ReleaseFit, number: int) -> Known:
+    """What all pieces but one tell about the matrices, near the solution."""
+    blocks = [
+        of_matrices(linear.block, piece.own)
+        for place, (linear, piece) in enumerate(zip(fit.linears, fit.pieces, strict=True))
+        if place != number
+    ]
+    n = fit.matrices.size
+    rows = np.vstack([np.zeros((1, n + 1)), *blocks])
+    return Known(rows[:, :-1], rows[:, -1], fit.matrices)
+
+
+def settle(
+    pieces: Sequence[Piece],
+    matrices: Array,
+    own: Sequence[Array],
+    *,
+    noise: Array,
+    known: Known | None = None,
+    steps: int = MOST_STEPS,
+    enough: float = ENOUGH,
+    flat: float = 1.0,
+) -> ReleaseFit:
+    """Minimise over all parameters by damped Gauss-Newton steps, until `VALLEY` of them gain less than `flat`.
+
+    Raises
+    ------
+    FitError
+        The fit does not settle.
+    """
+    pieces, own = tuple(pieces), tuple(own)
+    n, whitener = pieces[0].values.shape[1], whitener_of(noise)
+    known = known or Known(np.zeros((0, matrices.size)), np.zeros(0), matrices)
+    caution = 0.0
+    here = _linears(pieces, matrices, own, whitener)
+    squares = total_squares(here, known, matrices)
+    history = []
+    for _ in range(steps * (1 + coordinates_of(matrices) - n)):  # valleys bend more with hidden coordinates
+        history.append(squares)
+        if len(history) > VALLEY and history[-VALLEY] - squares < flat:  # for the covariance to tell
+            return ReleaseFit(pieces, matrices, own, noise, here)
+        unseen = invariances(matrices, n, loads=loads_let_go(pieces, own))
+        move, moves, promised = _step(pieces, here, caution, known=known, matrices=matrices, unseen=unseen)
+        if promised < max(enough, 1e-12 * squares):
+            return ReleaseFit(pieces, matrices, own, noise, here)
+        trial = matrices + move
+        tried = tuple(old + change for old, change in zip(own, moves, strict=True))
+        found, tried = _tried(pieces, trial, tried, whitener=whitener, known=known, enough=squares)
+        if found < squares:
+            matrices, own, caution = trial, tried, caution / 10 if caution > 1e-6 else 0.0
+            here = _linears(pieces, matrices, own, whitener)
+            squares = found
+        elif promised < 1e-9 * squares:  # rounding is all that is left
+            return ReleaseFit(pieces, matrices, own, noise, here)
+        else:
+            caution = max(10 * caution, 1e-3)
+    if history[-VALLEY] - squares < _worth(here, whitener):
+        return ReleaseFit(pieces, matrices, own, noise, here)
+    raise FitError(
+        f"{', '.join(piece.name for piece in pieces)}: the fit of the decays does not settle; are these releases of "
+        "one and the same balance and model, with nothing touching it?"
+    )
+
+
+def reweighed(fit: ReleaseFit, noise: Array) -> ReleaseFit:
+    """A settled fit under noise of another covariance; where it no longer settles, it stands where it is."""
+    try:
+        return settle(fit.pieces, fit.matrices, fit.own, noise=noise)
+    except FitError:  # the valley of a mode that is left out
+        linears = _linears(fit.pieces, fit.matrices, fit.own, whitener_of(noise))
+        return replace(fit, noise=noise, linears=linears)
+
+
+def _worth(linears: Sequence[Linear], whitener: Array) -> float:
+    """Drop of the squares that is worth one variance: 1 for noise, and more for a misfit in few frequencies.
+
+    A mode that the motion lacks leaves a misfit that no step takes away, and makes the valley long and flat.
+    """
+    power = np.concatenate(
+        [
+            np.abs(np.fft.rfft(linear.ringing @ whitener.T, axis=0)[1:]).ravel() ** 2 / len(linear.ringing)
+            for linear in linears
+        ]
+    )
+    return float(np.sum(power**2) / (2 * np.sum(power)))  # the squares of noise, of exponential distribution, are 2
+
+
+def _tried(
+    pieces: tuple[Piece, ...],
+    trial: Array,
+    own: tuple[Array, ...],
+    *,
+    whitener: Array,
+    known: Known,
+    enough: float,
+) -> tuple[float, tuple[Array, ...]]:
+    """Squares with trial matrices; where hidden coordinates bend the valley, own parameters follow these."""
+    n = whitener.shape[0]
+    rounds = 2 if coordinates_of(trial) > n else 1
+    found = np.inf
+    for number in range(rounds):
+        if not _bounded(pieces, motion_of(trial, n), own):
+            return np.inf, own
+        linears = _linears(pieces, trial, own, whitener, derivatives=number + 1 < rounds)
+        found = total_squares(linears, known, trial)
+        if found < enough:
+            break
+        if number + 1 < rounds:
+            blocks = [linear.block[: piece.own] for linear, piece in zip(linears, pieces, strict=True)]
+            own = tuple(
+                mine + np.linalg.lstsq(block[:, : mine.size], block[:, -1], rcond=1e-14)[0]
+                for mine, block in zip(own, blocks, strict=True)
+            )
+    return found, own
+
+
+def total_squares(linears: Sequence[Linear], known: Known, matrices: Array) -> float:
+    """Sum of squared weighted residuals of pieces and of what is known."""
+    return sum(linear.squares for linear in linears) + float(np.sum(known.left(matrices) ** 2))
+
+
+def _linears(
+    pieces: tuple[Piece, ...], matrices: Array, own: tuple[Array, ...], whitener: Array, *, derivatives: bool = True
+) -> tuple[Linear, ...]:
+    motion = motion_of(matrices, whitener.shape[0])
+    return tuple(
+        linearise(piece, motion, mine, whitener=whitener, derivatives=derivatives)
+        for piece, mine in zip(pieces, own, strict=True)
+    )
+
+
+def _step(
+    pieces: tuple[Piece, ...],
+    linears: tuple[Linear, ...],
+    caution: float,
+    *,
+    known: Known,
+    matrices: Array,
+    unseen: Array,
+) -> tuple[Array, list[Array], float]:
+    """Step of the matrices and of each record's own parameters, and the drop of squares that it promises.
+
+    Nothing moves along the directions (rows of `unseen`) that change no reading.
+    """
+    blocks = [damped(linear.block, piece.own, caution) for linear, piece in zip(linears, pieces, strict=True)]
+    common = np.vstack([of_matrices(block, piece.own) for block, piece in zip(blocks, pieces, strict=True)])
+    table = np.vstack([common[:, :-1], known.rows])
+    target = np.concatenate([common[:, -1], known.left(matrices)])
+    scale = np.linalg.norm(table, axis=0)
+    scale[scale == 0] = 1.0
+    hold = pinned(unseen, scale)
+    full = np.vstack([table / scale, hold, caution * np.eye(scale.size)])
+    aim = np.concatenate([target, np.zeros(len(hold) + scale.size)])
+    move = np.linalg.lstsq(full, aim, rcond=1e-14)[0] / scale
+    moves = []
+    promised = float(target @ target - np.sum((target - table @ move) ** 2))
+    for block, piece in zip(blocks, pieces, strict=True):
+        k = piece.own
+        aim = block[:k, -1] - block[:k, k:-1] @ move
+        moves.append(np.linalg.lstsq(block[:k, :k], aim, rcond=1e-14)[0])
+        promised += float(block[:k, -1] @ block[:k, -1])
+    return move, moves, promised
+
+
+def _bounded(pieces: tuple[Piece, ...], motion: FreeMotion, own: tuple[Array, ...]) -> bool:
+    """Whether a trial motion stays finite over the records and its edges lie in them."""
+    longest = max(float(piece.time[-1] - piece.time[0]) for piece in pieces)
+    inside = True
+    n = motion.components
+    for piece, mine in zip(pieces, own, strict=True):
+        if piece.kind != "free":
+            instant = float(mine[2 * n])
+            inside &= piece.time[0] < instant < piece.time[-1 - 3 * n]
+        if piece.kind == "ramp":
+            duration = float(mine[2 * n + 1])
+            inside &= duration >= 0 and piece.edge[0] <= instant and instant + duration <= piece.edge[1]
+    return bool(inside and float(motion.poles.real.max()) * longest < LARGEST_GROWTH)
+
+
+def residual_noise(fit: ReleaseFit, *, least: Array) -> Array:
+    """Covariance of the residuals, shape (n, n); no deviation is taken to be below the least one, shape (n,)."""
+    table = np.vstack([part for linear in fit.linears for part in (linear.held, linear.ringing)])
+    covariance = table.T @ table * (fit.size / max(fit.degrees_of_freedom, 1))
+    deviation = np.maximum(np.sqrt(np.diag(covariance)), least)
+    correlation = covariance / np.outer(deviation, deviation)
+    np.fill_diagonal(correlation, 1.0)
+    if (deviation <= least).any() or np.linalg.eigvalsh(correlation)[0] < LEAST_INDEPENDENCE:
+        correlation = np.eye(fit.size)  # not noise but rounding, or a misfit that all components share
+    return np.asarray(correlation * np.outer(deviation, deviation))
+
+
+def replaced(fit: ReleaseFit, number: int, *, piece: Piece, own: Array) -> ReleaseFit:
+    """The fit with one record taken otherwise, not settled."""
+    pieces = (*fit.pieces[:number], piece, *fit.pieces[number + 1 :])
+    mine = (*fit.own[:number], own, *fit.own[number + 1 :])
+    return replace(fit, pieces=pieces, own=mine)

@@ -1,0 +1,380 @@
+"""Identification of coupled components from releases: cable cuts and hammer taps, balance readings only.
+
+After a release F is constant, so that with X counted from its final rest X'' = -A^-1 (X + D X'): Eq. (8) of
+[Gorbushin2020]_ for several components. All decays together give A and D, with no force sensor and no accelerometer.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from aerobalance.balance.matrix_errors import MatrixErrors
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.identification.coupled_modes import ModeTable
+from aerobalance.identification.force_error import error_of, force_weights, highest_of
+from aerobalance.identification.result import (
+    APPLIED,
+    CoupledIdentification,
+    ReleaseFound,
+    doubts_about,
+)
+from aerobalance.identification.rigid_body import RigidMassFit, rigid_mass_of
+from aerobalance.identification.step_relaxation.calibration_errors import covariance_of_calibration
+from aerobalance.identification.step_relaxation.experiment_design import (
+    STILL,
+    advice,
+    combination_of,
+    combination_text,
+    excitation,
+    first_release_for,
+    pairs,
+    physical_covariance,
+    unmoved,
+)
+from aerobalance.identification.step_relaxation.fit import ReleaseFit, reweighed
+from aerobalance.identification.step_relaxation.internal_coordinates import quasi_static
+from aerobalance.identification.step_relaxation.model_order import MOST, ChosenFit, fit_modes
+from aerobalance.identification.step_relaxation.record import ReleaseRecord, release_record
+from aerobalance.identification.step_relaxation.stages import Units
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+
+
+def identify_releases(
+    recordings: Sequence[Recording],
+    *,
+    components: Sequence[str] = COMPONENTS,
+    mass: float | tuple[float, float] | None = None,
+    half_range: Mapping[str, float] | None = None,
+    release_share: float = 0.5,
+    modes: int | Literal["auto"] = "auto",
+    errors: Sequence[MatrixErrors] = (),
+) -> CoupledIdentification:
+    """Identify A and D of F = X + D X' + A X'', Eq. (17) of [Gorbushin2020]_ with matrices, from releases.
+
+    Parameters
+    ----------
+    recordings
+        One release in each, anywhere in it; readings before it tie the decay to the loads that were let go. All at
+        the same sampling rate.
+    components
+        Components that ring together, some of `COMPONENTS`.
+    mass
+        Weighed mass [kg], exact or with its standard uncertainty; with all six components it gives the mass matrix.
+    half_range
+        Half of range by component [N, N*m]; where not given, the largest change of load in the recordings.
+    release_share
+        Size of the further releases that are considered, over half of range.
+    modes
+        Number of modes: one for each component, or more where the model or the sting bends; ``"auto"`` takes those
+        that the decays show clearly. Modes beyond one for each component need a release along every component.
+    errors
+        Where the balance matrix was used, for each recording: what its calibration leaves in A and D is then in
+        `CoupledDynamics.covariance_of_calibration`, and in the modes, the mass and its tests.
+
+    Raises
+    ------
+    ValueError
+        There is no recording, or components, mass, half range, modes, errors or sampling rates do not fit.
+    FitError
+        The releases leave a combination of loads at rest, the decays show too few modes, or no fit settles.
+
+    Notes
+    -----
+    The covariance is that of the maximum likelihood, to first order in the noise. Where an element of A or D is
+    uncertain by some percent of the largest, single uncertainties and the predicted force error still hold, while the
+    correlations of the elements are no longer exact.
+    """
+    names = tuple(name for name in COMPONENTS if name in components)
+    _check_call(recordings, names, components, mass=mass, release_share=release_share, modes=modes)
+    if errors and len(errors) != len(recordings):
+        raise ValueError(f"errors must be given for each of {len(recordings)} recordings or for none")
+    records = [release_record(recording, names) for recording in recordings]
+    sizes = _sizes(records, names, half_range)
+    _check_moved(records, sizes, names)
+    chosen = fit_modes(records, sizes=sizes, modes=modes)
+    fit, units = chosen.fit, chosen.units
+    colour = _colour(fit)
+    if (colour > 1).any():
+        fit = reweighed(fit, fit.noise * np.sqrt(np.outer(colour, colour)))
+    _check_seen(fit, names)
+    dynamics = _dynamics(fit, units, names)
+    if errors:
+        left = covariance_of_calibration(fit, units, records, errors, components=names)
+        dynamics = replace(dynamics, covariance_of_calibration=left)
+    found = _result(
+        fit,
+        units,
+        records,
+        dynamics,
+        colour=colour,
+        mass=mass,
+        given=half_range is not None,
+        share=release_share,
+    )
+    found = replace(found, notes=(*_notes_on_modes(found, chosen), *found.notes))
+    for note in found.notes:
+        warnings.warn(f"{_called(records)}: {note}", DoubtWarning, stacklevel=2)
+    return found
+
+
+def _check_call(
+    recordings: Sequence[Recording],
+    names: tuple[str, ...],
+    components: Sequence[str],
+    *,
+    mass: float | tuple[float, float] | None,
+    release_share: float,
+    modes: int | Literal["auto"],
+) -> None:
+    if not recordings:
+        raise ValueError("at least one recording of a release is needed")
+    if not names or len(names) != len(components):
+        raise ValueError(f"components must be some of {', '.join(COMPONENTS)}, each once, not {', '.join(components)}")
+    rates = [recording.rate for recording in recordings]
+    if max(rates) > 1.001 * min(rates):
+        raise ValueError(f"the recordings must have one sampling rate, not {min(rates):g} to {max(rates):g} Hz")
+    if mass is not None and names != COMPONENTS:
+        raise ValueError(f"a mass matrix needs all of {', '.join(COMPONENTS)}; leave the mass out")
+    if modes != "auto" and not len(names) <= modes <= len(names) + MOST:
+        raise ValueError(f"modes must be auto or {len(names)} to {len(names) + MOST}, not {modes}")
+    if not 0 < release_share <= 1:
+        raise ValueError(f"release_share must be above 0 and at most 1, not {release_share:g}")
+
+
+def _sizes(records: list[ReleaseRecord], names: tuple[str, ...], half_range: Mapping[str, float] | None) -> Array:
+    """Half of range by component, or the largest change of load."""
+    if half_range is None:
+        return np.asarray(np.max([np.ptp(record.values, axis=0) for record in records], axis=0) + 0.0)
+    missing = [name for name in names if not half_range.get(name, 0) > 0]
+    if missing:
+        raise ValueError(f"half_range must give a positive value for {', '.join(missing)}")
+    return np.array([float(half_range[name]) for name in names])
+
+
+def _check_moved(records: list[ReleaseRecord], sizes: Array, names: tuple[str, ...]) -> None:
+    """Refuse releases that leave a combination of loads at rest."""
+    still = [name for name, size in zip(names, sizes, strict=True) if not size > 0]
+    if still:
+        raise FitError(f"the readings of {', '.join(still)} never change; add a release along {still[0]}")
+    combinations = unmoved(records, sizes)
+    if len(combinations):
+        first = first_release_for(combinations, names)
+        if len(combinations) == len(names):
+            raise FitError(f"{_called(records)}: nothing rings above the noise; are the releases in the recordings?")
+        still_text = " nor ".join(combination_text(weights, names) for weights in combinations)
+        raise FitError(
+            f"{_called(records)}: no release moves {still_text} (loads over half of range) above the noise, so "
+            f"{len(combinations)} of {len(names)} modes stay unknown; add a release along {first}"
+        )
+
+
+def _check_seen(fit: ReleaseFit, names: tuple[str, ...]) -> None:
+    """Refuse releases that leave a mode in the noise."""
+    poles = fit.motion.poles
+    if not (poles.real < 0).all() or np.count_nonzero(poles.imag > 0) != len(names) + fit.hidden:
+        raise FitError(
+            f"{_called(fit.pieces)}: the decays do not show {len(names) + fit.hidden} decaying modes above the noise; "
+            "add releases along other components, or larger ones"
+        )
+    energy = np.sum(excitation(fit)[1] ** 2, axis=0)
+    if energy.min() < STILL:
+        mode = int(np.argmin(energy))
+        weights = combination_of(fit.motion, mode)
+        raise FitError(
+            f"{_called(fit.pieces)}: a mode is not excited above the noise, the one of the combination "
+            f"{combination_text(weights, names)} (loads over half of range); add a release along "
+            f"{first_release_for(weights[None], names)}"
+        )
+
+
+def _called(parts: Sequence[object]) -> str:
+    return ", ".join(str(getattr(part, "name", part)) for part in parts)
+
+
+def _colour(fit: ReleaseFit) -> Array:
+    """Power of the residuals within an eighth of the modes' frequencies over that of white noise, shape (n,)."""
+    n = fit.size
+    _, rates = pairs(fit.motion)
+    near, whole, ordinates = np.zeros(n), np.zeros(n), 0
+    for piece, linear in zip(fit.pieces, fit.linears, strict=True):
+        left = linear.ringing
+        interval = float(np.median(np.diff(piece.time)))
+        power = np.abs(np.fft.rfft(left, axis=0)[1:]) ** 2
+        rate = 2 * np.pi * np.arange(1, power.shape[0] + 1) / (left.shape[0] * interval)
+        band = (np.abs(rate[:, None] / rates - 1) < 1 / 8).any(axis=1)
+        near += power[band].sum(axis=0)
+        whole += power.mean(axis=0) * np.count_nonzero(band)
+        ordinates += int(np.count_nonzero(band))
+    if ordinates < 12 or (whole == 0).any() or (np.sqrt(np.diag(fit.noise)) < 1e-9).any():
+        return np.ones(n)
+    level = near / whole
+    return np.where(level > 1 + 4 / np.sqrt(ordinates), level, 1.0)
+
+
+def _result(
+    fit: ReleaseFit,
+    units: Units,
+    records: list[ReleaseRecord],
+    dynamics: CoupledDynamics,
+    *,
+    colour: Array,
+    mass: float | tuple[float, float] | None,
+    given: bool,
+    share: float,
+) -> CoupledIdentification:
+    applied = APPLIED * units.sizes
+    error = error_of(dynamics.covariance, force_weights(dynamics, sizes=applied))
+    duration = float(np.median([record.time[-1] - record.time[0] for record in records]))
+    further = advice(
+        fit,
+        units,
+        dynamics,
+        step=share * units.sizes,
+        applied=applied,
+        duration=duration,
+        rate=records[0].rate,
+    )
+    rigid, notes = _rigid(dynamics, mass)
+    if rigid is not None:
+        dynamics = replace(dynamics, mass=rigid.mass)
+    deviation, reduced = _residual_size(fit, units, records)
+    up, _ = pairs(fit.motion)
+    table = ModeTable.of(dynamics, sizes=units.sizes)
+    found = CoupledIdentification(
+        dynamics=dynamics,
+        modes=table.modes,
+        u_natural_frequency=table.u_natural_frequency,
+        u_damping_ratio=table.u_damping_ratio,
+        mode_shapes=table.shapes,
+        combinations=np.array([combination_of(fit.motion, mode) for mode in range(len(up))]),
+        releases=_releases(fit, units, records),
+        half_range=units.sizes,
+        half_range_given=given,
+        residual_deviation=deviation,
+        reduced_chi2=reduced,
+        colour=colour,
+        degrees_of_freedom=fit.degrees_of_freedom,
+        applied=applied,
+        band=(0.0, highest_of(dynamics)),
+        force_error=error,
+        advice=further,
+        rigid=rigid,
+        notes=(),
+    )
+    return replace(found, notes=(*doubts_about(found), *notes))
+
+
+def _notes_on_modes(found: CoupledIdentification, chosen: ChosenFit) -> list[str]:
+    """What is doubtful about the number of modes."""
+    if chosen.peak is None and chosen.why is None:
+        return []
+    where, other = "", ""
+    if chosen.peak is not None:
+        where = f" near {chosen.peak:.4g} Hz"
+        near = min(abs(chosen.peak / mode.natural_frequency - 1) for mode in found.modes)
+        other = " or damping is not linear, or the balance matrix" if near < 1 / 8 else ""
+    reason = "" if chosen.why is None else f" ({chosen.why})"
+    text = (
+        f"the decays ring{where} as the {len(found.modes)} modes found do not, as where the model or the sting bends"
+        f"{other}{reason}; the dynamics leave it out, and the force is wrong there by what it carries"
+    )
+    return [text]
+
+
+def _dynamics(fit: ReleaseFit, units: Units, names: tuple[str, ...]) -> CoupledDynamics:
+    size = fit.size + fit.hidden
+    spring, brake = fit.matrices.reshape(2, size, size)
+    A = np.linalg.inv(spring)
+    ratio = units.ratio(size)
+    covariance = physical_covariance(fit.information, fit.matrices, units)
+    return CoupledDynamics(names, A * ratio / units.rate**2, A @ brake * ratio / units.rate, covariance)
+
+
+def _rigid(
+    dynamics: CoupledDynamics, mass: float | tuple[float, float] | None
+) -> tuple[RigidMassFit | None, list[str]]:
+    """The rigid mass, where a weighed mass is given, and what is doubtful about it."""
+    if mass is None:
+        return None, []
+    value, uncertainty = mass if isinstance(mass, tuple) else (mass, 0.0)
+    try:
+        rigid = rigid_mass_of(quasi_static(dynamics), value, u_mass=uncertainty)
+    except (FitError, ValueError) as problem:
+        return None, [f"no mass matrix: {problem}; gravity and ground motion cannot be taken out of the loads"]
+    if dynamics.hidden:
+        return replace(rigid, reciprocity=None), _note_on_bending(rigid)
+    notes = []
+    if rigid.rigidity is not None and not rigid.rigidity.chance:
+        notes.append(
+            f"the inertia matrix is not that of a rigid mass on a symmetric stiffness (chi2 {rigid.rigidity.chi2:.3g} "
+            "for 6 degrees of freedom); the mass matrix found from it is only nearly right"
+        )
+    if rigid.reciprocity is not None and not rigid.reciprocity.chance:
+        notes.append(
+            f"the damping is not symmetric (chi2 {rigid.reciprocity.chi2:.3g} for 15 degrees of freedom), as it is "
+            "not in a flow or with friction; the constrained dynamics do not hold"
+        )
+    return rigid, notes
+
+
+def _note_on_bending(rigid: RigidMassFit) -> list[str]:
+    """What is doubtful about a mass matrix from slow motion, below modes of the model or sting."""
+    if rigid.rigidity is None or rigid.rigidity.chance:
+        return []
+    text = (
+        "the mass matrix is taken from slow motion, below the modes of the model or sting, and is not that of a rigid "
+        f"mass on a symmetric stiffness (chi2 {rigid.rigidity.chi2:.3g} for 6 degrees of freedom), as where the model "
+        "bends under the load; the mass matrix found from it is only nearly right"
+    )
+    return [text]
+
+
+def _residual_size(fit: ReleaseFit, units: Units, records: list[ReleaseRecord]) -> tuple[Array, Array]:
+    """Standard deviation of the residuals [N, N*m], and their variance over that of the noise given or judged."""
+    squares = sum(np.sum(linear.ringing**2, axis=0) + np.sum(linear.held**2, axis=0) for linear in fit.linears)
+    deviation = np.sqrt(squares * fit.size / max(fit.degrees_of_freedom, 1)) * units.sizes
+    noise = np.sqrt(np.mean([record.noise**2 for record in records], axis=0))
+    return deviation, (deviation / noise) ** 2
+
+
+def _releases(fit: ReleaseFit, units: Units, records: list[ReleaseRecord]) -> tuple[ReleaseFound, ...]:
+    shares, visibility = excitation(fit)
+    n, information = fit.size, fit.information
+    size = np.linalg.norm(information, axis=0)
+    found = []
+    for number, (piece, own, linear, record) in enumerate(zip(fit.pieces, fit.own, fit.linears, records, strict=True)):
+        zero = record.start + record.time[record.onset]
+        if piece.kind == "free":
+            instant, u, duration, step = piece.edge[1], 0.0, 0.0, np.full(n, np.nan)
+        else:
+            instant, step = float(own[2 * n]), (own[n : 2 * n] - own[:n]) * units.sizes
+            duration = float(own[2 * n + 1]) if piece.kind == "ramp" else 0.0
+            k = piece.own
+            row = np.linalg.solve(linear.block[:k, :k].T, np.eye(k)[2 * n])
+            through = np.linalg.solve((information / size).T, (row @ linear.block[:k, k:-1]) / size)
+            u = float(np.sqrt(row @ row + through @ through))
+        first, last = linear.held.shape[0], linear.ringing.shape[0]
+        clock = record.start + record.time
+        found.append(
+            ReleaseFound(
+                name=record.name,
+                kind=piece.kind,
+                instant=float(zero + instant / units.rate),
+                u_instant=u / units.rate,
+                duration=duration / units.rate,
+                step=step,
+                shares=shares[number],
+                visibility=visibility[number],
+                time=np.concatenate([clock[:first], clock[-last:]]),
+                residuals=np.vstack([linear.held, linear.ringing]) * units.sizes,
+            )
+        )
+    return tuple(found)

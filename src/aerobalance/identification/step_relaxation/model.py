@@ -1,0 +1,275 @@
+"""Readings after a release as a function of the matrices and of what is the release's own, with all derivatives.
+
+A record is held loads, an edge, and a free decay to the loads that stay. Coordinates that no channel shows are at rest
+at zero before a release, or anywhere where that is not asked for. What is known of a record about the matrices is kept
+as a triangular factor of its weighted least squares, from which its own parameters can be eliminated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from scipy.linalg import lapack, qr, solve_triangular
+
+from aerobalance.identification.step_relaxation.free_response import Coefficients, Complex, FreeMotion
+from aerobalance.recording.channel import Array
+
+Kind = Literal["release", "ramp", "free"]
+
+NODES: Final = np.polynomial.legendre.leggauss(16)
+"""Nodes and weights of the mean over the duration of a release."""
+
+WELL_CONDITIONED: Final = 1e-4
+"""Least part of a column, over its size, that the others leave, above which products of the columns serve for them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """One record in the units of the fit.
+
+    Attributes
+    ----------
+    name
+        What it is called in messages.
+    time
+        Times of the rows, shape (m,), increasing.
+    values
+        Loads felt, shape (m, n).
+    kind
+        ``"release"``: held and let go at once. ``"ramp"``: let go over a duration, evenly. ``"free"``: decaying from
+        any state, only from the end of `edge` on.
+    edge
+        First and last time between which rows are left out; empty (equal times) for a release.
+    hidden
+        Number of coordinates that no channel shows, e.
+    anywhere
+        Whether these may be anywhere, and moving, at the instant of a release; otherwise they are at rest at zero.
+    """
+
+    name: str
+    time: Array
+    values: Array
+    kind: Kind
+    edge: tuple[float, float]
+    hidden: int = 0
+    anywhere: bool = False
+
+    @property
+    def own(self) -> int:
+        """Number of parameters of the record's own."""
+        n = int(self.values.shape[1])
+        if self.kind == "free":
+            return 3 * n + 2 * self.hidden
+        return {"release": 2 * n + 1, "ramp": 2 * n + 2}[self.kind] + 2 * self.hidden * self.anywhere
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linear:
+    """A record near one set of parameters.
+
+    Attributes
+    ----------
+    squares
+        Sum of the squared weighted residuals.
+    rows
+        Number of rows used.
+    block
+        Triangular factor of [own parameters, spring, brake, residual], shape (k, own + 2 N^2 + 1).
+    held, ringing
+        Residuals before and after the edge, not weighted, shapes (a, n) and (b, n).
+    """
+
+    squares: float
+    rows: int
+    block: Array
+    held: Array
+    ringing: Array
+
+
+def linearise(piece: Piece, motion: FreeMotion, own: Array, *, whitener: Array, derivatives: bool = True) -> Linear:
+    """Residuals of a record, and their triangular factor.
+
+    Parameters
+    ----------
+    piece
+        The record.
+    motion
+        Free motion of the trial matrices.
+    own
+        The record's own parameters: loads that stay, then for a release the loads held, the instant, for a ramp the
+        duration, and hidden coordinates and their rates where they may be anywhere; for a free decay all coordinates,
+        the loads less those that stay, and their rates at the end of the edge.
+    whitener
+        What turns the noise of one row into independent unit noise, shape (n, n).
+    derivatives
+        Whether the factor is wanted.
+    """
+    n = motion.components
+    held, ringing, since = _parts(piece, own)
+    on_columns, model = _slopes(piece, motion, own) if derivatives else (None, _model(piece, motion, own))
+    columns = motion.columns(piece.time[ringing] - since)
+    on = motion.on_columns(model)[:, :, 0]
+    on[-1] += own[:n]
+    after = piece.values[ringing] - columns @ on
+    before = piece.values[held] - own[n : 2 * n]
+    squares = float(np.sum((after @ whitener.T) ** 2) + np.sum((before @ whitener.T) ** 2))
+    block: Array = np.zeros((0, 0))
+    if on_columns is not None:
+        factor, along = _compressed(columns, after)
+        slopes = np.tensordot(factor, on_columns, axes=1)
+        table = np.concatenate([slopes, along[:, :, None]], axis=2)
+        rows = [_weighted(whitener, table)]
+        if before.size:
+            root = np.sqrt(before.shape[0])
+            flat: Array = np.zeros((1, n, table.shape[2]))
+            flat[0, :, n : 2 * n] = root * np.eye(n)
+            flat[0, :, -1] = root * before.mean(axis=0)
+            rows.append(_weighted(whitener, flat))
+        block = np.array(qr(np.vstack(rows), mode="r", check_finite=False)[0][: table.shape[2]], dtype=np.float64)
+    return Linear(squares, before.shape[0] + after.shape[0], block, before, after)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shares:
+    """How the readings after the edge of a record depend on all its parameters.
+
+    Attributes
+    ----------
+    held, ringing
+        Rows before and after the edge.
+    columns
+        Columns that span the readings after it, shape (m, p).
+    slopes
+        Derivatives of the readings by own parameters and matrices, on the columns, shape (p, n, own + 2 N^2); those
+        held are the second n parameters of a record that has any.
+    """
+
+    held: slice
+    ringing: slice
+    columns: Array
+    slopes: Array
+
+
+def shares_of_changes(piece: Piece, motion: FreeMotion, own: Array) -> Shares:
+    """Derivatives of the readings of a record, not weighted; the arguments are those of `linearise`."""
+    held, ringing, since = _parts(piece, own)
+    return Shares(held, ringing, motion.columns(piece.time[ringing] - since), _slopes(piece, motion, own)[0])
+
+
+def _slopes(piece: Piece, motion: FreeMotion, own: Array) -> tuple[Array, Coefficients]:
+    """Derivatives of the readings after the edge on the columns, and the motion."""
+    functions, model = _functions(piece, motion, own)
+    slopes, n = motion.on_columns(functions), motion.components
+    slopes[-1, :, :n] += np.eye(n)  # the loads that stay
+    return slopes, model
+
+
+def _compressed(columns: Array, left: Array) -> tuple[Array, Array]:
+    """Triangular factor R of the columns Q R, and Q' times the residuals."""
+    size = np.linalg.norm(columns, axis=0)
+    if size.all() and columns.shape[0] > columns.shape[1]:
+        scaled = (columns.T @ columns) / np.outer(size, size)
+        lower, failed = lapack.dpotrf(scaled, lower=1, clean=1)
+        if not failed and np.diag(lower).min() > WELL_CONDITIONED:
+            return lower.T * size, solve_triangular(lower, (columns.T @ left) / size[:, None], lower=True)
+    basis, factor = qr(columns, mode="economic", check_finite=False)
+    return np.asarray(factor), np.asarray(basis.T @ left)
+
+
+def _weighted(whitener: Array, table: Array) -> Array:
+    """Weigh a table of shape (rows, n, k) and lay it out as (rows n, k)."""
+    return np.asarray(np.einsum("dc,bck->bdk", whitener, table).reshape(-1, table.shape[2]))
+
+
+def _parts(piece: Piece, own: Array) -> tuple[slice, slice, float]:
+    """Rows before and after the edge, and the instant from which the decay counts its time."""
+    n = piece.values.shape[1]
+    if piece.kind == "free":
+        return slice(0, 0), slice(int(np.searchsorted(piece.time, piece.edge[1])), None), piece.edge[1]
+    instant = float(own[2 * n])
+    if piece.kind == "release":
+        first = int(np.searchsorted(piece.time, instant))
+        return slice(0, first), slice(first, None), instant
+    first, last = np.searchsorted(piece.time, piece.edge)
+    return slice(0, int(first)), slice(int(last), None), instant
+
+
+def state_at_the_edge(piece: Piece, own: Array) -> tuple[Array, Array]:
+    """Coordinates from rest and their rates where the motion begins, shape (N,) each."""
+    n, e = piece.values.shape[1], piece.hidden
+    if piece.kind == "free":
+        return own[n : 2 * n + e], own[2 * n + e :]
+    unseen = own[-2 * e :] if e and piece.anywhere else np.zeros(2 * e)
+    return np.concatenate([own[n : 2 * n] - own[:n], unseen[:e]]), np.concatenate([np.zeros(n), unseen[e:]])
+
+
+def _started(piece: Piece, motion: FreeMotion, own: Array) -> tuple[Coefficients, Complex]:
+    """The motion as if it had begun at once, and the sizes of its modes."""
+    sizes = motion.sizes(*state_at_the_edge(piece, own))
+    return motion.motion(sizes), sizes
+
+
+def _means(motion: FreeMotion, duration: float) -> tuple[Complex, Complex, Complex]:
+    """Means over a duration T, by pole: of exp(-p s), of -s exp(-p s), and of the first's derivative by T."""
+    place, weight = (NODES[0] + 1) / 2, NODES[1] / 2
+    falls = weight * np.exp(-motion.poles[:, None] * duration * place)
+    return falls.sum(axis=1), -(falls * duration * place).sum(axis=1), -motion.poles * (falls * place).sum(axis=1)
+
+
+def _model(piece: Piece, motion: FreeMotion, own: Array) -> Coefficients:
+    """The motion after the edge, loads that stay left out."""
+    whole, _ = _started(piece, motion, own)
+    if piece.kind == "ramp":
+        plain, late, _ = _means(motion, float(own[2 * motion.components + 1]))
+        return whole.weighted(plain, late)
+    return whole
+
+
+def _functions(piece: Piece, motion: FreeMotion, own: Array) -> tuple[Coefficients, Coefficients]:
+    """Derivatives by own parameters and matrices, and the motion; the constant of the loads that stay is left out."""
+    n, size = motion.components, motion.size
+    whole, sizes = _started(piece, motion, own)
+    state, matrices = motion.by_state(), motion.by_matrices(sizes)
+    if piece.kind == "free":
+        nothing = np.zeros((2 * size, n, n), dtype=np.complex128)
+        return _joined([Coefficients(nothing, nothing, np.zeros((n, n))), state, matrices]), whole
+    loads = _picked(state, slice(n))
+    away = Coefficients(-loads.plain, -loads.late, -loads.constant)
+    parts = [away, loads, motion.by_time(whole)]
+    if piece.anywhere:
+        parts += [_picked(state, slice(n, size)), _picked(state, slice(size + n, 2 * size))]
+    parts.append(matrices)
+    if piece.kind == "release":
+        return _joined(parts), whole
+    plain, late, steeper = _means(motion, float(own[2 * n + 1]))
+    parts = [part.weighted(plain, late) for part in parts]
+    parts.insert(3, whole.weighted(steeper, np.zeros_like(steeper)))
+    return _joined(parts), whole.weighted(plain, late)
+
+
+def _picked(functions: Coefficients, which: slice) -> Coefficients:
+    return Coefficients(functions.plain[:, :, which], functions.late[:, :, which], functions.constant[:, which])
+
+
+def _joined(parts: list[Coefficients]) -> Coefficients:
+    return Coefficients(
+        np.concatenate([part.plain for part in parts], axis=2),
+        np.concatenate([part.late for part in parts], axis=2),
+        np.concatenate([part.constant for part in parts], axis=1),
+    )
+
+
+def of_matrices(block: Array, own: int) -> Array:
+    """What a record tells about the matrices alone: rows of [spring, brake, residual], its own eliminated."""
+    return block[own:, own:]
+
+
+def damped(block: Array, own: int, caution: float) -> Array:
+    """The factor with its own parameters held back by a share of their information."""
+    if caution == 0:
+        return block
+    hold = np.zeros((own, block.shape[1]))
+    hold[:, :own] = caution * np.diag(np.linalg.norm(block[:, :own], axis=0))
+    return np.asarray(qr(np.vstack([block, hold]), mode="r", check_finite=False)[0][: block.shape[1]])

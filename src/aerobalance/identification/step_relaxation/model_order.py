@@ -1,0 +1,395 @@
+"""How many modes beside one for each component a set of releases shows: of a model or sting that bends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.optimize import linear_sum_assignment
+from scipy.stats import chi2
+
+from aerobalance.dynamics.coupled import ModalForm
+from aerobalance.identification.free_decay.waveform import HEAVIEST
+from aerobalance.identification.step_relaxation.era import Guess, from_modes, quick_guess
+from aerobalance.identification.step_relaxation.experiment_design import excitation, pairs
+from aerobalance.identification.step_relaxation.fit import ReleaseFit, whitener_of
+from aerobalance.identification.step_relaxation.free_response import FreeMotion
+from aerobalance.identification.step_relaxation.internal_coordinates import static_shares
+from aerobalance.identification.step_relaxation.record import ROUNDING, ReleaseRecord
+from aerobalance.identification.step_relaxation.stages import (
+    POOR,
+    Start,
+    Units,
+    decays_of,
+    fit_decays,
+    guess_of,
+    margin_of,
+    with_edges,
+)
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import FitError
+
+MOST: Final = 3
+"""Modes beside one for each component that are looked for."""
+
+EVIDENCE: Final = 25.0
+"""Log-likelihood that a further mode must gain beyond what its parameters may gain by chance."""
+
+LOST: Final = 0.1
+"""Part of its gain that a mode may lose where releases begin at rest: what rings before them as well is no mode."""
+
+STRANGE: Final = 0.5
+"""Distance of a mode's static share from 0 to 1 beyond which it is no mode of a structure."""
+
+DECAYS: Final = 0.05
+"""Logarithm of the decay over the longest record below which a line is hum and no mode."""
+
+SPLIT: Final = 2.0
+"""Distance of two poles, over the faster decay, below which two modes of one shape may be one that is not linear."""
+
+ALIKE: Final = 0.95
+"""Square of the cosine between shapes of modes from which they are one shape."""
+
+IN_TWO: Final = "one mode more takes the place of one that is not linear"
+"""What is said of such modes."""
+
+BEFORE: Final = 0.5
+"""Power of a line before the releases, over that after them, from which it does not come from them."""
+
+WIDTHS: Final = (1, 3, 9, 27, 81)
+"""Widths of the peaks looked for in the residuals, in frequencies."""
+
+INDEPENDENT: Final = 1e-6
+"""Size of a combination of products of modes, over the largest, below which it is rounding."""
+
+FAINT: Final = 0.1
+"""Power over that of white noise of the size of the residuals, below which it is rounding."""
+
+CHANCE: Final = 1e-9
+"""Probability of a peak by chance, at one frequency, below which it is taken as real."""
+
+TOP: Final = 0.8
+"""Share of half the sampling rate up to which peaks are looked for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChosenFit:
+    """The fit with as many modes as the releases show.
+
+    Attributes
+    ----------
+    fit, units
+        The fit.
+    peak
+        Frequency of what rings beside the modes fitted [Hz], or None.
+    why
+        What stood against a further mode that the decays show, or None.
+    """
+
+    fit: ReleaseFit
+    units: Units
+    peak: float | None
+    why: str | None = None
+
+
+def fit_modes(records: Sequence[ReleaseRecord], *, sizes: Array, modes: int | Literal["auto"]) -> ChosenFit:
+    """Fit a number of modes, or as many as the decays show.
+
+    Raises
+    ------
+    FitError
+        No first guess explains the decays, or the fit does not settle.
+    """
+    if modes != "auto":
+        free, units = _decays_with(modes - sizes.size, records, sizes=sizes)
+        fit = with_edges(free, records, units)
+        return ChosenFit(fit, units, _missed(fit, units, records))
+    free, units, gain = _free_decays(records, sizes=sizes)
+    if not free.hidden:
+        fit = with_edges(free, records, units)
+        return ChosenFit(fit, units, _missed(fit, units, records))
+    try:
+        fit = with_edges(free, records, units)
+    except (FitError, np.linalg.LinAlgError) as problem:
+        return _without(records, sizes, IN_TWO if len(_twins(free)) else str(problem))
+    against = _against(fit)
+    if against is not None:
+        return _without(records, sizes, against)
+    if gain_over(free, fit) > LOST * gain:
+        return _without(records, sizes, "its motion does not begin at rest with the releases")
+    return ChosenFit(fit, units, _missed(fit, units, records))
+
+
+def _without(records: Sequence[ReleaseRecord], sizes: Array, why: str) -> ChosenFit:
+    """The fit with one mode for each component, although the decays show more."""
+    free, units = fit_decays(records, sizes=sizes, start=guess_of(records))
+    fit = with_edges(free, records, units)
+    return ChosenFit(fit, units, _missed(fit, units, records), why)
+
+
+def _free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units, float]:
+    """Free decays with as many modes as they show clearly, and the log-likelihood that the last of them gained."""
+    free, units, gain = _beginning(records, sizes=sizes)
+    hidden = free.hidden
+    while hidden < MOST and peak_of(free, units, records) is not None:
+        hidden += 1
+        if _hopeless(hidden, free, records):
+            continue
+        try:
+            larger, others = _decays_with(hidden, records, sizes=sizes)
+            gained = gain_over(larger, free)
+            clear = gained > _by_chance(larger, hidden, hidden - free.hidden) + EVIDENCE
+            if clear and hidden - free.hidden > 1:  # each for itself, not all together
+                gained = gain_over(larger, _with_one_less(larger, others, records, sizes)[0])
+                clear = gained > _by_chance(larger, hidden, 1) + EVIDENCE
+        except (FitError, np.linalg.LinAlgError):  # modes that are not found are none
+            continue
+        if clear and _physical(larger, others, records[0].rate) and len(_twins(larger)) <= len(_twins(free)):
+            free, units, gain = larger, others, gained
+    return free, units, gain
+
+
+def _hopeless(hidden: int, free: ReleaseFit, records: Sequence[ReleaseRecord]) -> bool:
+    """Whether a quick look that explains the decays says that so many modes are no better than fewer, or are no modes.
+
+    The fit itself takes a hundred times as long, and what a calibration has left of terms that are not linear keeps
+    calling for modes that it will not find.
+    """
+    decays, rate = decays_of(records, 0.0), records[0].rate
+    fewer, quick = (
+        quick_guess(decays, rate=rate, hidden=count) if decays else None for count in (free.hidden, hidden)
+    )
+    if fewer is None or quick is None or quick.squares > POOR * sum(decay.size for decay in decays):
+        return False
+    return quick.squares >= fewer.squares or not _lightly_damped(_motion_of(quick, free.size), free.size + hidden)
+
+
+def _motion_of(guess: Guess, components: int) -> FreeMotion:
+    return FreeMotion.of(guess.spring, guess.brake, components=components)
+
+
+def _lightly_damped(motion: FreeMotion, count: int) -> bool:
+    """Whether all of so many modes oscillate, damped as those of a structure are."""
+    poles = motion.poles
+    return pairs(motion)[1].size == count and bool((-poles.real < HEAVIEST * np.abs(poles)).all())
+
+
+def _decays_with(hidden: int, records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units]:
+    """Free decays with so many modes beside one for each component.
+
+    A first guess may miss a mode that a guess with one more has, beside another that is none. Where it leads nowhere,
+    the fit begins with that of one more, less the mode that rings least.
+    """
+    try:
+        return fit_decays(records, sizes=sizes, start=guess_of(records, hidden=hidden))
+    except (FitError, np.linalg.LinAlgError) as problem:
+        try:
+            larger, units = fit_decays(records, sizes=sizes, start=guess_of(records, hidden=hidden + 1))
+            return _with_one_less(larger, units, records, sizes)
+        except (FitError, np.linalg.LinAlgError):
+            raise problem from None
+
+
+def _beginning(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units, float]:
+    """Free decays with the fewest modes that a quick look explains to the noise, where that is sure; one each else."""
+    decays, rate = decays_of(records, 0.0), records[0].rate
+    count, before = max(sum(decay.size for decay in decays), 1), np.inf
+    for hidden in range(MOST + 1) if decays else ():
+        quick = quick_guess(decays, rate=rate, hidden=hidden)
+        if quick is None or quick.squares > POOR * count:
+            before = before if quick is None else quick.squares
+            continue
+        if hidden == 0:
+            break
+        try:
+            start = guess_of(records, hidden=hidden, guards=(0.0,))
+            free, units = fit_decays(records, sizes=sizes, start=start)
+        except (FitError, np.linalg.LinAlgError):
+            continue
+        try:
+            gain = gain_over(free, _with_one_less(free, units, records, sizes)[0])
+        except (FitError, np.linalg.LinAlgError):  # with less there is no fit, but a guess
+            gain = count / 2 * float(np.log(before / quick.squares)) if np.isfinite(before) else 0.0
+        if gain > _by_chance(free, free.hidden, 1) + EVIDENCE and _physical(free, units, rate):
+            return free, units, gain
+    free, units = fit_decays(records, sizes=sizes, start=guess_of(records))
+    return free, units, 0.0
+
+
+def _with_one_less(
+    free: ReleaseFit, units: Units, records: Sequence[ReleaseRecord], sizes: Array
+) -> tuple[ReleaseFit, Units]:
+    """Free decays without the mode that rings least."""
+    motion = free.motion
+    up, _ = pairs(motion)
+    weakest = up[int(np.argmin(np.sum(excitation(free)[1] ** 2, axis=0)))]
+    other = int(np.argmin(np.abs(motion.poles - motion.poles[weakest].conj())))
+    left = np.delete(np.arange(motion.poles.size), [weakest, other])
+    matrices = from_modes(motion.poles[left], motion.felt[:, left])
+    if matrices is None:
+        raise FitError("the other modes are not independent of each other")
+    return fit_decays(records, sizes=sizes, start=Start(Guess(*units.bare(*matrices), squares=0.0), 0.0))
+
+
+def _by_chance(fit: ReleaseFit, hidden: int, more: int) -> float:
+    """Log-likelihood that the parameters of the last modes more, of so many hidden, may gain by chance."""
+    size, fewer = fit.size + hidden, hidden - more
+    count = 2 * (size**2 - hidden**2) - 2 * ((size - more) ** 2 - fewer**2) + 2 * more * len(fit.pieces)
+    return count / 2 * float(np.log(max(fit.degrees_of_freedom, 2)))
+
+
+def gain_over(larger: ReleaseFit, smaller: ReleaseFit) -> float:
+    """Log-likelihood gained, on the readings after the edges that both use."""
+    ours, theirs = [], []
+    for one, other in zip(larger.linears, smaller.linears, strict=True):
+        count = min(len(one.ringing), len(other.ringing))
+        ours.append(one.ringing[len(one.ringing) - count :])
+        theirs.append(other.ringing[len(other.ringing) - count :])
+    floor = ROUNDING**2 * np.eye(larger.size)
+    sizes = [
+        float(np.linalg.slogdet(table.T @ table / len(table) + floor)[1])
+        for table in (np.vstack(ours), np.vstack(theirs))
+    ]
+    return sum(len(part) for part in ours) / 2 * (sizes[1] - sizes[0])
+
+
+def _physical(fit: ReleaseFit, units: Units, rate: float) -> bool:
+    """Whether all modes oscillate, decay lightly damped and lie in the band."""
+    poles, sizes = fit.motion.poles, pairs(fit.motion)[1]
+    longest = max(float(piece.time[-1] - piece.edge[1]) for piece in fit.pieces)
+    return bool(
+        _lightly_damped(fit.motion, fit.size + fit.hidden)
+        and (-poles.real * longest > DECAYS).all()
+        and sizes.max() * units.rate / (2 * np.pi) < TOP * rate / 2
+    )
+
+
+def _twins(fit: ReleaseFit) -> NDArray[np.intp]:
+    """Pairs of modes near each other and of one shape, as one that is not linear splits into, shape (k, 2)."""
+    motion = fit.motion
+    up, _ = pairs(motion)
+    poles, shapes = motion.poles[up], motion.felt[:, up] / np.linalg.norm(motion.felt[:, up], axis=0)
+    near = np.abs(poles[:, None] - poles) < SPLIT * np.maximum(-poles.real[:, None], -poles.real)
+    alike = np.abs(shapes.conj().T @ shapes) ** 2 > ALIKE
+    return np.argwhere(np.triu(near & alike, 1))
+
+
+def _against(fit: ReleaseFit) -> str | None:
+    """What speaks against modes of a structure in the part of the loads at rest that each mode carries, or None.
+
+    Two modes of the balance may be near each other and of one shape: they carry 2 between them. Where a mode is not
+    linear, the two into which it splits carry its 1.
+    """
+    motion, n = fit.motion, fit.size
+    spring = fit.matrices.reshape(2, motion.size, motion.size)[0]
+    shares = static_shares(ModalForm(motion.poles, motion.felt, motion.shares[:, motion.size :] @ spring[:, :n]))
+    if not ((shares > -STRANGE) & (shares < 1 + STRANGE)).all():
+        return "its share of the load is none of a structure"
+    if (shares[_twins(fit)].sum(axis=1) < 1 + STRANGE).any():
+        return IN_TWO
+    return None
+
+
+def _missed(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> float | None:
+    """Frequency of what rings beside the modes fitted [Hz], or None.
+
+    That of the narrow peak in the residuals, or rather of the mode that a motion with one more has and the fit lacks,
+    where the decays show it clearly: the residuals are that mode less what the others take of it.
+    """
+    peak = peak_of(fit, units, records)
+    decays = decays_of(records, 0.0)
+    if peak is None or not decays or fit.hidden >= MOST:
+        return peak
+    quick = quick_guess(decays, rate=records[0].rate, hidden=fit.hidden + 1)
+    count = sum(decay.size for decay in decays)
+    noise = np.min([record.noise for record in records], axis=0) / units.sizes
+    left = np.vstack([linear.ringing for linear in fit.linears]) / noise
+    if quick is None:
+        return peak
+    gain = count / 2 * float(np.log(np.mean(left**2) * count / quick.squares))
+    motion = _motion_of(quick, fit.size)
+    none = not _lightly_damped(motion, fit.size + fit.hidden + 1)
+    if none or gain < _by_chance(fit, fit.hidden + 1, 1) + EVIDENCE:
+        return peak
+    theirs = np.log(pairs(motion)[1])
+    ours = np.log(pairs(fit.motion)[1] * units.rate)
+    rows, _ = linear_sum_assignment(np.abs(theirs[:, None] - ours))
+    others = np.delete(theirs, rows)
+    return float(np.exp(others[0])) / (2 * np.pi) if others.size == 1 else peak
+
+
+def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> float | None:
+    """Frequency of the clearest narrow peak in the residuals after the edges [Hz]; None where they are as noise.
+
+    The power of white noise, summed over r records, n components and w frequencies, is half a chi2 of 2 r n w degrees
+    of freedom; its level is the median around, so that noise that is coloured smoothly makes no peak. What may be
+    products of modes is in the level, but not in the peaks.
+    """
+    count = min(len(linear.ringing) for linear in fit.linears)
+    if count < 8 * max(WIDTHS):
+        return None
+    whitener = whitener_of(fit.noise + ROUNDING**2 * np.eye(fit.size))
+    power, beyond = np.zeros((2, count // 2))
+    interval = float(np.median(np.diff(fit.pieces[0].time)))
+    products = _products(fit, count=count, interval=interval)
+    for linear in fit.linears:
+        left = linear.ringing[:count] @ whitener.T
+        power += _power(left)
+        beyond += _power(left - products @ (products.T @ left))
+    level = median_filter(power / count, size=max(count // 32, 2 * max(WIDTHS) + 1), mode="reflect")
+    number = 2 * len(fit.linears) * fit.size
+    level = np.maximum(level * number / chi2.median(number), FAINT * number / 2)
+    sums = np.concatenate([[0.0], np.cumsum((beyond / count / level)[: int(TOP * power.size)])])
+    best, place = float(np.log(CHANCE)), None
+    for width in WIDTHS:
+        chances = chi2.logsf(number * (sums[width:] - sums[:-width]), number * width)
+        least = int(np.argmin(chances))
+        if chances[least] < best:
+            best, place = float(chances[least]), least + width // 2
+    if place is None:
+        return None
+    line = 2 * np.pi * (place + 1) / (count * interval)
+    return None if _rings_before(fit, line, units, records) else line * units.rate / (2 * np.pi)
+
+
+def _power(values: Array) -> Array:
+    """Power of all columns together at all frequencies but zero, for n of them shape (n // 2,)."""
+    return np.asarray(np.sum(np.abs(np.fft.rfft(values, axis=0)[1 : len(values) // 2 + 1]) ** 2, axis=1))
+
+
+def _products(fit: ReleaseFit, *, count: int, interval: float) -> Array:
+    """What products of two modes and sizes of one can look like: an orthonormal basis, shape (count, k).
+
+    What a calibration has left of terms such as X^2 and |X| rings at sums and differences of the modes, zero among
+    them, and dies away with both, or with one. It is no further mode.
+    """
+    poles = fit.motion.poles[fit.motion.poles.imag > 0]
+    pairs_of = [(one, other) for place, one in enumerate(poles) for other in poles[place:]]
+    rates = [one + part for one, other in pairs_of for part in (other, other.conj())]
+    rates += [part for one in poles for part in (one.real + 0j, 2j * one.imag + one.real)]
+    waves = np.exp(np.outer(interval * np.arange(count), rates))
+    basis, sizes, _ = np.linalg.svd(np.column_stack([np.ones(count), waves.real, waves.imag]), full_matrices=False)
+    return np.asarray(basis[:, sizes > INDEPENDENT * sizes[0]])
+
+
+def _rings_before(fit: ReleaseFit, line: float, units: Units, records: Sequence[ReleaseRecord]) -> bool:
+    """Whether a line is there before the releases as well, as hum is: over stretches of one length on both sides."""
+    before, after = 0.0, 0.0
+    for piece, linear, record in zip(fit.pieces, fit.linears, records, strict=True):
+        held = int(np.searchsorted(piece.time, -margin_of(record, units)))
+        if held and piece.time[held - 1] - piece.time[0] > 2 * (2 * np.pi / line):
+            time = piece.time[-len(linear.ringing) :]
+            before += _power_of(line, piece.time[:held], record.values[:held] / units.sizes, fit.noise)
+            after += _power_of(line, time[:held], linear.ringing[:held], fit.noise)
+    return before > BEFORE * after > 0
+
+
+def _power_of(line: float, time: Array, values: Array, noise: Array) -> float:
+    """Squares of the amplitudes of a line over the noise, less what noise makes of them."""
+    waves = np.column_stack([np.cos(line * time), np.sin(line * time), np.ones(time.size)])
+    sizes = np.linalg.lstsq(waves, values @ whitener_of(noise).T, rcond=None)[0][:2]
+    return float(np.sum(sizes**2) - 4 * values.shape[1] / time.size)

@@ -1,0 +1,313 @@
+"""What the ground end does in six degrees of freedom, and the loads that this puts on the moving mass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from aerobalance.dynamics.coupled import RigidMass
+from aerobalance.motion.consistency import Effect, check_agreement
+from aerobalance.motion.least_squares import GroundFit
+from aerobalance.motion.rotation import TURNS, Turning
+from aerobalance.motion.sensors import DIRECTIONS, STRAIGHT, ground_sensors, motion_name, unseen
+from aerobalance.motion.single_axis import AT_REST, Unknown, bridged, tones
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.recording.gravity import Pull
+from aerobalance.recording.noise import channel_noise
+from aerobalance.recording.recording import Recording
+from aerobalance.recording.sensors import corrected
+
+GAINS: Final = ("accelerometer gain", "turn sensor gain")
+"""Names of what is not known of the sensors' gains."""
+
+TURNING: Final = "w x (w x r) by integrated turns"
+"""Name of what is not known of the rate of turn."""
+
+TOLD: Final = 0.01
+"""Part of an accelerometer's noise from which the size of w x (w x r) in it is told."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlatformMotion:
+    """Motion of the ground end in six degrees of freedom, in the order and signs of the components.
+
+    NF, SF and AF are the acceleration of the balance's centre up, to the right and aft; PM, YM and RM the angular
+    acceleration nose up, nose right and right side down.
+
+    Attributes
+    ----------
+    acceleration
+        Shape (n, 6) [m/s^2, rad/s^2].
+    covariance
+        Covariance of the noise of one of its samples with that of gravity, shape (6, 6); taken as white, but what
+        comes from a rate of turn grows with frequency.
+    specific_force
+        The acceleration less gravity, shape (n, 6) [m/s^2, rad/s^2]; gravity is in the straight ones only.
+    turn_rate
+        Rate of turn in the signs of PM, YM and RM, shape (n, 3) [rad/s].
+    delay
+        Time by which it lags the clock [s].
+    assumptions
+        What had to be taken as zero because no sensor sees it, and the like.
+    unknowns
+        What holds along the record and is not known exactly: gain, zero and place of the sensors, zero and gain of
+        the angles, and gravity, these less what they do in the zero of the loads; slopes have shape (n, 6).
+    pull_on_zero
+        Pull on the zero of the recording's loads, shape (6,) [m/s^2].
+    """
+
+    acceleration: Array
+    covariance: Array
+    specific_force: Array
+    turn_rate: Array
+    delay: float
+    assumptions: tuple[str, ...]
+    unknowns: tuple[Unknown, ...] = ()
+    pull_on_zero: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        *,
+        gravity: float = STANDARD_GRAVITY,
+        gravity_uncertainty: float = 0.0,
+    ) -> PlatformMotion:
+        """Take the motion from a recording's accelerometers, turns, rates of turn, pitch and roll.
+
+        Channels ``ground_acceleration`` with any ending are accelerometers; ``ground_turn_PM`` and
+        ``ground_turn_rate_PM`` and their like are angular acceleration and rate of turn. A motion that shows nothing
+        beyond its noise is taken as zero, but for tones. Readings that do not agree with each other are warned of.
+
+        Parameters
+        ----------
+        recording
+            What was recorded.
+        gravity, gravity_uncertainty
+            Local acceleration of gravity and its standard uncertainty [m/s^2].
+
+        Raises
+        ------
+        FitError
+            An accelerometer has no axis, or a channel no reading.
+        """
+        recording = corrected(recording)
+        sensors = ground_sensors(recording)
+        pull = _Gravity.of(recording, gravity)
+        fit = GroundFit.of(sensors, rate=recording.rate)
+        job = _Job(recording, fit, pull, _kinematic(fit, pull, recording.samples))
+        return job.solved(gravity_uncertainty)
+
+    def moved(self, changes: Array) -> PlatformMotion:
+        """The motion, its specific force at least, if the `unknowns` were off by so much, shape (their number,)."""
+        change = sum((item.slope * by for item, by in zip(self.unknowns, changes, strict=True)), np.zeros(6))
+        return replace(self, specific_force=self.specific_force + change)
+
+    def force(self, mass: RigidMass) -> Array:
+        """Loads on the moving mass in the frame of the ground end: W - M x1'', less what keeps the mass turning.
+
+        Parameters
+        ----------
+        mass
+            The moving mass, about the balance's centre.
+
+        Returns
+        -------
+        force
+            Shape (n, 6) [N, N*m].
+        """
+        return np.asarray(-self.specific_force @ mass.matrix.T - mass.turning_load(self.turn_rate))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Gravity:
+    """Pull of gravity at the angles that were recorded, and their noise."""
+
+    acceleration: Array
+    gravity: float
+    angles: dict[str, Array]
+    slopes: dict[str, Array]
+    noise: dict[str, float]
+    assumptions: tuple[str, ...]
+
+    @classmethod
+    def of(cls, recording: Recording, gravity: float) -> _Gravity:
+        nothing = np.zeros(recording.samples)
+        if "pitch" not in recording:
+            said = "pitch is not recorded and taken as constant; a constant weight is left out"
+            return cls(np.zeros((recording.samples, 6)), gravity, {}, {}, {}, (said,))
+        names = [name for name in ("pitch", "roll") if name in recording]
+        angles = {name: bridged(recording, recording.channel(name)) for name in names}
+        pull = Pull.of(angles["pitch"], angles.get("roll", nothing), gravity=gravity)
+        noise = {name: channel_noise(recording.channel(name)) for name in names}
+        return cls(pull.acceleration, gravity, angles, {name: pull.slopes[name] for name in names}, noise, ())
+
+
+def _kinematic(fit: GroundFit, pull: _Gravity, samples: int) -> Array:
+    """Readings with gravity put back where the sensor reads specific force, shape (n, m)."""
+    return fit.readings(samples) + _felt(fit, pull.acceleration)
+
+
+def _felt(fit: GroundFit, pull: Array) -> Array:
+    """What the sensors that read specific force lack of a pull of shape (n, 6), shape (n, m)."""
+    reading = np.array([sensor.reads_gravity for sensor in fit.sensors], dtype=np.float64)
+    return np.asarray(pull @ (fit.rows * STRAIGHT * reading[:, None]).T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Job:
+    recording: Recording
+    first: GroundFit
+    pull: _Gravity
+    readings: Array
+
+    def solved(self, gravity_uncertainty: float) -> PlatformMotion:
+        fit, known, variance, said = self._at_rest()
+        found = Turning.of(fit, self.readings, known)
+        effects = list(self._effects(found, gravity_uncertainty))
+        readings = self.readings - known @ fit.rows.T - (found.felt if found.removed else 0.0)
+        check_agreement(self.recording.name, fit, readings, found.motion, effects)
+        return PlatformMotion(
+            acceleration=found.motion,
+            covariance=self._covariance(fit, variance),
+            specific_force=found.motion - self.pull.acceleration,
+            turn_rate=found.rate,
+            delay=fit.sensors[0].channel.delay if fit.sensors else 0.0,
+            assumptions=(*said, *_told(self.first, found), *self.pull.assumptions),
+            unknowns=tuple(self._unknowns(fit, effects, known)),
+            pull_on_zero=self.recording.pull_on_zero.acceleration,
+        )
+
+    def _at_rest(self) -> tuple[GroundFit, Array, Array, list[str]]:
+        """Take motions that show nothing beyond their noise as their tones: the least sure first, then fit again.
+
+        The fit of the others, what is taken as known, shape (n, 6), and the variance of its noise, shape (6,).
+        """
+        fit = self.first
+        said: list[str] = []
+        known, variance = np.zeros((self.readings.shape[0], 6)), np.zeros(6)
+        plain = np.array([s.kind == "turn" or s.channel.coupling == "kinematic" for s in fit.sensors], dtype=bool)
+        plain &= np.array([s.kind != "rate" for s in fit.sensors], dtype=bool)
+        while True:
+            motion, spread = fit.motion(self.readings - known @ fit.rows.T), np.diag(fit.covariance)
+            ratios = {
+                column: float(np.var(motion[:, column]) / spread[column])
+                for column in fit.columns
+                if spread[column] > 0 and not any(band.gains[column, ~plain].any() for band in fit.bands)
+            }
+            least = min(ratios, key=ratios.__getitem__, default=-1)
+            if least < 0 or ratios[least] >= AT_REST:
+                return fit, known, variance, said
+            # adding a sensor's noise to the force would only spoil it; tones that stand out of it are motion
+            known[:, least], share = tones(motion[:, least])
+            variance[least] = share**2 * spread[least]
+            rest = "only its tones are taken" if share else "it is taken as zero"
+            said.append(
+                f"the ground's {motion_name(least)} shows {'little' if share else 'nothing'} beyond its noise; {rest}"
+            )
+            fit = fit.only(set(fit.columns) - {least})
+
+    def _covariance(self, fit: GroundFit, variance: Array) -> Array:
+        """Noise of one sample: of the sensors, of what is taken as known, and of the angles."""
+        total = fit.covariance + fit.spread(
+            [np.eye(6) - band.gains @ fit.rows for band in fit.bands], variance=variance
+        )
+        reading = np.array([sensor.reads_gravity for sensor in fit.sensors], dtype=np.float64)
+        maps = [band.gains @ (fit.rows * STRAIGHT * reading[:, None]) - np.eye(6) for band in fit.bands]
+        for name, slope in self.pull.slopes.items():
+            size, shapes = np.linalg.eigh(slope.T @ slope / slope.shape[0])
+            turned = [one @ shapes for one in maps]
+            total = total + fit.spread(turned, variance=self.pull.noise[name] ** 2 * np.maximum(size, 0.0))
+        return total
+
+    def _effects(self, found: Turning, gravity_uncertainty: float) -> Iterator[Effect]:
+        """What holds along the record and is not known exactly, as changes of readings and of gravity."""
+        fit, samples = self.first, self.readings.shape[0]
+        turn, w = (part @ DIRECTIONS[list(TURNS)] for part in (found.motion[:, TURNS], found.rate))
+        for index, sensor in enumerate(fit.sensors):
+            channel, straight = sensor.channel, sensor.kind == "acceleration"
+            raw = self.readings[:, index] - _felt(fit, self.pull.acceleration)[:, index]
+            yield Effect(GAINS[0 if straight else 1], channel.name, channel.relative_uncertainty, {index: raw})
+            if sensor.kind != "rate":  # whose zero has no derivative
+                yield Effect(
+                    "accelerometer zero" if straight else "turn sensor zero",
+                    channel.name,
+                    channel.zero_uncertainty,
+                    {index: np.ones(samples)},
+                )
+            for axis, name in enumerate(("aft", "right", "up")):
+                by = np.eye(3)[axis]
+                moved = (np.cross(turn, by) + np.cross(w, np.cross(w, by))) @ sensor.axis
+                yield Effect(f"place {name}", channel.name, channel.place_uncertainty, {index: moved})
+            for part in channel.cross_axis:
+                across = -np.nan_to_num(self.recording.channel(part.channel).values)
+                name = f"cross-axis sensitivity to {part.channel}"
+                yield Effect(name, channel.name, part.uncertainty, {index: across})
+        on_zero = self.recording.pull_on_zero
+        for name, slope in self.pull.slopes.items():
+            channel = self.recording.channel(name)
+            for word, by, u in (
+                ("zero", slope, channel.zero_uncertainty),
+                ("gain", slope * self.pull.angles[name][:, None], channel.relative_uncertainty),
+            ):
+                what = f"{name} {word}"
+                yield Effect(what, name, u, self._felt_by(by), on_zero.slope(what) - by)
+        yield Effect(TURNING, "rate of turn", found.uncertainty, dict(enumerate(found.felt.T)))
+        by = self.pull.acceleration / self.pull.gravity
+        on_zero_by = on_zero.acceleration / self.pull.gravity
+        yield Effect("gravity", "gravity", gravity_uncertainty, self._felt_by(by), on_zero_by - by)
+
+    def _felt_by(self, pull: Array) -> dict[int, Array]:
+        felt = _felt(self.first, pull)
+        return {index: felt[:, index] for index, sensor in enumerate(self.first.sensors) if sensor.reads_gravity}
+
+    def _unknowns(self, fit: GroundFit, effects: list[Effect], known: Array) -> Iterator[Unknown]:
+        for effect in effects:
+            if effect.uncertainty <= 0:
+                continue
+            slope = fit.motion(effect.readings(self.readings))
+            if effect.pull is not None:
+                slope = slope + effect.pull
+            if effect.name in GAINS and known.any():
+                slope = slope + self._share(effect.source) * known
+            if slope.any():
+                yield Unknown(effect.name, effect.source, slope, effect.uncertainty)
+
+    def _share(self, name: str) -> Array:
+        """Share of a sensor in every motion, shape (6,): by so much the gain of its tones is its own."""
+        index = [sensor.channel.name for sensor in self.first.sensors].index(name)
+        return np.asarray(self.first.bands[0].gains[:, index] * self.first.rows[index])
+
+
+def _told(first: GroundFit, found: Turning) -> Iterator[str]:
+    """What is taken as zero or approximately because of what the sensors do not see."""
+    names = [sensor.channel.name for sensor in first.sensors]
+    if not names:
+        yield "no ground acceleration is recorded; the ground end is taken to be at rest"
+        return
+    for index, sensor in enumerate(first.sensors):
+        if sensor.kind == "rate" and first.reach[index] == 0:
+            yield f"{names[index]} shows nothing beyond its noise and is not used"
+    used = np.any([band.used for band in first.bands], axis=0)
+    yield from unseen(first.rows[used], first.columns)
+    for band in first.bands[1:]:
+        lost = [motion_name(column) for column in first.columns if column not in band.columns]
+        if lost:
+            yield f"the ground's {', '.join(lost)} is taken as zero above {band.low:.3g} Hz, where no sensor shows it"
+    turns = any(turn in first.columns for turn in TURNS)
+    bare = [s.channel.name for s in first.sensors if s.kind == "acceleration" and s.channel.place is None]
+    if turns and bare:
+        yield f"{', '.join(bare)}: no place is given, so the balance's centre is taken for it"
+    yield from found.assumptions
+    sizes = np.sqrt(np.mean(found.felt**2, axis=0))
+    large = any(size > TOLD * sensor.noise and size > 0 for size, sensor in zip(sizes, first.sensors, strict=True))
+    if large and found.removed:
+        most = float(np.max(np.abs(found.felt)))
+        yield (
+            f"w x (w x r) of the accelerometers' places, up to {most:.3g} m/s^2, is taken off "
+            "with the rate of turn as recorded, or else integrated less a straight line, which lacks a steady turn"
+        )

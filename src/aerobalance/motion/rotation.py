@@ -1,0 +1,142 @@
+"""The rate of turn of the ground end, and w x (w x r) in the readings of accelerometers away from its centre.
+
+A rate that is not recorded is integrated from the angular acceleration, less the straight line that the sensors' zeros
+make of it. What is read of w x (w x r) then depends on the motion found, and the motion on it: a few rounds settle
+both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.signal.windows import hann
+
+from aerobalance.motion.least_squares import GroundFit
+from aerobalance.motion.sensors import DIRECTIONS
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS, MOMENTS
+
+TURNS: Final = tuple(COMPONENTS.index(name) for name in MOMENTS)
+"""Places of the turns in the order of the components."""
+
+ROUNDS: Final = 5
+"""Times that rate of turn and acceleration are worked out from each other; each adds an order of w^2 r."""
+
+SETTLED: Final = 0.03
+"""Part of w x (w x r) by which the last of these times may still change it."""
+
+INTEGRATED: Final = 0.1
+"""Standard uncertainty of w x (w x r) where w is integrated, relative [1]: its line holds motion."""
+
+WALK: Final = 0.26
+"""Rms of the integral of white noise less its line, over noise sqrt(n) / rate: 1 / sqrt(15)."""
+
+MOSTLY_NOISE: Final = 0.5
+"""Share of the integral's rms from which such a walk makes it worthless."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turning:
+    """The rate of turn and what goes with it.
+
+    Attributes
+    ----------
+    motion
+        The six motions, w x (w x r) taken off, shape (n, 6) [m/s^2, rad/s^2].
+    rate
+        Rate of turn in the signs of PM, YM and RM, shape (n, 3) [rad/s].
+    felt
+        What the sensors read of w x (w x r) by this rate, shape (n, m) [m/s^2].
+    removed
+        Whether it has been taken off.
+    uncertainty
+        Its standard uncertainty, relative [1].
+    assumptions
+        Rates that are left out, and the like.
+    """
+
+    motion: Array
+    rate: Array
+    felt: Array
+    removed: bool
+    uncertainty: float
+    assumptions: tuple[str, ...]
+
+    @classmethod
+    def of(cls, fit: GroundFit, readings: Array, known: Array) -> Turning:
+        """Work out the motion and its rate of turn.
+
+        Parameters
+        ----------
+        fit
+            How readings become motion.
+        readings
+            Kinematic readings, shape (n, m).
+        known
+            Motions that are known beforehand, shape (n, 6).
+        """
+        readings = readings - known @ fit.rows.T
+        start = motion = fit.motion(readings) + known
+        felt, rate = np.zeros_like(readings), np.zeros((known.shape[0], 3))
+        if not start[:, TURNS].any():
+            return cls(start, rate, felt, True, 0.0, ())
+        walk = WALK * np.sqrt(np.diag(fit.covariance)[list(TURNS)] * known.shape[0]) / fit.rate
+        settled, noise = False, np.zeros(3)
+        for _ in range(ROUNDS):
+            rate, noise = _rate(fit, motion, walk)
+            before, felt = felt, centripetal(fit, rate)
+            motion = fit.motion(readings - felt) + known
+            settled = bool((_rms(felt - before) <= SETTLED * _rms(felt)).all())
+        if not settled:
+            said = (
+                f"w x (w x r), up to {float(np.abs(felt).max()):.3g} m/s^2 in the accelerometers, is left in their "
+                "readings: their places tell turns too badly to work it out"
+            )
+            return cls(start, np.zeros_like(rate), felt, False, 1.0, (said,))
+        lost = ", ".join(name for name, part in zip(MOMENTS, noise, strict=True) if part > MOSTLY_NOISE)
+        told = (f"the rate of turn of {lost} is lost in the noise of its integral and taken as zero",) if lost else ()
+        share = float(np.max(np.where(noise > MOSTLY_NOISE, 0.0, noise)))
+        integrated = not set(np.flatnonzero(rate.any(axis=0))) <= _recorded(fit)
+        return cls(motion, rate, felt, True, float(np.hypot(INTEGRATED, 2 * share)) if integrated else 0.0, told)
+
+
+def _recorded(fit: GroundFit) -> set[int]:
+    return {TURNS.index(int(np.argmax(sensor.row))) for sensor in fit.sensors if sensor.kind == "rate"}
+
+
+def _rate(fit: GroundFit, motion: Array, walk: Array) -> tuple[Array, Array]:
+    """Rate of turn, shape (n, 3), as read or else integrated, and the share of noise in what is integrated."""
+    found, noise = np.zeros((motion.shape[0], 3)), np.zeros(3)
+    for place, turn in enumerate(TURNS):
+        read = [s for s, row in zip(fit.sensors, fit.rows, strict=True) if s.kind == "rate" and row[turn]]
+        if read:
+            weights = np.array([1 / max(sensor.noise, 1e-12) ** 2 for sensor in read])
+            found[:, place] = np.average([sensor.values for sensor in read], axis=0, weights=weights)
+        elif motion[:, turn].any():
+            rate = _integrated(motion[:, turn], fit.rate)
+            noise[place] = walk[place] / max(float(_rms(rate)), 1e-300)
+            found[:, place] = rate if noise[place] <= MOSTLY_NOISE else 0.0
+    return found, noise
+
+
+def _integrated(values: Array, rate: float) -> Array:
+    """Integral less its straight line, fitted under a Hann window, which keeps slow swings out of it, shape (n,)."""
+    whole = cumulative_trapezoid(values, initial=0) / rate
+    place = np.linspace(-1, 1, values.size)
+    weight = hann(values.size + 2, sym=True)[1:-1]
+    line = np.polynomial.polynomial.polyfit(place, whole, 1, w=np.sqrt(weight))
+    return np.asarray(whole - line[0] - line[1] * place)
+
+
+def centripetal(fit: GroundFit, rate: Array) -> Array:
+    """What the sensors read of w x (w x r), shape (n, m) [m/s^2]."""
+    w = rate @ DIRECTIONS[list(TURNS)]
+    square = np.sum(w**2, axis=1)
+    return np.column_stack([(w @ s.place) * (w @ s.axis) - square * float(s.place @ s.axis) for s in fit.sensors])
+
+
+def _rms(values: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))

@@ -1,0 +1,237 @@
+"""Channels by name: the quantities that the program understands, and what is known about their sensors."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.recording.analog_filter import AntiAlias
+from aerobalance.recording.components import COMPONENTS, MOMENTS, is_gauge, si_unit
+
+Array = NDArray[np.float64]
+
+Coupling = Literal["kinematic", "dc", "ac"]
+
+QUANTITIES: Final[Mapping[str, str]] = {
+    **{name: si_unit(name) for name in COMPONENTS},
+    **{f"r{name}": "mV/V" for name in COMPONENTS},
+    **{f"{end}_acceleration{axis}": "m/s^2" for end in ("ground", "live") for axis in ("", "_y", "_z")},
+    **{f"ground_turn_{name}": "rad/s^2" for name in MOMENTS},
+    **{f"ground_turn_rate_{name}": "rad/s" for name in MOMENTS},
+    "pitch": "rad",
+    "roll": "rad",
+    "excitation": "V",
+    "temperature": "degC",
+}
+"""The channel names that the program understands, and the unit that each has inside.
+
+Beside the gauge outputs listed, ``r`` and any component as the balance names it is one (rN1, rAft_Pitch): in mV/V, or
+in V until `aerobalance.balance.bridge_outputs.gauge_outputs` has divided it by the excitation. ``ground_turn_PM`` and
+its like are angular accelerations of the ground end, positive as the moment of that name turns: nose up, nose right,
+right side down; ``ground_turn_rate_PM`` and its like are their integrals. ``ground_acceleration_`` with any other
+ending is an accelerometer on the ground end whose channel says where it sits and which way it looks.
+"""
+
+DIRECTIONS: Final[Mapping[str, tuple[float, float, float]]] = {
+    "aft": (1.0, 0.0, 0.0),
+    "right": (0.0, 1.0, 0.0),
+    "up": (0.0, 0.0, 1.0),
+}
+"""Unit vectors of the balance's axes, in their own coordinates."""
+
+AXES_BY_NAME: Final[Mapping[str, tuple[float, float, float]]] = {
+    "ground_acceleration": DIRECTIONS["aft"],
+    "ground_acceleration_y": DIRECTIONS["right"],
+    "ground_acceleration_z": DIRECTIONS["up"],
+}
+"""Axes of the accelerometers whose names tell them."""
+
+_GROUND_ACCELERATION: Final = re.compile(r"ground_acceleration(_\w+)?")
+
+
+def is_ground_acceleration(name: str) -> bool:
+    """Say whether a channel name is that of an accelerometer on the ground end."""
+    return _GROUND_ACCELERATION.fullmatch(name) is not None
+
+
+def unit_inside(name: str) -> str | None:
+    """Unit that a channel of this name has inside; None where any will do (see `is_gauge` for gauges)."""
+    return "m/s^2" if is_ground_acceleration(name) else QUANTITIES.get(name)
+
+
+@dataclass(frozen=True, slots=True)
+class CrossAxis:
+    """What an accelerometer reads of an acceleration across its axis.
+
+    Attributes
+    ----------
+    channel
+        Name of the channel of that acceleration.
+    sensitivity
+        Reading over that acceleration [1].
+    uncertainty
+        Its standard uncertainty [1].
+    """
+
+    channel: str
+    sensitivity: float
+    uncertainty: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not abs(self.sensitivity) < 1 or not 0 <= self.uncertainty < 1:
+            raise ValueError(
+                f"the sensitivity to {self.channel} must lie between -1 and 1 and its uncertainty between 0 and 1, "
+                f"not {self.sensitivity:g} and {self.uncertainty:g}"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channel:
+    """One measured quantity over time.
+
+    Attributes
+    ----------
+    name
+        One of `QUANTITIES`, or any other name for a quantity the program only passes on.
+    values
+        Readings on the recording's clock, shape (n,), in `unit`; NaN where a sample is missing.
+    unit
+        Unit of `values`.
+    noise
+        Standard uncertainty of one reading [unit]; None when it is to be estimated from the record.
+    relative_uncertainty
+        Standard uncertainty of the channel's gain, relative [1].
+    delay
+        Time by which the readings lag the clock [s].
+    coupling
+        What an accelerometer reads: ``"kinematic"`` the acceleration of its place, ``"dc"`` specific force
+        (x'' - g sin(pitch)), ``"ac"`` the acceleration above a high-pass corner.
+    corner
+        High-pass corner of an ac-coupled sensor [Hz]; 0 for the others.
+    file_unit
+        Unit in the channel's file, in which results are written again; an empty string where there is no file.
+    zero_uncertainty
+        Standard uncertainty of the channel's zero [unit].
+    filter
+        Analog low-pass before the sampling, still in the readings; None where there is none.
+    cross_axis
+        What an accelerometer reads of other accelerations, still in the readings.
+    place
+        Where an accelerometer on the ground end sits, from the balance's centre aft, right and up [m]; None where it
+        is not given.
+    axis
+        Unit vector along which it reads positive: its shares aft, right and up; None where its name tells it.
+    place_uncertainty
+        Standard uncertainty of every coordinate of `place` [m].
+    """
+
+    name: str
+    values: Array
+    unit: str
+    noise: float | None = None
+    relative_uncertainty: float = 0.0
+    delay: float = 0.0
+    coupling: Coupling = "kinematic"
+    corner: float = 0.0
+    file_unit: str = ""
+    zero_uncertainty: float = 0.0
+    filter: AntiAlias | None = None
+    cross_axis: tuple[CrossAxis, ...] = ()
+    place: tuple[float, float, float] | None = None
+    axis: tuple[float, float, float] | None = None
+    place_uncertainty: float = 0.0
+
+    def __post_init__(self) -> None:
+        expected = ("mV/V", "V") if is_gauge(self.name) else (unit_inside(self.name) or self.unit,)
+        if self.unit not in expected:
+            raise ValueError(f"channel {self.name} must be in {' or '.join(expected)} inside, not {self.unit}")
+        if self.values.ndim != 1:
+            raise ValueError(f"channel {self.name} must have shape (n,), not {self.values.shape}")
+        if self.noise is not None and not self.noise >= 0:
+            raise ValueError(f"channel {self.name}: noise must be zero or more, not {self.noise}")
+        if not self.zero_uncertainty >= 0:
+            raise ValueError(
+                f"channel {self.name}: zero_uncertainty must be zero or more, not {self.zero_uncertainty}"
+            )
+        self._check_mounting()
+        fixed = self.values.view()
+        fixed.setflags(write=False)  # on a view, so that the caller's own array stays as it was
+        object.__setattr__(self, "values", fixed)
+
+    def _check_mounting(self) -> None:
+        """Refuse a place or an axis that no accelerometer on the ground end can have."""
+        if (self.place, self.axis, self.place_uncertainty) == (None, None, 0.0):
+            return
+        if not is_ground_acceleration(self.name):
+            raise ValueError(f"channel {self.name}: place and axis are for ground_acceleration and its like")
+        if self.place is not None and (len(self.place) != 3 or not np.isfinite(self.place).all()):
+            raise ValueError(f"channel {self.name}: place must be three numbers [m], aft, right, up, not {self.place}")
+        if not 0 <= self.place_uncertainty < np.inf:
+            raise ValueError(
+                f"channel {self.name}: place_uncertainty must be zero or more, not {self.place_uncertainty}"
+            )
+        if self.axis is not None and (len(self.axis) != 3 or not abs(np.linalg.norm(self.axis) - 1) < 1e-3):
+            raise ValueError(f"channel {self.name}: axis must be a vector aft, right, up of length 1, not {self.axis}")
+
+    @property
+    def missing(self) -> NDArray[np.bool_]:
+        """True where a sample is missing, shape (n,)."""
+        return ~np.isfinite(self.values)
+
+    @property
+    def saturated(self) -> NDArray[np.bool_]:
+        """True where the reading rests on a limit that it met more than once at speed, shape (n,).
+
+        A plateau is no saturation: a run of equal readings at the highest or lowest value counts where the
+        readings on both sides of it, continued, would have gone well past the limit, and where that happens at
+        least twice. A single clipped peak cannot be told from a plateau and is not found. A stated uncertainty
+        (``u_AF``) is no reading, and rests on no limit.
+        """
+        if self.name.startswith("u_") and self.name[2:] in COMPONENTS:
+            return np.zeros(self.values.shape, dtype=bool)
+        return _clipped(self.values, 1.0) | _clipped(self.values, -1.0)
+
+    @property
+    def at_limit(self) -> NDArray[np.bool_]:
+        """True where the reading is at a limit that it rests on somewhere in the record, shape (n,).
+
+        Once a limit is known, a single reading there is as little worth as a run of them.
+        """
+        limits = np.unique(self.values[self.saturated])
+        return np.isin(self.values, limits) if limits.size else np.zeros(self.values.shape, dtype=bool)
+
+
+def _clipped(values: Array, sign: float) -> NDArray[np.bool_]:
+    """Find the runs of three or more equal readings at the highest (sign 1) or lowest (sign -1) value."""
+    flags = np.zeros(values.shape, dtype=bool)
+    finite = np.isfinite(values)
+    if not finite.any():
+        return flags
+    signal = np.where(finite, sign * values, np.nan)
+    limit = np.max(signal[finite])
+    spread = limit - np.min(signal[finite])
+    edges = np.diff(np.concatenate(([0], (signal == limit).astype(np.int8), [0])))
+    first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+    inside = (last - first >= 2) & (first > 1) & (last < values.size - 2)
+    first, last = first[inside], last[inside]
+    levels = np.unique(values[finite]) if first.size >= 2 else values[:1]
+    if levels.size < 2:
+        return flags
+    resolution = float(np.min(np.diff(levels)))
+    inner = (signal[first - 1] + signal[last + 1]) / 2
+    outer = (signal[first - 2] + signal[last + 2]) / 2
+    half = (last - first + 2) / 2
+    # A parabola through the two readings on either side, at the middle of the run.
+    overshoot = inner + (inner - outer) * half**2 / (2 * half + 1) - limit
+    # A quantised peak rests on its top level by itself; a ramp to a long plateau would have overshot the whole range.
+    moving = (overshoot > (2 + half) * resolution) & (overshoot > 1e-3 * spread) & (overshoot < spread)
+    if np.count_nonzero(moving) < 2:
+        return flags
+    for start, stop in zip(first, last, strict=True):
+        flags[start : stop + 1] = True
+    return flags

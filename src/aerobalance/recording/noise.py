@@ -1,0 +1,52 @@
+"""How noisy a channel is, judged from its own record."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from scipy.signal import welch
+from scipy.stats import norm
+
+from aerobalance.recording.channel import Array, Channel
+
+BANDS: Final = 32
+"""Bands of equal width between zero and the Nyquist frequency in which the level is looked at."""
+
+QUIET_SHARE: Final = 0.25
+"""Share of the bands that may lie under the noise, where an anti-alias filter has taken it away."""
+
+CLEARLY_LOWER: Final = 0.7
+"""Ratio of the two estimates of the noise below which it is no chance of sampling."""
+
+
+def white_noise(values: Array) -> float:
+    """Standard deviation of the white noise of a channel [unit of the channel].
+
+    The level of the quiet bands of its spectrum: the lower quartile over bands, so that the signal may fill up to
+    three quarters of the bandwidth and a filter may empty up to a quarter of it. A record of a few jumps has no quiet
+    band; where the median third difference, which does not see them, is clearly lower, it is taken instead.
+
+    Parameters
+    ----------
+    values
+        Readings, shape (n,), at least 8; NaN where missing.
+    """
+    present = values[np.isfinite(values)]
+    if present.size < 8:
+        raise ValueError(f"noise needs at least 8 readings, not {present.size}")
+    length = int(min(present.size, max(64, present.size // 8)))
+    _, density = welch(present, 1.0, nperseg=length, detrend="linear")  # type: ignore[call-overload]
+    inner = density[2:-1] if density.size > 8 else density
+    bands = np.array_split(inner, min(BANDS, inner.size))
+    levels = np.sort([float(np.mean(band)) for band in bands])
+    level = levels[int(QUIET_SHARE * (levels.size - 1))]
+    spectral = float(np.sqrt(level / 2))
+    # the third difference of white noise has twenty times its variance
+    calm = float(np.median(np.abs(np.diff(present, 3)))) / (norm.ppf(0.75) * np.sqrt(20))
+    return calm if 0 < calm < CLEARLY_LOWER * spectral else spectral
+
+
+def channel_noise(channel: Channel) -> float:
+    """Standard uncertainty of one reading: as given for the channel, or else judged from its record."""
+    return channel.noise if channel.noise is not None else white_noise(channel.values)

@@ -1,0 +1,294 @@
+"""What flows through the program: a recording of named channels, the loads felt, the force applied."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import COMPONENTS, is_gauge
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.gravity import PullOnZero
+from aerobalance.recording.jitter import following, on_steady_clock
+from aerobalance.recording.steady_clock import Clock, first_repeated, steady_clock
+
+GAUGES_BECOME_LOADS: Final = (
+    "gauge outputs become loads by a balance matrix: weigh, identify decay and rig, force and compare take --balance, "
+    "and for other commands aerobalance loads --balance writes a recording of the loads"
+)
+"""What to do with gauge outputs where loads are needed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """Channels that share one steady clock.
+
+    Attributes
+    ----------
+    name
+        What the recording is called in messages (a file name, a rig).
+    stamps
+        The time column as it was given, shape (m,) [s]; the steady clock where the samples were put on it.
+    rows
+        Sample of the steady clock that each time stamp belongs to, shape (m,); where stamps are missing,
+        the clock has more samples (n) than there are rows (m).
+    start
+        Time of the first sample of the steady clock [s].
+    rate
+        Sampling rate [Hz].
+    channels
+        The channels by name, each of n samples.
+    time_unit
+        Unit that the time column had in its file, in which it is written again.
+    pull_on_zero
+        Pull of gravity on the mass whose weight was added to loads that count from a zero read under it.
+    """
+
+    name: str
+    stamps: Array
+    rows: NDArray[np.intp]
+    start: float
+    rate: float
+    channels: Mapping[str, Channel]
+    time_unit: str = "s"
+    pull_on_zero: PullOnZero = field(default_factory=PullOnZero)
+
+    @classmethod
+    def from_columns(
+        cls,
+        stamps: Array,
+        channels: Mapping[str, Channel],
+        *,
+        name: str = "recording",
+        time_unit: str = "s",
+    ) -> Recording:
+        """Put columns of samples on a steady clock, with missing rows marked as such.
+
+        Where the readings follow the jitter of their stamps, or the stamps depart from every steady clock by more
+        than an interval, the samples are interpolated to a steady clock, which is then the time column.
+
+        Parameters
+        ----------
+        stamps
+            Time of every row, shape (m,) [s], increasing.
+        channels
+            Channels of m readings each.
+        name
+            What to call the recording in messages.
+        time_unit
+            Unit that the time column had in its file.
+
+        Raises
+        ------
+        FitError
+            The time column does not increase, or no steady clock fits it.
+        ValueError
+            A channel has not one reading per row.
+        """
+        stamps = np.array(stamps, dtype=np.float64)
+        for key, channel in channels.items():
+            if channel.values.shape != stamps.shape:
+                raise ValueError(f"channel {key} has {channel.values.size} readings for {stamps.size} time stamps")
+        clock = steady_clock(stamps, name)
+        uneven = clock.departure > JITTER_ALLOWED and not clock.rounded
+        if uneven and _samples_jitter(stamps, channels, clock, name):
+            return _resampled(stamps, channels, clock, name, time_unit)
+        rows, start, rate = clock.rows, clock.start, 1 / clock.interval
+        samples = int(rows[-1]) + 1
+        placed = {}
+        for key, channel in channels.items():
+            values = np.full(samples, np.nan)
+            values[rows] = channel.values
+            placed[key] = Channel(
+                **{slot: getattr(channel, slot) for slot in Channel.__slots__ if slot != "values"},
+                values=values,
+            )
+        return cls(name=name, stamps=stamps, rows=rows, start=start, rate=rate, channels=placed, time_unit=time_unit)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of the steady clock."""
+        return int(self.rows[-1]) + 1
+
+    @property
+    def time(self) -> Array:
+        """The steady clock, shape (n,) [s]."""
+        return self.start + np.arange(self.samples) / self.rate
+
+    @property
+    def duration(self) -> float:
+        """Time from the first sample to the last [s]."""
+        return (self.samples - 1) / self.rate
+
+    @property
+    def gaps(self) -> list[tuple[float, float]]:
+        """Start and length of every gap in the time column [s]."""
+        steps = np.diff(self.rows)
+        where = np.flatnonzero(steps > 1)
+        return [(float(self.stamps[i]), float((steps[i] - 1) / self.rate)) for i in where]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.channels
+
+    def __iter__(self) -> Iterator[Channel]:
+        return iter(self.channels.values())
+
+    def channel(self, name: str) -> Channel:
+        """Return one channel.
+
+        Raises
+        ------
+        FitError
+            The recording has no such channel; the message lists those it has.
+        """
+        if name not in self.channels:
+            gauges = name in COMPONENTS and any(is_gauge(other) for other in self.channels)
+            hint = f"; {GAUGES_BECOME_LOADS}" if gauges else ""
+            raise FitError(f"{self.name} has no channel {name}; it has {', '.join(self.channels) or 'none'}{hint}")
+        return self.channels[name]
+
+
+def _samples_jitter(stamps: Array, channels: Mapping[str, Channel], clock: Clock, name: str) -> bool:
+    """Say whether samples that were stamped unevenly were taken unevenly; warn where they are taken as even."""
+    late = clock.late(stamps)
+    found = following([channel.values for channel in channels.values()], late)
+    if found.u < FOLLOWING_KNOWN:
+        jitter = found.share > 0.5
+        why = f"the readings do not follow them (by {found.share:.2f} of the jitter, u = {found.u:.2g})"
+    else:
+        jitter = clock.departure > 1.0
+        worst = ", ".join(
+            f"{np.nanstd(np.gradient(channel.values) * late):.3g} {channel.unit} of {key}"
+            for key, channel in list(channels.items())[:6]
+        )
+        why = f"the readings do not tell whether they were; if they were not, they are off by {worst} rms"
+    if not jitter:
+        repeated = int(np.count_nonzero(np.diff(stamps) == 0))
+        which = first_repeated(np.diff(stamps), stamps)
+        equal = f"{repeated} time stamp(s) repeat the one before{which}, and " if repeated else ""
+        warnings.warn(
+            f"{name}: {equal}time stamps depart from a steady {1 / clock.interval:.6g} Hz clock by up to "
+            f"{clock.departure:.2f} sampling intervals; the samples are taken as evenly spaced: {why}",
+            DoubtWarning,
+            stacklevel=3,
+        )
+    return jitter
+
+
+def _resampled(stamps: Array, channels: Mapping[str, Channel], clock: Clock, name: str, time_unit: str) -> Recording:
+    """Interpolate samples that were taken unevenly to a steady clock, and say what that does to them."""
+    first, kept = float(stamps[0]), np.concatenate(([True], np.diff(stamps) > 0))
+    places = ((stamps - first) / clock.interval)[kept]
+    samples = int(places[-1] + 1e-9) + 1
+    given = list(channels.values())
+    done = None
+    if _even_enough(places, clock.rows[kept]):
+        done = on_steady_clock([_unclipped(channel)[kept] for channel in given], places, samples)
+    if done is None:
+        repeated = first_repeated(np.diff(stamps), stamps)
+        raise FitError(
+            f"{name}: the time column fits no steady clock: rows depart from {1 / clock.interval:.6g} Hz by up to "
+            f"{clock.departure:.3g} sampling intervals{repeated}, and are too far apart or too uneven to be put on "
+            "one; cut the recording where the rate changes or samples are missing"
+        )
+    placed, said = {}, []
+    for channel, values, error, gain in zip(given, done.values, done.errors, done.noise_gains, strict=True):
+        noise = None if channel.noise is None else float(np.hypot(gain * channel.noise, error))
+        placed[channel.name] = replace(channel, values=values, noise=noise)
+        clipped = ", saturated samples left out" if channel.saturated.any() else ""
+        said.append(f"{channel.name} {error:.2g} {channel.unit} rms, noise times {gain:.2f}{clipped}")
+    jitter = float(np.std(clock.late(stamps)))
+    warnings.warn(
+        f"{name}: the samples were not taken evenly (jitter {jitter:.2g} sampling intervals rms, up to "
+        f"{clock.departure:.2g}); they are interpolated to a steady {1 / clock.interval:.6g} Hz clock. "
+        f"What that leaves: {'; '.join(said[:6])}{'; ...' if len(said) > 6 else ''}",
+        DoubtWarning,
+        stacklevel=3,
+    )
+    grid = np.arange(samples)
+    time: Array = first + np.arange(samples, dtype=np.float64) * clock.interval
+    return Recording(name, time, grid, first, 1 / clock.interval, placed, time_unit=time_unit)
+
+
+def _unclipped(channel: Channel) -> Array:
+    """Readings of a load or an acceleration without those at a limit, which would not be known as such afterwards."""
+    return np.where(channel.at_limit, np.nan, channel.values) if channel.unit != "rad" else channel.values
+
+
+def _even_enough(places: Array, rows: NDArray[np.intp]) -> bool:
+    """Whether stamps jitter about one rate, and do not change from one to another."""
+    length = min(256, places.size // 4)
+    if length < 4:
+        return False
+    local = (places[length:] - places[:-length]) / (rows[length:] - rows[:-length])
+    return bool(np.all(np.abs(local - 1) < RATE_CHANGE_ALLOWED + 2 / length))
+
+
+JITTER_ALLOWED: Final = 0.1
+"""Departure of a time stamp from the steady clock that is taken without a warning, in sampling intervals."""
+
+FOLLOWING_KNOWN: Final = 0.15
+"""Standard uncertainty of the share of the jitter that readings follow, below which they tell who jitters."""
+
+RATE_CHANGE_ALLOWED: Final = 0.05
+"""Part by which the rate of a clock that wanders may change and still be one rate [1]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loads:
+    """What the balance feels: the elastic loads of Eq. (2), components in columns.
+
+    Attributes
+    ----------
+    components
+        Names of the c columns, from `aerobalance.recording.components.COMPONENTS`.
+    values
+        Loads, shape (n, c) [N, N*m]; NaN where missing.
+    rate
+        Sampling rate [Hz].
+    noise
+        Standard uncertainty of one reading, shape (c,) [N, N*m]; NaN where it is to be estimated.
+    """
+
+    components: tuple[str, ...]
+    values: Array
+    rate: float
+    noise: Array
+
+    @classmethod
+    def from_recording(cls, recording: Recording, components: tuple[str, ...]) -> Loads:
+        """Take the load channels of a recording, delays known from the channel map not yet removed."""
+        channels = [recording.channel(name) for name in components]
+        return cls(
+            components=components,
+            values=np.column_stack([channel.values for channel in channels]),
+            rate=recording.rate,
+            noise=np.array([np.nan if channel.noise is None else channel.noise for channel in channels]),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Force:
+    """What was applied: the loads of Eq. (17), components in columns.
+
+    Attributes
+    ----------
+    components
+        Names of the c columns.
+    values
+        Applied force and moments, shape (n, c) [N, N*m].
+    uncertainty
+        Standard uncertainty of every sample, shape (n, c) [N, N*m].
+    rate
+        Sampling rate [Hz].
+    """
+
+    components: tuple[str, ...]
+    values: Array
+    uncertainty: Array
+    rate: float

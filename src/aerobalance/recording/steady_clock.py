@@ -1,0 +1,172 @@
+"""The steady clock behind a column of time stamps: rounded, repeated, or with samples missing."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import DoubtWarning, FitError
+
+GAP_SUSPECTED: Final = 0.2
+"""Departure from evenly spaced rows from which gaps are looked for: one sample lost from five departs by 0.21."""
+
+RATE_KNOWN: Final = 1e-4
+"""Relative uncertainty of the sampling rate up to which rounded time stamps are taken for a clock."""
+
+LARGEST_GAP_RATIO: Final = 20
+"""Samples of the steady clock per row of the file beyond which the recording has to be cut at its gaps."""
+
+
+class Clock(NamedTuple):
+    """The steady clock that fits a time column best.
+
+    Attributes
+    ----------
+    rows
+        Sample of the clock that each row stands for, shape (m,).
+    interval, start
+        Of the clock [s].
+    departure
+        Largest departure of a stamp from it [intervals].
+    rounded
+        Whether the stamps depart because they are rounded to more than an interval.
+    """
+
+    rows: NDArray[np.intp]
+    interval: float
+    start: float
+    departure: float
+    rounded: bool
+
+    def late(self, stamps: Array) -> Array:
+        """Time by which each stamp is after its sample of the clock, shape (m,) [intervals]."""
+        late: Array = (stamps - self.start) / self.interval - self.rows
+        return late
+
+
+def steady_clock(stamps: Array, name: str) -> Clock:
+    """Find the steady clock behind a time column, and warn of what is missing or rounded."""
+    steps = _checked_steps(stamps, name)
+    order = np.arange(stamps.size, dtype=np.intp)
+    interval, start, departure = _fitted(order, stamps)
+    if departure > GAP_SUSPECTED:
+        found = _rows_with_gaps(stamps, steps, name)
+        if found is not None:
+            order = found
+            interval, start, departure = _fitted(order, stamps)
+    repeated = int(np.count_nonzero(steps == 0))
+    resolution = float(np.min(steps[steps > 0]))
+    rounded = departure > 1.0 and repeated > 0 and departure * interval <= resolution
+    doubts = []
+    if rounded:
+        interval, start, known = _between_turns(stamps, steps, name, resolution)
+        departure = float(np.abs((stamps - start) / interval - order).max())
+        doubts.append(
+            f"the time column is rounded to {resolution:.3g} s, more than a sampling interval; the samples are "
+            f"taken as evenly spaced at {1 / interval:.6g} Hz (known to {100 * known:.1g} %), and a gap in them "
+            "would not be seen"
+        )
+    missing = int(order[-1]) + 1 - order.size
+    if missing:
+        doubts.append(
+            f"{missing} sample(s) are missing from the time column in {int(np.count_nonzero(np.diff(order) > 1))} "
+            "gap(s); the model bridges them, with a larger uncertainty"
+        )
+    for doubt in doubts:
+        warnings.warn(f"{name}: {doubt}", DoubtWarning, stacklevel=3)
+    return Clock(order, interval, start, departure, rounded)
+
+
+def _between_turns(stamps: Array, steps: Array, name: str, resolution: float) -> tuple[float, float, float]:
+    """Return interval and start of a clock whose stamps are rounded [s], and the relative uncertainty of its rate.
+
+    Only where a stamp turns to the next is the time known, to one interval: m turns over n samples tell the rate to
+    1 / (n sqrt(m)), from the variance of a uniform distribution. All stamps together would count the parts of the
+    first and the last one as well, whose lengths are chance.
+
+    Raises
+    ------
+    FitError
+        The turns are too few to tell the rate.
+    """
+    turns = np.flatnonzero(steps > 0) + 1
+    known = 1 / (float(turns[-1] - turns[0]) * np.sqrt(turns.size)) if turns.size > 1 else np.inf
+    if known > RATE_KNOWN:
+        how = f"to {100 * known:.2g} % only; allowed: {100 * RATE_KNOWN:.2g} %" if np.isfinite(known) else "not at all"
+        raise FitError(
+            f"{name}: the time column is rounded to {resolution:.3g} s, and its {turns.size} turn(s) tell the "
+            f"sampling rate {how}. Frequencies and masses would be wrong by as much and twice that: give the rate in "
+            "a channel map (rate = ... under [file], without time), or take a longer record"
+        )
+    interval, start, _ = _fitted(turns.astype(np.intp), stamps[turns])
+    return interval, start, known
+
+
+def first_repeated(steps: Array, stamps: Array) -> str:
+    """Name the first two samples that have the same time stamp, for a message; nothing where there are none."""
+    rows = np.flatnonzero(steps == 0)
+    if not rows.size:
+        return ""
+    return f" (samples {rows[0] + 1} and {rows[0] + 2} are both at {stamps[rows[0]]:.6g} s)"
+
+
+def _checked_steps(stamps: Array, name: str) -> Array:
+    """Return the steps of a time column, which must be finite and not go back."""
+    if stamps.size < 2:
+        raise FitError(f"{name}: {stamps.size} row(s) of samples; a recording needs at least two")
+    if not np.isfinite(stamps).all():
+        row = int(np.flatnonzero(~np.isfinite(stamps))[0]) + 1
+        raise FitError(f"{name}: the time of sample {row} is not a number")
+    steps: Array = np.diff(stamps)
+    wrong = steps < 0 if (steps > 0).any() else steps <= 0
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0]) + 2
+        raise FitError(
+            f"{name}: time must increase from row to row, but sample {row} is at {stamps[row - 1]:.6g} s, "
+            f"after {stamps[row - 2]:.6g} s"
+        )
+    return steps
+
+
+def _fitted(index: NDArray[np.intp], stamps: Array) -> tuple[float, float, float]:
+    """Fit stamps = start + interval * index by least squares; return interval [s], start [s], largest departure."""
+    centred = index - index.mean()
+    # Stamps less their mean keep microseconds where the clock counts from long ago.
+    interval = float(centred @ (stamps - stamps.mean()) / (centred @ centred))
+    start = float(stamps.mean() - interval * index.mean())
+    departure = float(np.max(np.abs(stamps - stamps.mean() - interval * centred))) / interval
+    return interval, start, departure
+
+
+def _rows_with_gaps(stamps: Array, steps: Array, name: str) -> NDArray[np.intp] | None:
+    """Place the rows on a steady clock with samples missing; None where that explains the stamps no better."""
+    usual = float(np.median(steps[steps > 0]))
+    interval = float(np.mean(steps[steps < 1.5 * usual]))
+    if (stamps[-1] - stamps[0]) / interval > LARGEST_GAP_RATIO * stamps.size:
+        longest = int(np.argmax(steps))
+        raise FitError(
+            f"{name}: time jumps from {stamps[longest]:.6g} s to {stamps[longest + 1]:.6g} s at sample {longest + 2}, "
+            f"while samples are {interval:.3g} s apart; cut the recording there"
+        )
+    # Step by step first, so that an error of the interval does not add up; then all stamps on one line.
+    rows = np.concatenate(([0], np.cumsum(np.rint(steps / interval)))).astype(np.intp)
+    for _ in range(5):
+        if rows[-1] <= 0:
+            return None
+        interval, start, _ = _fitted(rows, stamps)
+        placed = np.rint((stamps - start) / interval).astype(np.intp)
+        placed -= placed[0]
+        if (placed == rows).all():
+            break
+        rows = placed
+    increments = np.diff(rows)
+    if not (increments > 0).all() or rows[-1] == stamps.size - 1:
+        return None
+    # A clock that wanders slips a sample without a long step; that is no gap.
+    mismatch = float(np.max(np.abs(steps / interval - increments)))
+    departure = _fitted(rows, stamps)[2]
+    return rows if departure <= 0.4 and mismatch < 0.8 else None

@@ -1,0 +1,1 @@
+"""What is not known: budget, Monte Carlo, planning, and what the calibration leaves."""

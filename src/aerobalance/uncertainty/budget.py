@@ -1,0 +1,260 @@
+"""What the uncertainty of a force comes to: for its mean, rms, peaks and spectrum, and what to improve first.
+
+To first order [JCGM100]_: an error that holds along the record does not average out, noise does, by its spectrum. The
+force lies within the noise of its estimate: what the smoother has smoothed away belongs to its rms and spectrum, and
+what noise has added to a direct inverse does not.
+
+References
+----------
+.. [JCGM100] JCGM 100:2008, "Evaluation of measurement data - Guide to the expression of uncertainty in measurement".
+.. [Welch1967] P. D. Welch, "The use of fast Fourier transform for the estimation of power spectra", IEEE Trans. Audio
+   Electroacoust. 15 (1967) 70.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.signal import csd, welch
+
+from aerobalance.estimation.error_sources import Noise, Systematic
+from aerobalance.estimation.record import ForceEstimate
+from aerobalance.recording.channel import Array
+
+SEGMENTS: Final = 8
+"""Parts of the record, without overlap, that a spectrum is averaged over."""
+
+LONGEST_SEGMENT: Final = 4096
+"""Samples of one such part at most."""
+
+OVERLAP_LOSS: Final = 19 / 18
+"""Variance of an average over half-overlapping Hann segments over that of independent ones [Welch1967]_."""
+
+ROUNDING: Final = 1e-12
+"""Uncertainty over that of a sample below which it is an error of rounding."""
+
+REMEDIES: Final[Mapping[str, str]] = {
+    "noise of the readings": "a quieter load channel (more excitation, a better amplifier, shielding)",
+    "noise of the ground motion": "a quieter accelerometer or inclinometer",
+    "what the model does not explain": "a model that holds there: identify again, with more modes",
+    "size and instant of steps": "a longer record on both sides of the steps",
+    "which side of a step a sample is on": "a higher sampling rate",
+    "mass, stiffness, damping, delay": "a better identification: more or longer releases, a mass weighed better",
+    "accelerometer gain": "a calibration of the accelerometer",
+    "accelerometer zero": "a zero of the accelerometer read before the run",
+    "pitch zero": "a zero of the inclinometer checked against a level",
+    "pitch gain": "a calibration of the inclinometer",
+    "gravity": "the local gravity, from a survey",
+    "balance matrix, zeros and tares": "a better static calibration (calibrate --reading-noise, where that of its "
+    "readings is known), and zeros read close to the run",
+    "curvature of the balance matrix, ringing": "a static calibration with more points, under loads combined",
+    "ends of the record": "a record that begins and ends at rest",
+}
+"""What makes each contribution smaller."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scalar:
+    """One number that sums up a force.
+
+    Attributes
+    ----------
+    name
+        Which: mean, rms_about_mean, largest or least.
+    value
+        The number [N].
+    u
+        Its standard uncertainty [N].
+    parts
+        What each contribution adds to it [N].
+    """
+
+    name: str
+    value: float
+    u: float
+    parts: Mapping[str, float]
+
+
+def scalars(estimate: ForceEstimate) -> tuple[Scalar, ...]:
+    """Mean, rms about it, largest and least value of a force, with their standard uncertainties.
+
+    Largest and least are the force at the instants where the estimate is largest and least.
+    """
+    values = estimate.values
+    found = [_linear("mean", estimate, np.full(values.size, 1 / values.size)), _rms(estimate)]
+    for name, place in (("largest", int(np.argmax(values))), ("least", int(np.argmin(values)))):
+        parts = {part.name: float(part.deviation[place]) for part in estimate.contributions}
+        found.append(Scalar(name, float(values[place]), float(estimate.uncertainty[place]), parts))
+    return tuple(found)
+
+
+def _linear(name: str, estimate: ForceEstimate, weights: Array) -> Scalar:
+    parts = {part.name: float(np.sqrt(part.variance_of(weights))) for part in estimate.contributions}
+    return Scalar(name, float(weights @ estimate.values), float(np.linalg.norm(list(parts.values()))), parts)
+
+
+def noise_power(estimate: ForceEstimate) -> float:
+    """Mean square of the noise about its mean [N^2]."""
+    noises = [part for part in estimate.contributions if isinstance(part, Noise)]
+    weights = np.full(estimate.values.size, 1 / estimate.values.size)
+    return sum(float(np.mean(part.deviation**2)) - part.variance_of(weights) for part in noises)
+
+
+def _rms(estimate: ForceEstimate) -> Scalar:
+    """The rms about the mean: linear in the errors, and for noise their squares too, which do not vanish."""
+    values = estimate.values
+    centred = values - values.mean()
+    sign = 1 if estimate.learned is not None else -1
+    value = float(np.sqrt(max(float(np.mean(centred**2)) + sign * noise_power(estimate), 0.0)))
+    parts = {}
+    for part in estimate.contributions:
+        variance = part.variance_of(2 * centred / values.size)
+        if isinstance(part, Noise):
+            variance += 2 * float(np.mean(part.deviation**4) * np.mean(part.spectrum**2)) / values.size
+        parts[part.name] = float(np.sqrt(variance))
+    of_square = float(np.linalg.norm(list(parts.values())))
+    # u(r) = u(r^2) / 2r; where r drowns in its uncertainty, the root of the uncertainty of its square
+    slope = 1 / (2 * max(value, np.sqrt(of_square) / 2)) if of_square else 0.0
+    return Scalar("rms_about_mean", value, slope * of_square, {name: slope * u for name, u in parts.items()})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceSpectrum:
+    """One-sided power spectral density of a force.
+
+    Attributes
+    ----------
+    frequency
+        Frequencies, shape (m,) [Hz].
+    density
+        Density of the force [N^2/Hz], shape (m,).
+    scatter
+        Its standard uncertainty as an estimate from a record of this length, if the force is a stationary process.
+    uncertainty
+        Its standard uncertainty because the force is uncertain.
+    """
+
+    frequency: Array
+    density: Array
+    scatter: Array
+    uncertainty: Array
+
+
+def spectrum(estimate: ForceEstimate, *, rate: float) -> ForceSpectrum:
+    """Power spectral density of the force by the method of [Welch1967]_, Hann windows that overlap by half.
+
+    Parameters
+    ----------
+    estimate
+        The force.
+    rate
+        Sampling rate [Hz].
+    """
+    values = estimate.values
+    length = segment_length(values.size)
+    frequency, density = welch(values, rate, nperseg=length)
+    count = max(2 * (values.size // length) - 1, 1) / (1.0 if values.size < 2 * length else OVERLAP_LOSS)
+    noise, variance = np.zeros(frequency.size), np.zeros(frequency.size)
+    for part in estimate.contributions:
+        if isinstance(part, Noise):
+            noise += part.relative_density(frequency.size) * 2 * float(np.mean(part.deviation**2)) / rate
+        elif isinstance(part, Systematic) and part.covariance.any():
+            slopes = [2 * np.real(csd(values, column, rate, nperseg=length)[1]) for column in part.slopes.T]
+            gradient = np.stack(slopes, axis=1)
+            variance += np.sum((gradient @ part.covariance) * gradient, axis=1)
+    variance = np.maximum(variance, 0.0) + (2 * density * noise + noise**2) / count
+    whole = density + noise if estimate.learned is not None else np.maximum(density - noise, 0.0)
+    return ForceSpectrum(frequency, whole, whole / np.sqrt(count), np.sqrt(variance))
+
+
+def segment_length(samples: int) -> int:
+    """Samples of one segment of a spectrum."""
+    return min(max(samples // SEGMENTS, 32), LONGEST_SEGMENT, samples)
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """One line of an uncertainty budget.
+
+    Attributes
+    ----------
+    name, source
+        The contribution, and the channel or file that it comes from.
+    rms
+        Root mean square over the record [N].
+    share
+        Share of the variance [1].
+    if_halved
+        Rms of the whole uncertainty if the cause were half as large [N].
+    scalars
+        What it adds to the standard uncertainty of mean, rms_about_mean, largest and least [N].
+    """
+
+    name: str
+    source: str
+    rms: float
+    share: float
+    if_halved: float
+    scalars: Mapping[str, float]
+
+
+def budget(estimate: ForceEstimate) -> tuple[Share, ...]:
+    """Uncertainty budget of a force, the largest contribution first."""
+    found = scalars(estimate)
+    squares = {part.name: float(np.mean(part.deviation**2)) for part in estimate.contributions}
+    whole = sum(squares.values())
+    rows = []
+    for part in estimate.contributions:
+        square = squares[part.name]
+        left = max(whole - square * (1 - part.halved**2), 0.0)
+        rows.append(
+            Share(
+                name=part.name,
+                source=part.source,
+                rms=float(np.sqrt(square)),
+                share=square / whole if whole else 0.0,
+                if_halved=float(np.sqrt(left)),
+                scalars={scalar.name: _not_rounding(scalar.parts[part.name], square) for scalar in found},
+            )
+        )
+    return tuple(sorted(rows, key=lambda row: -row.rms))
+
+
+def _not_rounding(u: float, square: float) -> float:
+    """Zero for what is zero but for rounding."""
+    return u if u > ROUNDING * np.sqrt(square) else 0.0
+
+
+def advice(estimate: ForceEstimate, *, unit: str = "N", sources: Mapping[str, str] | None = None) -> str:
+    """One sentence on what to improve first, and what it would bring.
+
+    Parameters
+    ----------
+    estimate
+        The force.
+    unit
+        Unit of the force.
+    sources
+        What to call the sources of its contributions, where they have other names.
+    """
+    rows = budget(estimate)
+    names = {row.source: row.source for row in rows} | dict(sources or {})
+    whole = float(np.linalg.norm([row.rms for row in rows]))
+    if not whole:
+        return "no contribution to the uncertainty is known"
+    first = rows[0]
+    text = (
+        f"improve first {first.name} ({names[first.source]}), {100 * first.share:.0f} % of the variance: halving it "
+        f"would take the uncertainty from {whole:.3g} to {first.if_halved:.3g} {unit} rms"
+    )
+    remedy = REMEDIES.get(first.name)
+    helps = f"; what helps is {remedy}" if remedy else ""
+    mean = max(rows, key=lambda row: row.scalars["mean"])
+    of_mean = float(np.linalg.norm([row.scalars["mean"] for row in rows]))
+    other = ""
+    if mean.name != first.name and mean.scalars["mean"] ** 2 > of_mean**2 / 2:
+        other = f"; for the mean alone, {mean.name} ({names[mean.source]}) comes first"
+    return f"{text}{helps}{other}"

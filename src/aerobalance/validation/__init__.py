@@ -1,0 +1,1 @@
+"""The record against the model, and other methods for comparison."""

@@ -1,0 +1,285 @@
+"""The other ways from load felt to force, on components that ring together.
+
+What knows one component is given the best of one component: its own reading, with what gravity and the ground's motion
+put on the balance taken off by the coupled dynamics, and its own response to its own load with all modes in it. The
+direct inverses, and the smoother, are run with the matrices and, to show what coupling costs, with their diagonals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.estimation.coupled_force import filled_by, reconstruct_coupled
+from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.force import estimated
+from aerobalance.estimation.force_smoother import Smoothed
+from aerobalance.estimation.prior import learn
+from aerobalance.estimation.record import ForceEstimate, Job
+from aerobalance.estimation.steps import columns_of
+from aerobalance.motion.single_axis import GroundMotion
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
+from aerobalance.recording.errors import FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import bridged
+from aerobalance.validation.baselines import (
+    THIS,
+    ZERO_PHASE,
+    Estimator,
+    RivalEstimate,
+    Settings,
+    accelerometer_correction,
+    band_limited,
+    central_differences,
+    correction_factor,
+    estimates,
+    factor_and_phase,
+    fir_deconvolution,
+    low_pass,
+    notch,
+    without_gaps,
+)
+from aerobalance.validation.baselines import TUNED as ALONE_TUNED
+from aerobalance.validation.scores import Truth
+
+TUNED: Final = (
+    *(name for name in ALONE_TUNED if name != "band-limited inverse"),
+    "band-limited inverse, diagonal",
+    "band-limited inverse, coupled",
+)
+"""Rivals with one tuning number."""
+
+ONE_COMPONENT: Final = "knows one component only: what the others' forces ring in it stays"
+"""Note on a method that takes no other reading."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Component:
+    """One component of a record, with what its rivals need.
+
+    Attributes
+    ----------
+    record
+        The whole record.
+    filled
+        Its readings without gaps, shape (samples, n).
+    own
+        The program's own estimates of all components.
+    place
+        Which component.
+    """
+
+    record: CoupledRecord
+    filled: Array
+    own: Mapping[str, ForceEstimate]
+    place: int
+
+    @property
+    def name(self) -> str:
+        return self.record.dynamics.components[self.place]
+
+    @property
+    def quiet(self) -> Recording:
+        """Its own reading less what gravity and the ground's motion put on the balance, and nothing else."""
+        values = self.filled[:, self.place] - self.record.from_ground[:, self.place]
+        own = self.record.channels[self.place]
+        channel = Channel(own.name, values, own.unit, noise=own.noise)
+        return replace(self.record.recording, channels={own.name: channel})
+
+    @property
+    def diagonal(self) -> Dynamics:
+        """The component with the diagonals of the matrices."""
+        inertia, damping = (getattr(self.record.dynamics, kind) for kind in ("inertia", "damping"))
+        here = self.place, self.place
+        return Dynamics(self.name, mass=float(inertia[here]), stiffness=1.0, damping=max(float(damping[here]), 0.0))
+
+    def rivals(self) -> dict[str, Estimator]:
+        """All of them by name."""
+        one: dict[str, Estimator] = {
+            "low-pass": low_pass,
+            "notch and low-pass": notch,
+            "accelerometer correction": self.by_accelerometer,
+            "correction factor": correction_factor,
+            "correction factor and phase": factor_and_phase,
+            "FIR deconvolution": fir_deconvolution,
+        }
+        return {
+            "raw reading": self.raw,
+            **{name: _noted(rival) for name, rival in one.items()},
+            "central differences, diagonal": self.with_diagonal(central_differences),
+            "central differences, coupled": self.differences,
+            "band-limited inverse, diagonal": self.with_diagonal(band_limited),
+            "band-limited inverse, coupled": self.limited,
+            f"{THIS}, diagonal": self.smoothed_by_diagonal,
+            THIS: self.estimator,
+        }
+
+    def raw(self, recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+        """Take the load felt for the force, less the weight where the attitude and the mass are known."""
+        load, whole, mass = self.filled[:, self.place], self.record.recording, self.record.dynamics.mass
+        if mass is None or "pitch" not in whole:
+            return RivalEstimate("raw reading", load, "as read", "no delay")
+        angles = [np.nan_to_num(whole.channel(name).values) for name in ("pitch", "roll") if name in whole]
+        weight = mass.weight(*angles, gravity=settings.gravity)[:, COMPONENTS.index(self.name)]
+        return RivalEstimate("raw reading", load - weight, "as read, less the weight", "no delay")
+
+    def by_accelerometer(self, recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+        """The inertia of the live end by its own accelerometer, which is that of a force."""
+        mass = self.record.dynamics.mass
+        if self.name in MOMENTS:
+            raise FitError("has no meaning for a moment: an accelerometer does not measure how the live end turns")
+        if mass is None:
+            raise FitError("the dynamics hold no mass")
+        balance = Dynamics(self.name, mass=mass.mass, stiffness=mass.mass / self.diagonal.mass, damping=0.0)
+        return accelerometer_correction(self.record.recording, balance, settings)
+
+    def with_diagonal(self, rival: Estimator) -> Estimator:
+        """A rival with the diagonals of the matrices."""
+
+        def run(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+            found = rival(recording, self.diagonal, settings)
+            return replace(found, name=f"{found.name}, diagonal", note=f"{found.note}; {ONE_COMPONENT}")
+
+        return run
+
+    def differences(self, recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+        """X + D X' + A X'' with three-point central differences of all readings."""
+        coupled, n = self.record.dynamics, len(self.record.dynamics.components)
+        felt, interval = self.filled - self.record.from_ground, self.record.interval
+        rate = np.gradient(felt, interval, axis=0)
+        acceleration = np.zeros_like(felt)
+        acceleration[1:-1] = np.diff(felt, 2, axis=0) / interval**2
+        D, A = coupled.damping[self.place, :n], coupled.inertia[self.place, :n]
+        left = f", {coupled.hidden} further mode(s) left out" if coupled.hidden else ""
+        return RivalEstimate(
+            "central differences, coupled",
+            felt[:, self.place] + rate @ D + acceleration @ A,
+            f"X + D X' + A X'', three-point central differences{left}",
+            "no delay; first and last sample poor",
+        )
+
+    def limited(self, recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+        """The inverse by the matrices limited to a band, customarily twice the highest natural frequency."""
+        customary = 2 * max(mode.natural_frequency for mode in self.record.dynamics.modes)
+        wanted = customary if settings.tuning is None else settings.tuning
+        bandwidth = min(wanted, 0.49 * recording.rate)
+        job = self.record.job(self.name, self.filled)
+        job = replace(job, recording=without_gaps(job.recording, self.name))
+        found = estimated(job, method="smoother", bandwidth=bandwidth, hum="mains")
+        return RivalEstimate("band-limited inverse, coupled", found.values, found.method, ZERO_PHASE, tuning=bandwidth)
+
+    def smoothed_by_diagonal(self, recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+        """The smoother with the diagonals of the matrices; what they leave ringing would be taken for steps."""
+        job = Job.of(recording, self.diagonal, GroundMotion.of(recording, self.name))
+        reading = job.reading()
+        learned = learn(reading, columns=columns_of([], reading))
+        values = Smoothed.of(reading, learned=learned, steps=()).force
+        words = f"smoother: {learned.spectrum}; no steps looked for: what the diagonal leaves ringing looks like many"
+        return RivalEstimate(f"{THIS}, diagonal", values, words, f"no delay; {ONE_COMPONENT}")
+
+    def estimator(self, recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+        """The program's own estimate."""
+        found = self.own[self.name]
+        return RivalEstimate(THIS, found.values, found.method, "no delay; every sample has its uncertainty")
+
+
+def estimates_of_coupled(
+    recording: Recording,
+    dynamics: CoupledDynamics,
+    *,
+    components: tuple[str, ...],
+    gravity: float = STANDARD_GRAVITY,
+    truths: Mapping[str, Truth] | None = None,
+) -> dict[str, list[RivalEstimate]]:
+    """Run every rival on some components of one record; with truths, those with a tuning number also at their best.
+
+    Parameters
+    ----------
+    recording
+        Loads felt of all components, and what else is recorded.
+    dynamics
+        The coupled components.
+    components
+        Which of them are wanted.
+    gravity
+        Local acceleration of gravity [m/s^2].
+    truths
+        What was applied, by component.
+
+    Raises
+    ------
+    FitError
+        A component that the others ring with is not in the recording, or it is too short.
+    """
+    # what is compared are values: without a covariance no method is run again to learn its uncertainty
+    mass = dynamics.mass
+    exact = replace(
+        dynamics,
+        covariance=np.zeros_like(dynamics.covariance),
+        mass=None if mass is None else replace(mass, covariance=np.zeros_like(mass.covariance)),
+    )
+    record = CoupledRecord.of(recording, exact, gravity=gravity)
+    own = reconstruct_coupled(recording, exact, gravity=gravity)
+    filled = bridged(record.loads)
+    if not np.isfinite(record.loads).all():
+        filled = filled_by({name: one.values for name, one in own.items()}, record, filled=filled)
+    found = {}
+    for name in components:
+        part = _Component(record, filled, own, exact.components.index(name))
+        found[name] = estimates(
+            part.quiet,
+            own_response(exact, name),
+            settings=Settings(gravity=gravity),
+            truth=(truths or {}).get(name),
+            rivals=part.rivals(),
+            tuned=TUNED,
+        )
+    return found
+
+
+def own_response(dynamics: CoupledDynamics, component: str) -> Dynamics:
+    """One component's reading under its own load alone, the others free: every mode with its share of a steady load.
+
+    The part of a residue that goes with the rate of the load, which damping that couples the modes gives, is left out.
+
+    Raises
+    ------
+    FitError
+        A mode does not oscillate.
+    """
+    place = dynamics.components.index(component)
+    poles, shapes, weights = dynamics.modal_form
+    up = poles.imag > 0
+    if 2 * np.count_nonzero(up) != poles.size:
+        raise FitError("a mode is damped so strongly that it does not oscillate: no method for one component fits")
+    residues = shapes[place, up] * weights[up, place]
+    order = np.argsort(np.abs(poles[up]))
+    modes = [
+        Mode(float(abs(pole)) / (2 * np.pi), float(-pole.real / abs(pole)), float(share))
+        for pole, share in zip(poles[up][order], (-2 * np.real(residues / poles[up]))[order], strict=True)
+    ]
+    first, *further = modes
+    w = first.angular_frequency
+    return Dynamics(
+        component,
+        mass=1 / w**2,
+        stiffness=1.0,
+        damping=2 * first.damping_ratio / w,
+        further_modes=tuple(further),
+    )
+
+
+def _noted(rival: Estimator) -> Estimator:
+    """A rival that says that it knows one component only."""
+
+    def run(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+        found = rival(recording, dynamics, settings)
+        return replace(found, note=f"{found.note}; {ONE_COMPONENT}")
+
+    return run

@@ -1,0 +1,271 @@
+"""Resonances in the spectrum of a reading: the balance's own, as the record shows it, and one that the dynamics lack.
+
+The spectrum that is learned for the force explains whatever the balance's model does not, so neither a missing mode
+nor a changed spring shows in the innovations. What gives them away is their shape. Over a band that is wide for a
+resonance but narrow for a load, the force's spectrum is taken for a power of frequency; then the averaged periodogram
+of the reading is |G|^2 S_F + R, and frequency, damping ratio and share of a mode follow by maximum likelihood
+[Whittle1953]_.
+
+References
+----------
+.. [Whittle1953] P. Whittle, "Estimation and information in stationary time series", Ark. Mat. 2 (1953) 423.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.optimize import minimize
+
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.recording.channel import Array
+
+PARTS: Final = 8
+"""Parts of the record whose periodograms are averaged; they overlap by half."""
+
+FEWEST_SAMPLES: Final = 4096
+"""Samples below which a record's spectrum tells no resonance from chance."""
+
+INDEPENDENT: Final = 0.53
+"""Independent ordinates per ordinate of a Hann periodogram, over the 11/18 by which half overlap thins the average."""
+
+BAND: Final = 0.25
+"""Half width of the band in which the force's spectrum is taken for a power of frequency, over its centre."""
+
+REACH: Final = 12
+"""Ordinates over which the window smears a line."""
+
+CHANCE: Final = 4.5
+"""Standard deviations of an ordinate, in the logarithm, by which a peak that is looked at stands out."""
+
+EVIDENCE: Final = 60.0
+"""Gain in twice the log-likelihood that a further mode must bring."""
+
+LIKELY: Final = 0.008
+"""Damping ratio from which the search for that of a further mode starts."""
+
+HEAVIEST: Final = 0.1
+"""Damping ratio above which a peak is the load's and no mode."""
+
+EXCITED: Final = 20.0
+"""Level of the balance's own resonance over the noise from which its frequency and damping are looked at."""
+
+MISFIT: Final = 5.0
+"""Standard deviations by which the band may fit worse than by chance."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Averaged:
+    """Averaged Hann periodogram of a reading.
+
+    Attributes
+    ----------
+    power
+        Two-sided density at `frequency`, shape (m,) [N^2/Hz].
+    frequency
+        From 0 to half the sampling rate, shape (m,) [Hz].
+    averages
+        Independent periodograms in the average.
+    noise
+        Density of the reading's noise [N^2/Hz].
+    """
+
+    power: Array
+    frequency: Array
+    averages: float
+    noise: float
+
+    @classmethod
+    def of(cls, values: Array, *, interval: float, noise: float) -> Averaged | None:
+        """Average over the parts of a record without gaps, or None where it is too short."""
+        if values.size < FEWEST_SAMPLES:
+            return None
+        size = 2 * values.size // (PARTS + 1) // 2 * 2
+        window = np.hanning(size + 1)[:-1]
+        starts = range(0, values.size - size + 1, size // 2)
+        ordinates = [
+            np.abs(np.fft.rfft(window * (part - part.mean()))) ** 2
+            for part in (values[start : start + size] for start in starts)
+        ]
+        power: Array = np.mean(ordinates, axis=0) * (interval / float(window @ window))
+        averages = len(ordinates) * 18 / 11 / 2 if len(ordinates) > 1 else 1.0
+        return cls(power, np.arange(power.size) / (size * interval), averages, noise**2 * interval)
+
+    @property
+    def resolution(self) -> float:
+        """Distance of the ordinates [Hz]."""
+        return float(self.frequency[1])
+
+    def fine(self, band: NDArray[np.intp]) -> Array:
+        """Frequencies at half the distance, from `REACH` ordinates below a band to as many above it [Hz]."""
+        first, last = (2 * int(band[place]) + shift for place, shift in ((0, -2 * REACH), (-1, 2 * REACH)))
+        return np.abs(np.arange(first, last + 1)) * self.resolution / 2
+
+    def near(self, centre: float) -> NDArray[np.intp]:
+        """Places of the ordinates within the band about a frequency; not the lowest, from which the mean is taken."""
+        lowest, highest = max((1 - BAND) * centre, 4 * self.resolution), (1 + BAND) * centre
+        return np.flatnonzero((self.frequency >= lowest) & (self.frequency <= highest))
+
+
+def smeared(density: Array) -> Array:
+    """A density at `Averaged.fine` as the Hann window shows it at the ordinates of the band.
+
+    Beyond `REACH` ordinates the window passes less than 1e-6 of a line's power.
+    """
+    return np.convolve(density, _LOBE, mode="valid")[::2]
+
+
+def _lobe() -> Array:
+    place = np.arange(-2 * REACH, 2 * REACH + 1) / 2
+    power = (np.sinc(place) + 0.5 * np.sinc(place - 1) + 0.5 * np.sinc(place + 1)) ** 2
+    return np.asarray(power / power.sum())
+
+
+_LOBE: Final = _lobe()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _LocalFit:
+    """A fit over a band: parameters, their covariance, twice the log-likelihood, and how well the band is fitted."""
+
+    point: Array
+    covariance: Array
+    twice_log_likelihood: float
+    misfit: float
+
+
+class MissingMode(NamedTuple):
+    """A mode that the dynamics lack, and the standard uncertainties of its frequency [Hz] and its share [1]."""
+
+    mode: Mode
+    u_frequency: float
+    u_share: float
+
+
+def missing_mode(seen: Averaged, dynamics: Dynamics) -> MissingMode | None:
+    """The strongest peak that a further mode explains and a smooth load does not.
+
+    A narrow band of the load itself looks the same.
+    """
+    for centre in _peaks(seen, dynamics):
+        band = seen.near(centre)
+        if band.size < 16:
+            continue
+        plain = _fit(seen, band, lambda _: dynamics, start=np.zeros(0), scale=np.zeros(0))
+        best: tuple[_LocalFit, Mode] | None = None
+        for share in (0.05, -0.05):
+
+            def bent(point: Array, share: float = share) -> Dynamics:
+                mode = Mode(float(np.exp(point[0])), float(np.exp(point[1])), share * float(np.exp(point[2])))
+                return dynamics.with_modes(*dynamics.further_modes, mode)
+
+            start = np.array([np.log(centre), np.log(LIKELY), 0.0])
+            found = _fit(seen, band, bent, start=start, scale=np.array([0.2 * LIKELY, 0.3, 0.5]))
+            if best is None or found.twice_log_likelihood > best[0].twice_log_likelihood:
+                best = found, bent(found.point).further_modes[-1]
+        if best is None:
+            continue
+        found, mode = best
+        gain = found.twice_log_likelihood - plain.twice_log_likelihood
+        width = 2 * mode.damping_ratio * mode.natural_frequency
+        inside = abs(mode.natural_frequency / centre - 1) < BAND / 2
+        if gain > EVIDENCE and mode.damping_ratio < HEAVIEST and width > seen.resolution and inside:
+            relative = np.sqrt(np.diag(found.covariance))  # of the logarithms
+            return MissingMode(mode, float(relative[0]) * mode.natural_frequency, float(relative[2]) * abs(mode.share))
+    return None
+
+
+def own_resonance(seen: Averaged, dynamics: Dynamics) -> tuple[Array, Array, float] | None:
+    """Relative change of natural frequency and damping ratio of the first mode, their covariance and the evidence.
+
+    Returns
+    -------
+    change, covariance, evidence
+        Shapes (2,) and (2, 2) [1], and the gain in twice the log-likelihood; None where the load does not excite the
+        resonance, or is no power of frequency about it.
+    """
+    band = seen.near(dynamics.natural_frequency)
+    place = int(np.argmin(np.abs(seen.frequency - dynamics.natural_frequency)))
+    if band.size < 16 or dynamics.damping == 0 or seen.power[place - 1 : place + 2].max() < EXCITED * seen.noise:
+        return None
+
+    def changed(point: Array) -> Dynamics:
+        w, ratio = np.exp(point)
+        return replace(dynamics, stiffness=dynamics.stiffness * w**2, damping=dynamics.damping * w * ratio)
+
+    plain = _fit(seen, band, lambda _: dynamics, start=np.zeros(0), scale=np.zeros(0))
+    found = _fit(seen, band, changed, start=np.zeros(2), scale=np.array([0.3 * dynamics.damping_ratio, 0.2]))
+    moved, ratio = np.exp(np.clip(found.point, -700, 700)) * (1.0, dynamics.damping_ratio)
+    if found.misfit > MISFIT or abs(moved - 1) > BAND or ratio >= 1:  # beyond the band, or no resonance: not told
+        return None
+    return found.point, found.covariance, found.twice_log_likelihood - plain.twice_log_likelihood
+
+
+def _peaks(seen: Averaged, dynamics: Dynamics) -> list[float]:
+    """Frequencies of the peaks that stand out of their surroundings, the strongest first [Hz]; not the modes known."""
+    count = seen.power.size
+    width = np.clip((BAND * np.arange(count)).astype(int), 12, None)
+    level = np.log(np.maximum(seen.power, 1e-300))
+    surroundings = np.empty(count)
+    edge = 12
+    while edge < count:  # the median's width grows with frequency, octave by octave
+        part = slice(edge, min(2 * edge, count))
+        surroundings[part] = median_filter(level, 2 * int(width[part].mean()) + 1, mode="nearest")[part]
+        edge *= 2
+    surroundings[:12] = level[:12]
+    above = level - surroundings
+    for mode in dynamics.modes:
+        reach = 6 * mode.damping_ratio * mode.natural_frequency + 4 * seen.resolution
+        above[np.abs(seen.frequency - mode.natural_frequency) < reach] = 0.0
+    limit = CHANCE / np.sqrt(seen.averages)
+    found: list[float] = []
+    while len(found) < 3 and above.max() > limit:
+        place = int(np.argmax(above))
+        found.append(float(seen.frequency[place]))
+        above[max(place - int(width[place]), 0) : place + int(width[place]) + 1] = 0.0
+    return found
+
+
+def _fit(
+    seen: Averaged, band: NDArray[np.intp], model: Callable[[Array], Dynamics], *, start: Array, scale: Array
+) -> _LocalFit:
+    """Maximum likelihood over a band; level and slope of the force's spectrum come after the given parameters."""
+    centre = float(seen.frequency[band].mean())
+    frequency = seen.fine(band)
+    log_ratio = np.log(np.maximum(frequency, seen.resolution) / centre)
+    weight = seen.averages * INDEPENDENT
+
+    def expected(point: Array) -> Array:
+        transfer = np.abs(model(point[: start.size]).response(frequency)) ** 2
+        force = np.exp(np.clip(point[start.size] + point[start.size + 1] * np.clip(log_ratio, -1, 1), -690, 690))
+        return np.asarray(smeared(transfer * force + seen.noise))
+
+    level0 = float(np.median(seen.power[band] / np.abs(model(start).response(seen.frequency[band])) ** 2))
+    origin = np.concatenate([start, [np.log(max(level0, 1e-300)), 0.0]])
+    size = np.concatenate([scale, [0.3, 1.0]])
+
+    def loss(moved: Array) -> float:
+        try:
+            level = expected(origin + size * moved)
+        except ValueError:  # outside what dynamics can be
+            return 1e12
+        if not (level > 0).all():
+            return 1e12
+        return float(weight * np.sum(np.log(level) + seen.power[band] / level))
+
+    found = minimize(loss, np.zeros(origin.size), method="BFGS", options={"gtol": 1e-3, "maxiter": 60})
+    point = origin + size * found.x
+    shown = expected(point)
+    slopes = np.column_stack(
+        [(expected(point + 1e-4 * s * e) - expected(point - 1e-4 * s * e)) / (2e-4 * s * shown)
+         for s, e in zip(size, np.eye(size.size), strict=True)]
+    )  # fmt: skip
+    covariance = np.linalg.pinv(weight * slopes.T @ slopes)
+    ratio = seen.power[band] / shown
+    misfit = float(np.mean((ratio - 1) ** 2) * seen.averages - 1) * np.sqrt(band.size * INDEPENDENT / 2)
+    return _LocalFit(point[: start.size], covariance[: start.size, : start.size], -2 * float(found.fun), misfit)

@@ -1,0 +1,237 @@
+"""What a record says against the dynamics that it is read with: a mode that they lack, a spring that has changed.
+
+A record of a release is fitted as a free decay once more; in any other record the resonances of the reading's spectrum
+are looked at. Neither needs the force.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.estimation.record import Job
+from aerobalance.estimation.steps import Step, columns_of
+from aerobalance.identification.free_decay.event import first_look
+from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
+from aerobalance.identification.free_decay.waveform import fit_ring
+from aerobalance.motion.single_axis import GroundMotion
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.recording.wording import frequency_text, share_text
+from aerobalance.validation.local_modes import Averaged, missing_mode, own_resonance
+
+DRIFT: Final = 5.0
+"""Standard uncertainties that frequency or damping has to be off before it is said to have changed."""
+
+SAME_MODE: Final = 0.02
+"""Relative difference of frequency up to which a mode in the record is one of the dynamics'."""
+
+LONGEST: Final = 1 << 17
+"""Samples from the start that are looked at: more tell nothing new."""
+
+CHANGED: Final = 30.0
+"""Gain in twice the log-likelihood that another frequency and damping must bring: chance has it once in 3 million.
+
+The curvature at the optimum alone says too much of a resonance that the load hardly excites.
+"""
+
+LEAST_DAMPING: Final = 0.05
+"""Part of a known damping ratio below which only that it is smaller is said: so narrow a line is rather hum."""
+
+EXPLAINED: Final = 1.2
+"""Residuals of a release over the noise of the readings up to which it is explained."""
+
+NEAR: Final = 40.0
+"""Periods either side of a release over which it is looked whether it is one."""
+
+RELEASED: Final = 0.1
+"""Share of a record's variance that a release of one mode leaves over at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """What a record says against the dynamics of one component.
+
+    Attributes
+    ----------
+    component
+        Which component.
+    missing
+        A mode that the dynamics lack; None if none is seen.
+    u_frequency, u_share
+        Standard uncertainties of its frequency [Hz] and its share [1].
+    size
+        Root mean square, or for a release the amplitude, of its ringing in the load felt [N]; None where that would be
+        more than the load itself has.
+    frequency, damping
+        Relative change of natural frequency and damping ratio of the first mode with its standard uncertainty [1];
+        None where the record does not tell or nothing has changed.
+    released
+        True when a release tells, False when the spectrum does.
+    """
+
+    component: str
+    missing: Mode | None = None
+    u_frequency: float = 0.0
+    u_share: float = 0.0
+    size: float | None = None
+    frequency: tuple[float, float] | None = None
+    damping: tuple[float, float] | None = None
+    released: bool = False
+
+    def sentences(self, dynamics: Dynamics) -> list[str]:
+        """What to tell the user, a sentence for each finding."""
+        found, unit = [], si_unit(self.component)
+        if self.missing is not None:
+            mode = self.missing
+            size = "" if self.size is None else f" with {self.size:.3g} {unit}{'' if self.released else ' rms'}"
+            cause = (
+                f"it rings after the release{size}"
+                if self.released
+                else f"it swings{size}; a narrow band of the load itself looks the same"
+            )
+            found.append(
+                f"{self.component} shows a mode at {frequency_text(mode.natural_frequency, self.u_frequency)}, "
+                f"{share_text(mode.share, self.u_share)}, that the dynamics lack: {cause}; forces near that "
+                "frequency are wrong until it is identified, from a release (identify decay --modes auto)"
+            )
+        changed = []
+        if self.frequency is not None:
+            own = dynamics.natural_frequency
+            changed.append(f"natural frequency, {own * (1 + self.frequency[0]):.5g} Hz and not {own:.5g} Hz")
+        if self.damping is not None:
+            own = dynamics.damping_ratio
+            now = own * max(1 + self.damping[0], LEAST_DAMPING)
+            least = "less than " if 1 + self.damping[0] < LEAST_DAMPING else ""
+            changed.append(f"damping ratio, {least}{now:.3g} and not {own:.3g}")
+        if changed:
+            found.append(
+                f"{self.component} rings with another {' and another '.join(changed)}: stiffness, mass or damping "
+                "have changed since they were identified, or the flow adds its own; forces near that frequency are "
+                "wrong by as much"
+            )
+        return found
+
+
+def misfit_of(recording: Recording, dynamics: Dynamics, *, noise: float, steps: Sequence[Step] = ()) -> Misfit:
+    """Look in a record for a mode that the dynamics lack, and for a frequency or damping that has changed.
+
+    Parameters
+    ----------
+    recording
+        The record.
+    dynamics
+        What is known of the balance.
+    noise
+        Standard uncertainty of a reading of the load [N].
+    steps
+        Sudden changes of the force that were found in the record.
+    """
+    nothing = Misfit(dynamics.component)
+    reading = Job.of(recording, dynamics, GroundMotion.of(recording, dynamics.component)).reading()
+    reading = replace(reading, values=reading.values[:LONGEST])
+    if not reading.present.all() or float(np.ptp(reading.values)) == 0:
+        return nothing
+    release = _release(recording, dynamics, reading.values, noise=noise)
+    known = recording.channel(dynamics.component).values
+    if release is not None:
+        return _possible(_after_release(release, dynamics), most=float(np.ptp(known)))
+    steps = [step for step in steps if step.instant < reading.values.size * reading.interval]
+    columns = columns_of(steps, reading)
+    sizes, *_ = np.linalg.lstsq(columns, reading.values, rcond=None)
+    found = _in_spectrum(reading.values - columns @ sizes, dynamics, interval=reading.interval, noise=noise)
+    return _possible(found, most=float(np.std(known)))
+
+
+def _possible(found: Misfit, *, most: float) -> Misfit:
+    """The same without a size of the ringing that is more than the load felt has."""
+    return found if found.size is None or found.size <= most else replace(found, size=None)
+
+
+def _release(recording: Recording, dynamics: Dynamics, values: Array, *, noise: float) -> DecayFit | None:
+    """The record as a free decay, where that explains it down to its noise."""
+    name = dynamics.component
+    channel = replace(recording.channel(name), values=values)
+    alone = Recording.from_columns(np.arange(values.size) / recording.rate, {name: channel}, name=recording.name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DoubtWarning)
+        try:
+            look = first_look(values, rate=recording.rate, name=recording.name)
+            if look.shape != "release":
+                return None
+            time = np.arange(values.size) / recording.rate
+            near = np.abs(time - look.start) < NEAR / look.frequency
+            if fit_ring(time[near], values[near], look).variance > RELEASED * float(np.var(values[near])):
+                return None
+            fit = identify_decay(alone, component=name, mass=dynamics.mass, modes="auto")
+        except FitError:
+            return None
+    return fit if fit.release is not None and fit.residual_deviation < EXPLAINED * noise else None
+
+
+def _after_release(fit: DecayFit, dynamics: Dynamics) -> Misfit:
+    """What a release tells."""
+    seen = fit.dynamics
+    changes = []
+    for name in ("natural_frequency", "damping_ratio"):
+        own = getattr(dynamics, name)
+        u = float(np.hypot(seen.uncertainty(name), dynamics.uncertainty(name)))
+        changes.append((getattr(seen, name) / own - 1, u / own) if own else (0.0, 1.0))
+    further = [
+        (number, mode)
+        for number, mode in enumerate(seen.further_modes, start=2)
+        if all(abs(mode.natural_frequency / known.natural_frequency - 1) > SAME_MODE for known in dynamics.modes)
+    ]
+    number, mode = max(further, key=lambda item: abs(item[1].share), default=(0, None))
+    return Misfit(
+        dynamics.component,
+        missing=mode,
+        u_frequency=seen.uncertainty(f"natural_frequency_{number}") if mode else 0.0,
+        u_share=seen.uncertainty(f"share_{number}") if mode else 0.0,
+        size=abs(mode.share * fit.height) if mode else None,
+        frequency=_if_changed(changes[0]),
+        damping=_if_changed(changes[1]),
+        released=True,
+    )
+
+
+def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: float) -> Misfit:
+    """What the spectrum of a record tells."""
+    seen = Averaged.of(values, interval=interval, noise=noise)
+    if seen is None:
+        return Misfit(dynamics.component)
+    found = missing_mode(seen, dynamics)
+    size = None
+    if found is not None:
+        mode = found.mode
+        width = max(4 * mode.damping_ratio * mode.natural_frequency, 2 * seen.resolution)
+        near = np.abs(seen.frequency - mode.natural_frequency) < width
+        size = float(np.sqrt(2 * np.sum(seen.power[near]) * seen.resolution))
+    own = own_resonance(seen, dynamics)
+    changes: list[tuple[float, float] | None] = [None, None]
+    if own is not None and own[2] > CHANGED:
+        for index, name in enumerate(("natural_frequency", "damping_ratio")):
+            known = dynamics.uncertainty(name) / getattr(dynamics, name)
+            u = float(np.hypot(np.sqrt(own[1][index, index]), known))
+            changes[index] = _if_changed((float(np.expm1(own[0][index])), u))
+    return Misfit(
+        dynamics.component,
+        missing=None if found is None else found.mode,
+        u_frequency=0.0 if found is None else found.u_frequency,
+        u_share=0.0 if found is None else found.u_share,
+        size=size,
+        frequency=changes[0],
+        damping=changes[1],
+    )
+
+
+def _if_changed(change: tuple[float, float]) -> tuple[float, float] | None:
+    """A change with its uncertainty where it is more than chance."""
+    return change if abs(change[0]) > DRIFT * change[1] else None
