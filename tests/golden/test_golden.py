@@ -1,4 +1,4 @@
-"""Results of every command on files of fixed content, as they were: no change may move them by more than rounding.
+"""Results of the commands on files of fixed content, as they were: no change may move them by more than rounding.
 
 ``python tests/golden/test_golden.py`` writes `pinned.json` anew; a commit that does so says in its message what
 changed and why.

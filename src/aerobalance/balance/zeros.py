@@ -41,7 +41,7 @@ class GaugeZero:
         gravity that made it; zero where none was.
     operating_point
         Loads in the balance's own components that the zero was read under beyond `weight`, shape (c,) [N, N*m]: curved
-        bridges are read from there, and the loads count from there. Zero where none are known.
+        bridges are read from there, and the loads count from there. None where none are known.
     """
 
     values: Array
