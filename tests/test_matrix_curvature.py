@@ -9,13 +9,13 @@ import pytest
 import scipy.stats
 
 from aerobalance.balance.calibration.fit import calibrate
+from aerobalance.balance.calibration_nonlinearity import CurvatureErrors
 from aerobalance.balance.loads import LoadsFelt, loads_felt
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from aerobalance.uncertainty.matrix_curvature import CurvatureErrors
 from seeds import generator, seed_from
 
 NOISE = 0.7e-3

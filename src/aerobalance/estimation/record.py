@@ -89,7 +89,7 @@ def with_balance(
 
     The error of a matrix is a function of the load: to first order a gain and an offset. Both go through Eq. (17) of
     [Gorbushin2020]_ unchanged, as it is linear, so the error of the force is that of a static load of its size. What
-    is curved in it comes on top where the load changes (`aerobalance.uncertainty.matrix_curvature`).
+    is curved in it comes on top where the load changes (`aerobalance.balance.calibration_nonlinearity`).
 
     Parameters
     ----------

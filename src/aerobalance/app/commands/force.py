@@ -22,6 +22,7 @@ from aerobalance.app.commands.uncertainty import (
     monte_carlo_account,
     scalar_account,
 )
+from aerobalance.balance.calibration_nonlinearity import CurvatureErrors
 from aerobalance.balance.loads import static_uncertainty
 from aerobalance.estimation.force import Method
 from aerobalance.estimation.record import ForceEstimate, with_balance
@@ -33,7 +34,6 @@ from aerobalance.io.kinds import PAGE, TABLE
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge, si_unit
 from aerobalance.recording.errors import DoubtWarning, FitError
 from aerobalance.recording.recording import GAUGES_BECOME_LOADS, Force, Recording
-from aerobalance.uncertainty.matrix_curvature import CurvatureErrors
 from aerobalance.uncertainty.monte_carlo import MonteCarlo
 
 
