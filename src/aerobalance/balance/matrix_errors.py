@@ -18,6 +18,7 @@ from aerobalance.balance import _term_kernels as kernels
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.terms import codes
 from aerobalance.recording.channel import Array
+from aerobalance.recording.linalg import symmetric_root
 
 ROWS: Final = 2048
 """Samples worked on at a time."""
@@ -87,13 +88,7 @@ def coefficient_covariance(matrix: BalanceMatrix) -> Array:
     (`BalanceMatrix.load_covariance`). Where the terms of two columns are drawn to different sizes the covariances of
     both are not proportional to each other; their symmetric roots join what is alike in them.
     """
-    roots = np.array([_root(part) for part in matrix.covariance])
+    roots = np.array([symmetric_root(part) for part in matrix.covariance])
     c, t = roots.shape[:2]
     whole = np.einsum("ij,isk,jtk->isjt", matrix.residual_correlation, roots, roots)
     return np.asarray(whole.reshape(c * t, c * t))
-
-
-def _root(covariance: Array) -> Array:
-    """Symmetric root of a covariance."""
-    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)

@@ -21,7 +21,7 @@ from aerobalance.motion.platform import PlatformMotion
 from aerobalance.motion.single_axis import Unknown
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.linalg import root_of
+from aerobalance.recording.linalg import covariance_root
 from aerobalance.recording.resampling import FINE, finer
 
 FAINT: Final = 1e-3
@@ -156,7 +156,7 @@ class LoneJob(Job):
 
 def _directions(slopes: Array, covariance: Array, *, least: float) -> Array:
     """Slopes (n, p) turned to independent quantities of variance 1, the faintest of rms below `least` left out."""
-    root = root_of(covariance)
+    root = covariance_root(covariance)
     power, turned = np.linalg.eigh(root.T @ (slopes.T @ slopes) @ root / slopes.shape[0])
     return np.asarray(slopes @ (root @ turned[:, power > least**2]))
 

@@ -17,6 +17,7 @@ from aerobalance.estimation.statespace import _series_kernels
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, Filter, StateSpace
 from aerobalance.estimation.steps import Step, columns_of, find_steps, response_to, shape_of
 from aerobalance.recording.channel import Array
+from aerobalance.recording.linalg import covariance_root
 
 FREQUENCIES: Final = 1 << 14
 """Steps from zero to half the sampling rate in the spectrum of the error: finer than the resonance is wide."""
@@ -291,21 +292,14 @@ class Estimator:
         count = self.filter.which.size
         states = _series_kernels.simulate(
             system.transition,
-            _root(system.process_noise),
-            _root(system.initial) @ generator.normal(size=size),
+            covariance_root(system.process_noise, reduced=False),
+            covariance_root(system.initial, reduced=False) @ generator.normal(size=size),
             generator.normal(size=(count, size)),
             np.array([LOAD, FORCE, *system.colors]),
         )
         readings = states[:, 0] + np.sqrt(system.noise_variance) * generator.normal(size=count)
         readings += np.sum(states[:, 2:], axis=1)
         return states[:, 1], np.where(self.filter.present, readings, 0.0)
-
-
-def _root(covariance: Array) -> Array:
-    """A square root of a covariance, in units in which its diagonal is 1."""
-    unit = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    level, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
-    return np.ascontiguousarray(unit[:, None] * vectors * np.sqrt(np.maximum(level, 0.0)))
 
 
 def instant_columns(

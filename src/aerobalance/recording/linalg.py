@@ -7,10 +7,32 @@ import numpy as np
 from aerobalance.recording.channel import Array
 
 
-def root_of(covariance: Array) -> Array:
-    """A root of a covariance, shape (p, rank): worked out from the correlations, as the units lie decades apart."""
-    deviation = np.sqrt(np.diag(covariance))
+def covariance_root(covariance: Array, *, reduced: bool = True) -> Array:
+    """Return B with B B^T = covariance, shape (p, rank) [unit of the parameters].
+
+    It is worked out from the correlations, as the units of the parameters lie decades apart.
+
+    Parameters
+    ----------
+    covariance
+        Shape (p, p).
+    reduced
+        Whether the columns that are zero but for rounding are left out; otherwise the shape is (p, p).
+    """
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.where(deviation > 0, deviation, 1.0)
     level, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
     kept = level > 1e-14 * max(float(level.max(initial=0.0)), 0.0)
-    return np.asarray(unit[:, None] * vectors[:, kept] * np.sqrt(level[kept]))
+    columns = kept if reduced else slice(None)
+    size = np.sqrt(np.where(kept, level, 0.0))
+    return np.ascontiguousarray(unit[:, None] * vectors[:, columns] * size[columns])
+
+
+def symmetric_root(covariance: Array) -> Array:
+    """Return the symmetric B with B B = covariance, shape (p, p), for parameters of one unit.
+
+    Roots of two covariances can be multiplied only if they do not depend on the choice of eigenvectors; this one is
+    unique.
+    """
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)

@@ -14,12 +14,12 @@ from aerobalance.dynamics.coupled import MASS_PARAMETERS, CoupledDynamics, Rigid
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
-from aerobalance.recording.linalg import root_of
+from aerobalance.recording.linalg import covariance_root
 
 
 def drawn_numbers(generator: np.random.Generator, covariance: Array, draws: int) -> Array:
     """Draws of normal numbers, shape (draws, p), whose mean is zero and whose covariance is exactly that given."""
-    root = root_of(covariance)
+    root = covariance_root(covariance)
     return np.asarray(_normals(generator, root.shape[1], draws) @ root.T)
 
 
@@ -73,12 +73,12 @@ def drawn_coupled(
         A draw is not physical.
     """
     size, mass = len(dynamics.inertia), dynamics.mass
-    own = root_of(dynamics.covariance[np.ix_(rows, rows)])
+    own = covariance_root(dynamics.covariance[np.ix_(rows, rows)])
     # pinv of the rows' root, in units in which their numbers are alike
     unit = np.sqrt(np.sum(own**2, axis=1, keepdims=True))
     unit[unit == 0] = 1.0
     whole = (dynamics.covariance[:, rows] / unit.T) @ np.linalg.pinv(own / unit).T
-    of_mass = np.zeros((len(MASS_PARAMETERS), 0)) if mass is None else root_of(mass.covariance)
+    of_mass = np.zeros((len(MASS_PARAMETERS), 0)) if mass is None else covariance_root(mass.covariance)
     normals = _normals(generator, own.shape[1] + of_mass.shape[1], draws)
     found = []
     try:
