@@ -7,7 +7,7 @@ from tempfile import mkdtemp
 import pytest
 
 from aerobalance.app.demos.demo import run_demo
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from seeds import new_seed, running
 
 
@@ -17,6 +17,6 @@ def demo_once() -> tuple[Path, dict]:
     folder = Path(mkdtemp(prefix="aerobalance-demo-"))
     with running("the demo"):  # whichever test comes first
         seed = new_seed()
-    with pytest.warns(DoubtWarning, match="not steady"):  # the unsteady record is there to be doubted
+    with pytest.warns(DataQualityWarning, match="not steady"):  # the unsteady record is there to be doubted
         account = run_demo(folder, seed=seed)
     return folder, account

@@ -18,7 +18,7 @@ from aerobalance.identification.free_decay.event import first_look
 from aerobalance.identification.free_decay.fit import _kept_modes, _way_to_take_it_up, identify_decay
 from aerobalance.identification.free_decay.waveform import Line, fit_ring
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import damping_text, frequency_text, percent_text, share_text
 from aerobalance.validation.model_check import Misfit, misfit_of
@@ -172,7 +172,7 @@ def test_modes_whose_share_would_be_more_than_the_load_are_not_taken_up():
 def test_the_advice_on_a_further_mode_is_taken():
     """After a release from rest --modes auto does take a further mode up, as the warning says."""
     recording = ringing((0.9, 0.1), (60.0, 143.0), noise=0.1, seed=5)
-    with pytest.warns(DoubtWarning, match=r"143 Hz, .* of the first, .*--modes auto takes it up"):
+    with pytest.warns(DataQualityWarning, match=r"143 Hz, .* of the first, .*--modes auto takes it up"):
         identify_decay(recording, mass=20.0)
     (mode,) = identify_decay(recording, mass=20.0, modes="auto").dynamics.further_modes
     assert mode.share == pytest.approx(0.1, abs=0.01)
@@ -185,7 +185,7 @@ def test_where_no_option_helps_the_advice_is_another_record():
     recording = Recording.from_columns(
         np.arange(values.size) / 2000.0, {"AF": Channel("AF", values, "N")}, name="late"
     )
-    with pytest.warns(DoubtWarning) as caught:
+    with pytest.warns(DataQualityWarning) as caught:
         identify_decay(recording, mass=20.0)
     said = [str(item.message) for item in caught if "a further mode" in str(item.message)]
     assert said and all("a record of a clean release from rest" in text for text in said)

@@ -13,7 +13,7 @@ from aerobalance.app.commands.known import Coupled
 from aerobalance.estimation.coupled_force import reconstruct_coupled
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_components import SixSimulation
@@ -52,7 +52,7 @@ def seen_by(simulation: SixSimulation, *, without=("turn",), pitch=None):
 def forces(recording, dynamics):
     """What is found, whatever else is doubted: a faint force, a line where the mains are."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         return reconstruct_coupled(recording, dynamics)
 
 

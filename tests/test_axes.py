@@ -6,7 +6,7 @@ import pytest
 from aerobalance.balance.weighing.model import misalignment_matrix
 from aerobalance.dynamics.coupled import RigidMass
 from aerobalance.recording.components import COMPONENTS, MOMENTS, VECTORS
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.frames import PLACEMENT, WIND_NAMES, Frame, ResolvedLoads, coefficients, wind_loads
 from seeds import new_seed
 
@@ -212,7 +212,7 @@ def test_samples_have_their_own_angles_and_pressures(rng):
 
 def test_no_wind_has_no_coefficients():
     given = ResolvedLoads.of(np.ones((3, 6)))
-    with pytest.warns(DoubtWarning, match="1 of 3 samples"):
+    with pytest.warns(DataQualityWarning, match="1 of 3 samples"):
         found = coefficients(given, pressure=[0.0, 1.0, 2.0], area=1.0, chord=1.0, span=1.0)
     assert np.isnan(found.values[0]).all() and np.isfinite(found.values[1:]).all()
     with pytest.raises(ValueError, match="nowhere is"):

@@ -18,7 +18,7 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.schedule import Schedule
 from aerobalance.balance.terms import terms_of
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, SimulatedCalibration, random_balance
 from seeds import generator, seed_from, trials
 from tare_bound import tare_bound
@@ -291,7 +291,7 @@ def test_readings_quieter_than_the_noise_given_are_doubted() -> None:
         CalibrationStand(random_balance(seed_from(rng), model="linear"), noise=noise).run(seed_from(rng)).schedule
     )
     fit = calibrate(schedule, model="linear", reading_noise=3 * noise)
-    with pytest.warns(DoubtWarning, match=r"scatter less about the matrix than .* the 0\.0006 mV/V"):
+    with pytest.warns(DataQualityWarning, match=r"scatter less about the matrix than .* the 0\.0006 mV/V"):
         doubt_quality(fit, assess(fit))
     fit = calibrate(schedule, model="linear", reading_noise=noise)
     doubt_quality(fit, assess(fit))
@@ -328,7 +328,7 @@ def test_one_noise_for_bridges_that_differ_is_doubted_for_the_quiet_ones() -> No
     schedule = CalibrationStand(balance, noise=0.0).run(seed_from(rng)).schedule
     schedule = replace(schedule, outputs=schedule.outputs + rng.normal(0, noise, schedule.outputs.shape))
     fit = calibrate(schedule, model="linear", reading_noise=1e-4)
-    with pytest.warns(DoubtWarning) as caught:
+    with pytest.warns(DataQualityWarning) as caught:
         doubt_quality(fit, assess(fit))
     (text,) = (str(item.message) for item in caught)
     quiet = f"r{schedule.gauges[1]}"
@@ -610,7 +610,7 @@ def test_hysteresis_between_going_up_and_down() -> None:
 def test_healthy_schedules_raise_no_doubt(model: str) -> None:
     rng = generator()
     with warnings.catch_warnings():
-        warnings.simplefilter("error", DoubtWarning)
+        warnings.simplefilter("error", DataQualityWarning)
         for _ in range(3):
             balance = random_balance(seed_from(rng), model=model)
             for way in ("iterative", "non-iterative"):

@@ -11,7 +11,7 @@ import pytest
 
 from aerobalance.balance.calibration.fit import calibrate
 from aerobalance.balance.schedule import Schedule
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from seeds import generator
 
@@ -59,7 +59,7 @@ component = pytest.mark.parametrize("index", [0, 3, 4, 5])
 def refused(schedule: Schedule, *, match: str) -> None:
     """The fit ends with an error; doubts that come first are not the matter here."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         with pytest.raises(FitError, match=match):
             calibrate(schedule, model="linear")
 
@@ -67,7 +67,7 @@ def refused(schedule: Schedule, *, match: str) -> None:
 def problem(schedule: Schedule, *, model: str = "linear") -> str:
     """What is said of a schedule, by error and warnings together."""
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", DoubtWarning)
+        warnings.simplefilter("always", DataQualityWarning)
         try:
             calibrate(schedule, model=model)
         except FitError as error:

@@ -13,7 +13,7 @@ from aerobalance.balance.calibration.fit import Calibration, calibrate
 from aerobalance.balance.calibration.quality import assess
 from aerobalance.balance.terms import terms_of
 from aerobalance.io.schedule import read_schedule
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from seeds import generator
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "internal-balance"
@@ -24,7 +24,7 @@ def fitted(name: str, model: str) -> Calibration:
     if not path.exists():
         pytest.skip(f"{name} is not in ../shared/data/internal-balance beside the checkout")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         return calibrate(read_schedule(path), model=model)
 
 
@@ -48,7 +48,7 @@ def test_a_wrong_reading_of_a_real_calibration_is_named_with_a_number() -> None:
     outputs = schedule.outputs.copy()
     outputs[schedule.points.index("N2 pos 10"), 1] *= 1.1
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         found = {}
         for model in ("auto", "abs"):
             worst = assess(calibrate(replace(schedule, outputs=outputs), model=model)).outliers[0]
@@ -75,7 +75,7 @@ def test_chosen_terms_foretell_a_real_calibration_best() -> None:
     folds = generator().integers(0, 4, len(schedule.loads))
     missed = {model: [] for model in ("linear", "96", "auto")}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         for fold in range(4):
             for model, errors in missed.items():
                 quality = assess(calibrate(replace(schedule, confirmation=folds == fold), model=model))

@@ -20,7 +20,7 @@ from aerobalance.io import read
 from aerobalance.io.balance_file import write_balance
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import Release
 from aerobalance.simulation.six_signals import Band, broadband
@@ -52,7 +52,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
         write_balance(folder.path / f"{name}.json", replace(known, coefficients=wrong), found={})
     folder.record("zero", still(balance, 0.0, 0.0), 0.1)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         weighed(folder, balance, BalanceFiles.of(folder.path / "balance.json"))
     releases = []
     for place, name in enumerate(COMPONENTS):
@@ -151,14 +151,14 @@ def test_a_weight_that_is_not_known_is_told(found: Found) -> None:
     bare = found.folder / "without_natural_zeros.json"
     write_balance(bare, replace(found.balance.matrix, natural_zero=None), found={})
     files = BalanceFiles.of(bare, zero=[found.folder / "zero.h5"])
-    with pytest.warns(DoubtWarning, match=r"Give the mass\.json of a weighing of all loads"):
+    with pytest.warns(DataQualityWarning, match=r"Give the mass\.json of a weighing of all loads"):
         releases_felt([read(found.releases[0])], files, None, channel_map=None, counted=False)
 
 
 def test_a_matrix_that_does_not_know_its_errors_is_told(found: Found) -> None:
     write_balance(found.folder / "exact.json", found.balance.matrix, found={})
     files = BalanceFiles.of(found.folder / "exact.json", zero=[found.folder / "zero.h5"], model_on_zero="off")
-    with pytest.warns(DoubtWarning, match=r"exact\.json holds no covariance"):
+    with pytest.warns(DataQualityWarning, match=r"exact\.json holds no covariance"):
         releases_felt([read(found.releases[0])], files, None, channel_map=None)
 
 

@@ -12,7 +12,7 @@ from aerobalance.estimation.spectra import noise_floor
 from aerobalance.estimation.spectra.noise_floor import lasts
 from aerobalance.estimation.spectra.noise_spectrum import Hump, NoiseSpectrum
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from seeds import fresh
 from test_noise_spectrum import RATE, T128, WHITE, noise_of
@@ -83,7 +83,7 @@ def test_uncertainty_is_that_of_the_true_noise():
 def test_faint_slow_force_is_doubted():
     generator, seed = fresh()
     values = noise_of(generator, one_over_f(30).density, n=N)
-    with pytest.warns(DoubtWarning, match=r"rises at low frequency \(1/f\) looks the same"):
+    with pytest.warns(DataQualityWarning, match=r"rises at low frequency \(1/f\) looks the same"):
         found = reconstruct(record_of(values), T128)
     assert found.bandwidth > 0, seed
 
@@ -93,7 +93,7 @@ def test_color_of_the_floor_is_seen():
     felt, force = load_of_band(generator, 30, rms=500)
     hump = Hump(300.0, 0.3, 2 * WHITE)
     values = felt + noise_of(generator, lambda f: WHITE + hump.density(f), n=N)
-    with pytest.warns(DoubtWarning, match="taken for noise of the electronics"):
+    with pytest.warns(DataQualityWarning, match="taken for noise of the electronics"):
         found = reconstruct(record_of(values), T128)
     error = float(np.std((found.values - force)[N // 20 : -N // 20]))
     # 0.37 N with white noise; as a force the hump makes 15 to 40 N
@@ -108,7 +108,7 @@ def test_floor_that_stays_a_force_is_doubted(monkeypatch):
     felt, _ = load_of_band(generator, 30, rms=500)
     hump = Hump(300.0, 0.3, 2 * WHITE)
     values = felt + noise_of(generator, lambda f: WHITE + hump.density(f), n=N)
-    with pytest.warns(DoubtWarning, match="so faint that it may be noise of the electronics"):
+    with pytest.warns(DataQualityWarning, match="so faint that it may be noise of the electronics"):
         reconstruct(record_of(values), T128)
 
 
@@ -132,7 +132,7 @@ def test_another_white_noise_is_told():
     generator, seed = fresh()
     felt, force = load_of_band(generator, 30, rms=500)
     values = felt + generator.normal(0, 4, N)
-    with pytest.warns(DoubtWarning, match="times the power that it has in the record of noise"):
+    with pytest.warns(DataQualityWarning, match="times the power that it has in the record of noise"):
         found = reconstruct(record_of(values), T128, noise=one_over_f())
     # judged from 740 Hz of 0.2 Hz ordinates: 1 % of the standard deviation
     assert found.noise == pytest.approx(4, rel=0.06), seed

@@ -13,7 +13,7 @@ from aerobalance.estimation.coupled_force import reconstruct_coupled
 from aerobalance.estimation.error_sources import Systematic
 from aerobalance.estimation.force import reconstruct
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
@@ -199,7 +199,7 @@ def test_a_weight_that_is_not_known_stays_in_the_forces() -> None:
     balance, dynamics, generator, entropy = _drawn()
     rig = SixComponentRig(balance, pitch=lambda time: np.full(time.shape, 0.1), output="loads")
     recording = rig.run(0.1, generator).recording
-    with pytest.warns(DoubtWarning, match="weight at the steady attitude"):
+    with pytest.warns(DataQualityWarning, match="weight at the steady attitude"):
         found = reconstruct_coupled(recording, replace(dynamics, mass=None))
     weight = balance.mass.weight(0.1)[0]
     for place, estimate in enumerate(found.values()):

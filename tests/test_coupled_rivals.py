@@ -18,7 +18,7 @@ from aerobalance.io import write_recording
 from aerobalance.io.coupled_file import write_coupled
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.validation.baselines import THIS
 from aerobalance.validation.coupled_baselines import TUNED, estimates_of_coupled, own_response
@@ -72,7 +72,7 @@ def test_differences_of_all_readings_undo_the_coupling() -> None:
     recording = recording_of(felt + 1e-3 * NOISE * generator.normal(size=felt.shape))
     with warnings.catch_warnings():
         # so little noise lets errors of the simulation be seen, and doubted as a faint floor
-        warnings.filterwarnings("ignore", message=".*so faint that", category=DoubtWarning)
+        warnings.filterwarnings("ignore", message=".*so faint that", category=DataQualityWarning)
         found = estimates_of_coupled(recording, EXACT, components=("NF",))["NF"]
     values = {row.name: row.values for row in found if row.ran}
     inner = slice(100, -100)

@@ -31,7 +31,7 @@ def _ran(name: str) -> tuple[dict[str, Any], dict[str, Any], int]:
 
 
 # in one record of five or so the estimator says that its very end is not explained; the mean leaves the ends out
-@pytest.mark.filterwarnings("ignore:.*depart from what the model:aerobalance.recording.errors.DoubtWarning")
+@pytest.mark.filterwarnings("ignore:.*depart from what the model:aerobalance.recording.errors.DataQualityWarning")
 def test_mean_loads_of_a_vibrating_test() -> None:
     script, results, seed = _ran("mean_loads")
     ratio = []

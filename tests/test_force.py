@@ -12,7 +12,7 @@ from aerobalance.estimation.record import ForceEstimate
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import QUANTITIES, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
 from seeds import fresh
@@ -266,7 +266,7 @@ def test_dc_coupled_accelerometer_is_kinematic_and_pitch():
 def test_ac_coupled_accelerometer_is_warned_about():
     t = np.arange(500) / RATE
     ac = {"noise": 0.0, "coupling": "ac", "corner": 1.0}
-    with pytest.warns(DoubtWarning, match="ac-coupled"):
+    with pytest.warns(DataQualityWarning, match="ac-coupled"):
         reconstruct(record(AF=np.sin(t), ground_acceleration=(np.sin(99 * t), ac)), T128, method="paper")
 
 
@@ -355,7 +355,7 @@ def test_a_gap_moves_no_ground_end_that_is_at_rest():
     force = np.full(n, -1000.0) + generator.normal(0, 2.0, n)
     force[gap] = acceleration[gap] = np.nan
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)  # of the gap, and in one of a hundred of a faint slow force
+        warnings.simplefilter("ignore", DataQualityWarning)  # of the gap, and in 1 of 100 of a faint slow force
         estimate = reconstruct(record(AF=force, ground_acceleration=(acceleration, {"noise": 5.0})), T128)
     assert any("at rest" in text for text in estimate.assumptions), seed
     # the mean of 1100 readings: 2 N / sqrt(1100) = 0.06 N, here with a factor of four

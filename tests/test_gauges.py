@@ -6,7 +6,7 @@ import pytest
 from aerobalance.balance.bridge_outputs import gauge_outputs
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import is_gauge
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from seeds import new_seed
 
@@ -137,7 +137,7 @@ def test_an_excitation_that_fails_leaves_holes_and_is_told():
     reading[20:25] = 0.0
     reading[50] = -10.0
     reading[60] = 0.3
-    with pytest.warns(DoubtWarning, match=r"zero, negative or near zero \(up to 1 V\) in 7 of 200 samples"):
+    with pytest.warns(DataQualityWarning, match=r"zero, negative or near zero \(up to 1 V\) in 7 of 200 samples"):
         found = gauge_outputs(recording(excitation=reading, rAF=np.full(200, 0.02))).channel("rAF")
     holes = [*range(20, 25), 50, 60]
     assert np.flatnonzero(found.missing).tolist() == holes

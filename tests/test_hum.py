@@ -9,7 +9,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import reconstruct, without_hum
 from aerobalance.estimation.spectra.line_noise import columns_of_lines, hum_lines, reading_of_lines
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from seeds import fresh
 
@@ -126,7 +126,7 @@ def test_force_is_what_it_is_without_hum(stepped):
     load = load + generator.normal(0, NOISE, time.size)
     lines = hum(generator, time, 50.02, {1: 12.0, 3: 6.0, 5: 3.0})
     clean = reconstruct(record_of(load), T128)
-    with pytest.warns(DoubtWarning, match=r"50\.0.* Hz .* taken for mains hum and not for force"):
+    with pytest.warns(DataQualityWarning, match=r"50\.0.* Hz .* taken for mains hum and not for force"):
         found = reconstruct(record_of(load + lines), T128)
     assert clean.hum == (), seed
     assert len(found.hum) == 3, (found.hum, seed)
@@ -145,7 +145,7 @@ def test_keeping_hum_leaves_it_in_the_force():
     time = clock(3)
     values = hum(generator, time, 50.0, {1: 20.0}) + generator.normal(0, NOISE, time.size)
     with warnings.catch_warnings():
-        warnings.simplefilter("error", DoubtWarning)
+        warnings.simplefilter("error", DataQualityWarning)
         kept = reconstruct(record_of(values), T128, hum="keep").values
         taken = reconstruct(record_of(values), T128, hum=(50.0,)).values
     # the balance enlarges 50 Hz by 1 / (1 - (50 / 66.4)^2) = 2.3
@@ -162,7 +162,7 @@ def test_a_drive_at_a_frequency_of_the_mains_stays_a_force():
     time = clock(4)
     wave = 300 * np.exp(2j * np.pi * 60.0 * time + 1j * generator.uniform(0, 2 * np.pi))
     load = (wave * T128.response(60.0)).real + generator.normal(0, NOISE, time.size)
-    with pytest.warns(DoubtWarning, match=r"Hz .* lie where the mains do, .* taken for force"):
+    with pytest.warns(DataQualityWarning, match=r"Hz .* lie where the mains do, .* taken for force"):
         found = reconstruct(record_of(load), T128)
     assert found.hum == (), seed
     inner = slice(640, -640)

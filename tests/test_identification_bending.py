@@ -30,7 +30,7 @@ from aerobalance.io import write_recording
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_bending import Bending, bending_dynamics
@@ -97,7 +97,7 @@ def recordings(dynamics: CoupledDynamics, rng: np.random.Generator, *, along=(0,
 
 def quietly(made: list[Recording], **settings):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         return identify_releases(made, components=NAMES, half_range=RANGES, **settings)
 
 

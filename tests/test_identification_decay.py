@@ -12,7 +12,7 @@ from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.identification.free_decay.log_decrement import extrema_fit
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
 from seeds import fresh, trials
@@ -141,7 +141,7 @@ def test_second_mode_is_found_and_warned_about():
     other = Dynamics("AF", 1.0, (2 * np.pi * 171.0) ** 2, 2 * 0.008 * 2 * np.pi * 171.0)
     load = 0.9 * release() + 0.1 * release(dynamics=other)
     recording, seed = noisy(load, 5.0)
-    with pytest.warns(DoubtWarning, match=r"further mode at 17[01]"):
+    with pytest.warns(DataQualityWarning, match=r"further mode at 17[01]"):
         fit = identify_decay(recording, mass=T128.mass)
     meets(fit.dynamics, seed)
     (mode,) = fit.further_modes
@@ -217,7 +217,7 @@ def test_tap_is_fitted_freely():
     since = np.maximum(clock(3.0) - RELEASE, 0.0)
     load = 900 * np.exp(-T128.decay_rate * since) * np.sin(T128.damped_angular_frequency * since)  # from an impulse
     recording, seed = noisy(load)
-    with pytest.warns(DoubtWarning, match="not that of a clean release"):
+    with pytest.warns(DataQualityWarning, match="not that of a clean release"):
         fit = identify_decay(recording, mass=T128.mass)
     meets(fit.dynamics, seed)
     assert fit.release is None
@@ -237,7 +237,7 @@ def test_second_event_is_cut_from_the_window():
     load = load + 400 * T128.step_response(time - 3.5003)
     recording, seed = noisy(load)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         fit = identify_decay(recording, mass=T128.mass)
     meets(fit.dynamics, seed)
     # It ends with the block of three periods (0.045 s) that holds the event at the latest, and keeps most of the 3 s
@@ -248,7 +248,7 @@ def test_second_event_is_cut_from_the_window():
 def test_saturated_samples_are_left_out():
     generator, seed = fresh()
     load = np.clip(release() + generator.normal(0, 2.0, 4800), None, 700.0)
-    with pytest.warns(DoubtWarning, match="rest on a limit"):
+    with pytest.warns(DataQualityWarning, match="rest on a limit"):
         fit = identify_decay(record(load), mass=T128.mass)
     # near the limit lie readings that noise kept below it: a bias of 2 N there, 2e-3 of the height, at a few extrema
     assert fit.dynamics.stiffness == pytest.approx(T128.stiffness, rel=1e-4), seed
@@ -286,7 +286,7 @@ def test_records_without_a_decay_are_refused(kind):
         "short": generator.normal(0, 10, 12),
     }[kind]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         with pytest.raises(FitError) as caught:
             identify_decay(record(load), mass=T128.mass)
     assert "decay" in str(caught.value), seed  # the name of the record
@@ -349,7 +349,7 @@ def bent_release(generator: np.random.Generator, *, damping: float = 0.0, freque
 def test_amplitude_dependence_is_found_and_warned_about(damping, frequency):
     generator, seed = fresh()
     said = "damping of AF depends" if damping else "frequency of AF depends"
-    with pytest.warns(DoubtWarning, match=said):
+    with pytest.warns(DataQualityWarning, match=said):
         fit = identify_decay(bent_release(generator, damping=damping, frequency=frequency), mass=T128.mass)
     found = fit.amplitude_dependence
     # first order in the dependence: its square is what may be missed, beside five standard uncertainties

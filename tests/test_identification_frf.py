@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification import ResponseTable, identify_frf
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from seeds import fresh
 
 TRUE = Dynamics("AF", mass=2.0, stiffness=2.0 * (2 * np.pi * 900.0) ** 2, damping=2 * 0.02 * 2.0 * 2 * np.pi * 900.0)
@@ -35,7 +35,7 @@ def test_exact_table_gives_exact_dynamics():
     assert fit.degrees_of_freedom == 2 * FREQUENCIES.size - 2
 
 
-@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DoubtWarning")
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
 def test_scores_of_many_tables():
     generator, seed = fresh()
     draws, scores, sums = 200, [], []
@@ -52,7 +52,7 @@ def test_scores_of_many_tables():
 
 
 # The scatter of one table in a hundred is doubted by chance; the delay is found all the same.
-@pytest.mark.filterwarnings("ignore:.*scatter more than their uncertainties:aerobalance.recording.errors.DoubtWarning")
+@pytest.mark.filterwarnings("ignore:.*scatter more than their:aerobalance.recording.errors.DataQualityWarning")
 def test_delay_is_found_where_there_is_one():
     generator, seed = fresh()
     fit = identify_frf(table(FREQUENCIES, generator, delay=-4e-5, u=(0.002, 0.003)), mass=2.0)
@@ -71,7 +71,7 @@ def test_uncertain_mass_scales_stiffness_and_damping():
 def test_too_much_scatter_enlarges_the_covariance_and_warns():
     generator, seed = fresh()
     noisy = table(FREQUENCIES, generator, scatter=3.0)
-    with pytest.warns(DoubtWarning, match="scatter more than their uncertainties"):
+    with pytest.warns(DataQualityWarning, match="scatter more than their uncertainties"):
         fit = identify_frf(noisy, mass=2.0)
     assert fit.probability < 0.01
     assert fit.scale == pytest.approx(fit.chi2 / fit.degrees_of_freedom)
@@ -80,7 +80,7 @@ def test_too_much_scatter_enlarges_the_covariance_and_warns():
 
 
 def test_points_short_of_resonance_are_called_extrapolation():
-    with pytest.warns(DoubtWarning, match="no point reaches the natural frequency"):
+    with pytest.warns(DataQualityWarning, match="no point reaches the natural frequency"):
         fit = identify_frf(table(np.arange(100.0, 801.0, 50.0), u=(1e-3, 1e-4)), mass=2.0)
     assert fit.dynamics.natural_frequency == pytest.approx(900.0, rel=1e-6)
 
@@ -91,7 +91,7 @@ def test_damping_that_the_table_does_not_carry_is_called_so():
         fit = identify_frf(table(np.arange(50.0, 500.0, 50.0), u=(1e-3, 0.05)), mass=2.0)
     assert any("damping is hardly identifiable" in str(warning.message) for warning in caught)
     assert any("damping is hardly identifiable" in note for note in fit.notes)
-    assert all(issubclass(warning.category, DoubtWarning) for warning in caught)
+    assert all(issubclass(warning.category, DataQualityWarning) for warning in caught)
 
 
 def test_tables_that_cannot_carry_a_result():

@@ -24,7 +24,7 @@ from aerobalance.io import write_recording
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, si_unit
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from rigid_balance import HALF_RANGE, RANGES, balance, truth
 from seeds import fresh
@@ -88,7 +88,7 @@ def releases(
 
 def quietly(recordings: list[Recording], **settings):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         return identify_releases(recordings, half_range=RANGES, **settings)
 
 
@@ -233,7 +233,7 @@ def test_the_mode_that_is_not_excited_is_named():
     # with a little of it in one release, the result says what is weak and what to add
     values = felt(true, 0.4 * HALF_RANGE * (held / np.abs(held).max() + 0.001 * missing), instant=0.0513)
     made[1] = recording(values + 1e-4 * HALF_RANGE * rng.normal(size=values.shape), "odd")
-    with pytest.warns(DoubtWarning) as caught:
+    with pytest.warns(DataQualityWarning) as caught:
         fit = identify_releases(made, half_range=RANGES)
     told = [str(warning.message).partition(": ")[2] for warning in caught]
     assert told == list(fit.notes), seed

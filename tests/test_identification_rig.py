@@ -15,7 +15,7 @@ from aerobalance.estimation.force import reconstruct
 from aerobalance.identification import identify_rig
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, RandomDrive, Sensor, SteppedSine, Sweep, VibrationRig
 from aerobalance.simulation.drives import band_noise
@@ -47,7 +47,7 @@ def said(recording, **settings) -> tuple[object, list[str]]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         fit = identify_rig(recording, **settings)
-    assert all(issubclass(warning.category, DoubtWarning) for warning in caught)
+    assert all(issubclass(warning.category, DataQualityWarning) for warning in caught)
     return fit, [str(warning.message) for warning in caught]
 
 
@@ -113,7 +113,7 @@ def test_accelerometers_of_the_paper_leave_what_the_bound_says(drive: str):
     generator, seed = fresh()
     simulation = shake(DRIVES[drive], generator, load=0.32, acceleration=5.0)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)  # poor coherence, said or not depending on the draw
+        warnings.simplefilter("ignore", DataQualityWarning)  # poor coherence, said or not depending on the draw
         fit = identify_rig(simulation.recording, mass=MASS)
     errors, uncertainties = found(fit)
     assert np.all(np.abs(errors) < 5 * uncertainties), seed
@@ -131,7 +131,7 @@ def test_scatter_reaches_the_bound_and_is_stated(noise: tuple[float, float]):
     drive = Sweep(550.0, 850.0, 1.0)
     errors, uncertainties = np.empty((2, draws, 3))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         for i in range(draws):
             simulation = shake(drive, generator, load=noise[0], acceleration=noise[1])
             errors[i], uncertainties[i] = found(identify_rig(simulation.recording, mass=MASS))
@@ -249,7 +249,7 @@ def test_far_below_resonance_is_refused_or_called_extrapolated():
     generator, seed = fresh()
     recording = shake(RandomDrive(5.0, 20.0, 4.0), generator, load=0.32, acceleration=0.5).recording
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         # The load departs by (20 / 652)^2 = 1e-3 from that of a rigid balance; sixty lines of 1 % noise do not tell.
         try:
             fit = identify_rig(recording, mass=MASS, band=(5.0, 20.0))
@@ -259,7 +259,7 @@ def test_far_below_resonance_is_refused_or_called_extrapolated():
             f0, u = (fit.dynamics.natural_frequency, fit.dynamics.uncertainty("natural_frequency"))
             assert abs(f0 - TRUE.natural_frequency) < 5 * u, seed
     with pytest.raises(FitError, match="does not carry the stiffness"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         quiet = shake(RandomDrive(2.0, 8.0, 6.0), generator, load=0.32, acceleration=0.5).recording
         identify_rig(quiet, mass=MASS, band=(2.0, 8.0))
     recording = shake(RandomDrive(100.0, 500.0, 3.0), generator).recording
@@ -449,7 +449,7 @@ def test_force_on_a_shaken_balance_with_two_modes_has_the_error_of_the_noise():
     record = several(generator, *truth.further_modes, seconds=4.0, noise=(2.0, 0.02), applied=applied)
     right = applied(record.time)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         errors = [
             (reconstruct(record, dynamics=dynamics).values - right)[320:-320]
             for dynamics in (truth, found, found.with_modes())
@@ -471,7 +471,7 @@ def treadmill(name: str) -> Recording:
         "ground_acceleration": Channel("ground_acceleration", -np.gradient(speed, interval), "m/s^2"),
     }
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)  # the time stamps jitter
+        warnings.simplefilter("ignore", DataQualityWarning)  # the time stamps jitter
         return Recording.from_columns(stamps, channels, name=name)
 
 

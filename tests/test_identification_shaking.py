@@ -18,7 +18,7 @@ from aerobalance.io import write_recording
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, MOMENTS, si_unit
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_components import GROUND_CHANNELS, RATE_CHANNELS
 from rigid_balance import HALF_RANGE, RANGES, balance, truth
@@ -78,7 +78,7 @@ def shaken(generator, *, noise=1.0, along=None, extra=None, dynamics=None, late=
 
 def identified(*recordings, **settings):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         return identify_shaking(recordings, half_range=RANGES, **settings)
 
 
@@ -195,7 +195,7 @@ def test_a_mass_that_is_not_rigid_is_noticed():
         found = identify_shaking([shaken(generator, extra=extra, name="odd")], half_range=RANGES)
     assert "not those of a rigid mass" in "".join(found.notes), seed
     assert [f"odd: {note}" for note in found.notes] == [
-        str(one.message) for one in said if issubclass(one.category, DoubtWarning)
+        str(one.message) for one in said if issubclass(one.category, DataQualityWarning)
     ]
 
 

@@ -13,7 +13,7 @@ from aerobalance.identification.from_stiffness import agreement, coupled_from_st
 from aerobalance.io.coupled_file import read_coupled, write_coupled
 from aerobalance.io.stiffness_file import read_rigid_mass, read_stiffness
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import DataQualityWarning, ReadError
 from seeds import new_seed
 
 MASS = """
@@ -103,7 +103,7 @@ def test_what_is_no_stiffness_is_refused(tmp_path):
     crooked[0, 1] *= 2
     rows = [",".join([name, *map(repr, row.tolist())]) for name, row in zip(COMPONENTS, crooked, strict=True)]
     file.write_text(head + "\n".join(rows))
-    with pytest.warns(DoubtWarning, match="not symmetric: (NF/PM|PM/NF)"):
+    with pytest.warns(DataQualityWarning, match="not symmetric: (NF/PM|PM/NF)"):
         read_stiffness(file)
 
 
@@ -191,7 +191,7 @@ def test_the_command_compares_and_names_what_departs(tmp_path, capsys):
     heavier = truth.inertia.copy()
     heavier[0, 0] *= 1.05
     write_coupled(identified, CoupledDynamics(COMPONENTS, heavier, truth.damping, covariance))
-    with pytest.warns(DoubtWarning, match="inertia NF/NF departs most"):
+    with pytest.warns(DataQualityWarning, match="inertia NF/NF departs most"):
         from_stiffness(table, None, mass=mass, ratios=RATIOS, compare=identified)
 
 

@@ -16,7 +16,7 @@ from aerobalance.balance.calibration.fit_warnings import doubt_quality
 from aerobalance.balance.calibration.quality import assess
 from aerobalance.balance.calibration.regression import regress
 from aerobalance.balance.schedule import Schedule
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 
 SENSITIVITY = np.array([[0.01, 0.002], [-0.001, 0.05]])
 """Outputs over loads [mV/V/N, mV/V/(N*m)]."""
@@ -155,7 +155,7 @@ def test_a_point_that_fits_to_the_last_digit_without_one_reading_is_said_without
     assert quality.outliers[0].label == "RM series 3"
     assert quality.outliers[0].deviations is None
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", DoubtWarning)
+        warnings.simplefilter("always", DataQualityWarning)
         doubt_quality(calibration, quality)
     said = " ".join(str(item.message) for item in caught)
     assert "more than 100 standard deviations" in said

@@ -13,7 +13,7 @@ from aerobalance.balance.loads import LoadsFelt, loads_felt, static_uncertainty,
 from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
 from aerobalance.balance.zeros import GaugeZero, gauge_table, gauge_zero
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from seeds import new_seed
@@ -186,17 +186,17 @@ def test_static_uncertainty_is_that_of_a_load_of_the_size_of_the_force(seed: int
 
 def test_beyond_the_calibration_is_doubted(balance: BalanceMatrix) -> None:
     native = np.tile(CAPACITIES * np.array([1.3, 0.1, 0.1, 0.1, 0.1, 0.1]), (40, 1))
-    with pytest.warns(DoubtWarning, match="N1 leaves the calibrated range"):
+    with pytest.warns(DataQualityWarning, match="N1 leaves the calibrated range"):
         felt = loads_felt(recorded(balance.outputs(native)), balance, zero=NONE)
     assert felt.beyond == {"N1": 40}
 
 
 def test_without_a_zero_it_is_said(balance: BalanceMatrix) -> None:
     outputs = balance.outputs(np.zeros((40, 6)))
-    with pytest.warns(DoubtWarning, match="the gauge outputs are taken as they are"):
+    with pytest.warns(DataQualityWarning, match="the gauge outputs are taken as they are"):
         loads_felt(recorded(outputs), balance)
     known = replace(balance, natural_zero=np.full(6, 0.1))
-    with pytest.warns(DoubtWarning, match="natural zeros of the calibration"):
+    with pytest.warns(DataQualityWarning, match="natural zeros of the calibration"):
         felt = loads_felt(recorded(outputs + 0.1), known)
     assert np.allclose(felt.values, 0, atol=1e-8)
 
@@ -226,7 +226,9 @@ def test_bridges_go_by_other_usual_names(balance: BalanceMatrix) -> None:
 def test_outputs_far_outside_say_so(balance: BalanceMatrix) -> None:
     wild = recorded(np.full((40, 6), 1e9))
     with (
-        pytest.raises(FitError, match="no sample gives loads") if _unsolvable(balance) else pytest.warns(DoubtWarning)
+        pytest.raises(FitError, match="no sample gives loads")
+        if _unsolvable(balance)
+        else pytest.warns(DataQualityWarning)
     ):
         loads_felt(wild, balance, zero=NONE)
 
@@ -270,7 +272,7 @@ def test_averaged_points_are_told_to_need_their_noise(seed: int) -> None:
     generator = np.random.default_rng(seed)
     calibrated = replace(random_balance(seed), residual_deviation=np.full(6, 2e-4))
     points = recorded(calibrated.outputs(generator.uniform(-0.6, 0.6, (30, 6)) * CAPACITIES))
-    with pytest.warns(DoubtWarning, match=r"averaged points .*noise = .*channels\.rNAME"):
+    with pytest.warns(DataQualityWarning, match=r"averaged points .*noise = .*channels\.rNAME"):
         felt = loads_felt(points, calibrated, zero=NONE)
     known = {name: replace(channel, noise=2e-5) for name, channel in points.channels.items()}
     better = loads_felt(replace(points, channels=known), calibrated, zero=NONE)

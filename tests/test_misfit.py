@@ -12,7 +12,7 @@ import pytest
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
 from aerobalance.validation.local_modes import REACH, Averaged, missing_mode, own_resonance, smeared
@@ -37,7 +37,7 @@ def released(truth: Dynamics, generator: np.random.Generator, *, noise: float = 
 def identified(truth: Dynamics, generator: np.random.Generator) -> Dynamics:
     """One mode, from a release of the balance as it really is."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         return identify_decay(released(truth, generator), mass=BARE.mass).dynamics
 
 

@@ -22,7 +22,7 @@ from aerobalance.balance.load_envelope import LoadEnvelope
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import StoredChannel
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
 from running_page import Running, source_of
 from seeds import new_seed
@@ -153,7 +153,7 @@ def test_contact_and_checks_are_in_the_record(running) -> None:
     texts = b"\n".join(bytes(text).rstrip(b"\0") for text in kept["text"]).decode()
     assert "shunt check passed: AF changed by" in texts  # of before the record
     assert "return to zero passed: AF changed by" in texts
-    with pytest.warns(DoubtWarning, match=r"touched \(.* s to .* s\): the loads read then carry"):
+    with pytest.warns(DataQualityWarning, match=r"touched \(.* s to .* s\): the loads read then carry"):
         read(running.folder / "touched.h5")
 
 

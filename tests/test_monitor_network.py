@@ -24,7 +24,7 @@ from aerobalance.app.monitor import crowd
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from test_monitor_process import Program, pytestmark  # noqa: F401 - processes are found in /proc here as well
 
 SECRET = "correct-horse-battery"
@@ -122,7 +122,7 @@ def test_record_in_progress_is_fetched_whole(tmp_path, rig, times) -> None:
             blocks = list(read_blocks(tmp_path / f"copy{number}.h5"))
             assert blocks and all(samples is not None for _, samples in blocks)
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", DoubtWarning)
+                warnings.simplefilter("ignore", DataQualityWarning)
                 assert main(["info", str(tmp_path / f"copy{number}.h5")]) == 0
         program.post("stop")
         own = dict(read_blocks(tmp_path / "run.h5"))

@@ -24,7 +24,7 @@ import websockets
 
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from seeds import new_seed
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="children are found in /proc")
@@ -315,5 +315,5 @@ def test_killed_at_random_moments(tmp_path) -> None:
                 assert kept.blocks.size >= blocks, (seed, round_, trial, victim)
                 if blocks:
                     with warnings.catch_warnings():
-                        warnings.simplefilter("ignore", DoubtWarning)  # of a record that was broken off
+                        warnings.simplefilter("ignore", DataQualityWarning)  # of a record that was broken off
                         assert read(file).samples > 0

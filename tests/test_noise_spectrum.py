@@ -11,7 +11,7 @@ from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
 from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, ColoredNoise, Hump, NoiseSpectrum
 from aerobalance.estimation.statespace.kalman import Filter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
@@ -152,7 +152,7 @@ def test_longest_stretch_is_taken():
 def test_floor_that_falls_is_told():
     generator, _ = fresh()
     values = noise_of(generator, lambda f: WHITE * np.where(f > 500, 0.02, 1.0))
-    with pytest.warns(DoubtWarning, match="no white noise with 1/f and broad humps"):
+    with pytest.warns(DataQualityWarning, match="no white noise with 1/f and broad humps"):
         noise_spectrum_of(values, T128, interval=1 / RATE)
 
 

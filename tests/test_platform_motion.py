@@ -13,7 +13,7 @@ from aerobalance.motion.sensors import ground_sensors
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import AXES_BY_NAME, Channel
 from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, VECTORS
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from seeds import new_seed
 
@@ -383,7 +383,7 @@ def test_sensor_with_a_wrong_gain_is_named(seed):
     shown = 1 - (redundancy.rows @ redundancy.bands[0].gains).diagonal()
     if shown[bad] < 0.2 or rms(channels[bad].values) < 0.5:
         return  # a sensor that the others hardly check
-    with pytest.warns(DoubtWarning, match=f"ground_acceleration_{bad} "):
+    with pytest.warns(DataQualityWarning, match=f"ground_acceleration_{bad} "):
         PlatformMotion.of(platform.recording(*channels, *platform.angles()))
 
 
@@ -417,7 +417,7 @@ def test_two_sensors_that_differ_are_both_named(seed):
         noisy(Channel(f"ground_acceleration_{i}", shift * gain, "m/s^2", axis=(0.0, 0.0, 1.0)), rng, 0.1)
         for i, gain in enumerate((1.0, 1.2))
     ]
-    with pytest.warns(DoubtWarning, match=r"ground_acceleration_\d, ground_acceleration_\d do not agree"):
+    with pytest.warns(DataQualityWarning, match=r"ground_acceleration_\d, ground_acceleration_\d do not agree"):
         PlatformMotion.of(recording(*pair))
 
 
@@ -428,7 +428,7 @@ def test_offset_is_told(seed):
         noisy(Channel(f"ground_acceleration_{i}", shift + off, "m/s^2", axis=(0.0, 0.0, 1.0)), rng, 1.0)
         for i, off in enumerate((0.0, 0.5, 0.0))
     ]
-    with pytest.warns(DoubtWarning, match=r"ground_acceleration_1 reads 0\.[3-7]\d* more"):
+    with pytest.warns(DataQualityWarning, match=r"ground_acceleration_1 reads 0\.[3-7]\d* more"):
         PlatformMotion.of(recording(*trio))
 
 
@@ -493,7 +493,7 @@ def test_sensors_of_different_delay_are_brought_together(seed):
 def test_missing_readings_are_bridged_and_said():
     values = np.sin(2 * np.pi * 5 * np.arange(1000) / RATE)
     values[300:303] = np.nan
-    with pytest.warns(DoubtWarning, match="3 missing"):
+    with pytest.warns(DataQualityWarning, match="3 missing"):
         motion = PlatformMotion.of(recording(Channel("ground_acceleration_z", values, "m/s^2", noise=1e-3)))
     assert np.isfinite(motion.specific_force).all()
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Loads, Recording
 from seeds import fresh
 
@@ -49,7 +49,7 @@ def test_rounded_stamps_give_the_true_rate(decimals):
 def test_gaps_are_found_wherever_they_are_also_with_rounded_stamps(decimals, lost):
     rate, count = 1600.0, 4000
     kept = np.setdiff1d(np.arange(count), lost)
-    with pytest.warns(DoubtWarning, match=rf"{len(lost)} sample.s. are missing from the time column"):
+    with pytest.warns(DataQualityWarning, match=rf"{len(lost)} sample.s. are missing from the time column"):
         recording = on(np.round(kept / rate, decimals), kept.astype(float))
     np.testing.assert_array_equal(recording.rows, kept)
     np.testing.assert_array_equal(np.flatnonzero(recording.channel("AF").missing), lost)
@@ -61,7 +61,7 @@ def test_gaps_are_found_wherever_they_are_also_with_rounded_stamps(decimals, los
 def test_one_lost_sample_is_found_in_short_recordings_too(count):
     for lost in range(1, count - 1):
         kept = np.setdiff1d(np.arange(count), lost)
-        with pytest.warns(DoubtWarning, match=r"1 sample.s. are missing"):
+        with pytest.warns(DataQualityWarning, match=r"1 sample.s. are missing"):
             recording = on(kept * 0.01)
         np.testing.assert_array_equal(recording.rows, kept)
 
@@ -70,7 +70,7 @@ def test_gaps_are_found_under_jitter():
     rng, entropy = fresh()
     kept = np.delete(np.arange(3000), [700, 701, 2222])
     stamps = kept * 0.01 + rng.uniform(-1.5e-3, 1.5e-3, kept.size)
-    with pytest.warns(DoubtWarning) as caught:
+    with pytest.warns(DataQualityWarning) as caught:
         recording = on(stamps)
     np.testing.assert_array_equal(recording.rows, kept, err_msg=str(entropy))
     said = " ".join(str(item.message) for item in caught)
@@ -81,7 +81,7 @@ def test_gaps_are_found_under_jitter():
 def test_jitter_alone_is_no_gap():
     rng, entropy = fresh()
     stamps = np.arange(5000) * 0.01 + rng.uniform(-4e-3, 4e-3, 5000)
-    with pytest.warns(DoubtWarning, match=r"depart from a steady .* by up to 0\.[34]"):
+    with pytest.warns(DataQualityWarning, match=r"depart from a steady .* by up to 0\.[34]"):
         recording = on(stamps)
     assert recording.samples == 5000, entropy
     # Uniform jitter of 4 ms: its standard deviation times sqrt(12) / n^1.5 is the slope's; eight of them.
@@ -96,14 +96,14 @@ def test_little_jitter_is_not_worth_a_warning():
 def test_equal_stamps_are_said():
     stamps = np.arange(2000) * 0.01
     stamps[700] = stamps[699]
-    with pytest.warns(DoubtWarning, match=r"1 time stamp\(s\) repeat the one before.*evenly spaced"):
+    with pytest.warns(DataQualityWarning, match=r"1 time stamp\(s\) repeat the one before.*evenly spaced"):
         recording = on(stamps)
     assert recording.samples == 2000
 
 
 def test_stamps_coarser_than_the_interval_are_said():
     stamps = np.round(np.arange(5000) / 1600, 2)
-    with pytest.warns(DoubtWarning, match=r"rounded to 0\.01 s, more than a sampling interval"):
+    with pytest.warns(DataQualityWarning, match=r"rounded to 0\.01 s, more than a sampling interval"):
         recording = on(stamps)
     assert recording.samples == 5000
     assert recording.rate == pytest.approx(1600, rel=6 * 0.005 * 1600 / 5000)
@@ -127,7 +127,7 @@ def check_said_error(recording, said, noise=0.0):
 def test_a_clock_that_wanders_is_no_gap_and_is_put_on_a_steady_one():
     index = np.arange(10000)
     stamps = index * 0.01 + 0.03 * np.sin(2 * np.pi * index / 10000)
-    with pytest.warns(DoubtWarning, match="interpolated to a steady") as caught:
+    with pytest.warns(DataQualityWarning, match="interpolated to a steady") as caught:
         recording = on(stamps, swing(stamps))
     assert recording.samples == pytest.approx(10000, abs=8)
     np.testing.assert_array_equal(recording.rows, np.arange(recording.samples))
@@ -142,7 +142,7 @@ def test_samples_that_jitter_are_put_on_a_steady_clock(sd, noise):
     late = rng.normal(0, sd, 5000) if sd < 0.3 else rng.uniform(-np.sqrt(3) * sd, np.sqrt(3) * sd, 5000)
     stamps = np.sort(np.arange(5000) + late) * 0.01
     given = Channel("AF", swing(stamps) + noise * rng.normal(size=5000), "N", noise=noise or None)
-    with pytest.warns(DoubtWarning) as caught:
+    with pytest.warns(DataQualityWarning) as caught:
         recording = Recording.from_columns(stamps, {"AF": given}, name="rec")
     said = " ".join(str(item.message) for item in caught)
     assert "the samples were not taken evenly" in said, entropy
@@ -160,7 +160,7 @@ def test_samples_whose_stamps_alone_jitter_stay_as_they_are(sd):
     rng, entropy = fresh()
     stamps = np.sort(np.arange(5000) + rng.normal(0, sd, 5000)) * 0.01
     values = swing(np.arange(5000) * 0.01) + 0.01 * rng.normal(size=5000)
-    with pytest.warns(DoubtWarning, match="evenly spaced: the readings do not follow them"):
+    with pytest.warns(DataQualityWarning, match="evenly spaced: the readings do not follow them"):
         recording = on(stamps, values)
     np.testing.assert_array_equal(recording.channel("AF").values, values, err_msg=str(entropy))
 
@@ -169,7 +169,7 @@ def test_readings_that_do_not_tell_stay_as_they_are_and_it_is_said():
     rng, _ = fresh()
     stamps = np.arange(5000) * 0.01 + rng.uniform(-3e-3, 3e-3, 5000)
     values = 0.003 * swing(stamps) + rng.normal(size=5000)  # noise far above what the jitter does
-    with pytest.warns(DoubtWarning, match="do not tell whether they were; if they were not.* N of AF"):
+    with pytest.warns(DataQualityWarning, match="do not tell whether they were; if they were not.* N of AF"):
         recording = on(stamps, values)
     np.testing.assert_array_equal(recording.channel("AF").values, values)
 
@@ -180,7 +180,7 @@ def test_gaps_and_missing_samples_stay_missing_where_samples_jitter():
     stamps = kept * 0.01 + rng.uniform(-2e-3, 2e-3, kept.size)
     values = swing(stamps)
     values[2000:2005] = np.nan
-    with pytest.warns(DoubtWarning) as caught:
+    with pytest.warns(DataQualityWarning) as caught:
         recording = on(stamps, values)
     missing = np.isnan(recording.channel("AF").values)
     lost = np.flatnonzero(missing)
@@ -194,7 +194,7 @@ def test_saturated_readings_are_left_out_where_samples_jitter():
     rng, entropy = fresh()
     stamps = np.arange(5000) * 0.01 + rng.uniform(-2e-3, 2e-3, 5000)
     full = 20 * (swing(stamps) - 50)
-    with pytest.warns(DoubtWarning, match="saturated samples left out"):
+    with pytest.warns(DataQualityWarning, match="saturated samples left out"):
         recording = on(stamps, np.minimum(full, 10.0))
     values, truth = recording.channel("AF").values, 20 * (swing(recording.time) - 50)
     known = np.isfinite(values)
@@ -232,7 +232,7 @@ def test_time_columns_that_carry_no_clock(stamps, said):
 def test_clock_finding_never_fails_otherwise():
     rng, entropy = fresh()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         for trial in range(500):
             count = int(rng.integers(2, 40))
             stamps = np.sort(np.round(rng.choice([1e-4, 1, 1e9]) * rng.random(count), int(rng.integers(0, 8))))
@@ -366,7 +366,7 @@ def test_rounded_stamps_tell_the_rate_by_their_turns():
     with pytest.raises(FitError, match=r"its 1 turn\(s\) tell the sampling rate not at all"):
         Recording.from_columns(np.floor(time[:2000]), {"AF": Channel("AF", time[:2000], "N")})
     time = 0.4 + np.arange(40_000) / 2000
-    with pytest.warns(DoubtWarning, match=r"2000 Hz \(known to 0.0006 %\)"):  # 20 turns over 38 000 samples
+    with pytest.warns(DataQualityWarning, match=r"2000 Hz \(known to 0.0006 %\)"):  # 20 turns over 38 000 samples
         found = Recording.from_columns(np.floor(time), {"AF": Channel("AF", time, "N")})
     assert found.rate == pytest.approx(2000, rel=6e-6)
 

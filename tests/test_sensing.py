@@ -13,7 +13,7 @@ from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import QUANTITIES, Channel, CrossAxis
 from aerobalance.recording.components import STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import LEAST_GAIN, corrected
 from seeds import new_seed
@@ -188,7 +188,7 @@ def test_the_corner_of_an_ac_sensor_is_undone():
     response = 1j * FREQUENCY / (1j * FREQUENCY + corner)
     read = sine(response, 3.0, phase=-np.angle(response))
     given = record(ground_acceleration=(read, {"coupling": "ac", "corner": corner}), pitch=np.zeros(TIME.size))
-    with pytest.warns(DoubtWarning, match="ac-coupled: ground motion below its corner of 20 Hz"):
+    with pytest.warns(DataQualityWarning, match="ac-coupled: ground motion below its corner of 20 Hz"):
         motion = GroundMotion.of(given, "AF")
     expected = sine(1.0, 3.0, phase=-np.angle(response))
     np.testing.assert_allclose(motion.acceleration[INNER], expected[INNER], atol=3 * CLOSE)

@@ -15,7 +15,7 @@ from aerobalance.estimation.record import ForceEstimate, Job, with_balance
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import QUANTITIES, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import advice, budget, scalars, spectrum
 from aerobalance.uncertainty.monte_carlo import monte_carlo
@@ -213,7 +213,7 @@ def test_readings_that_the_model_does_not_explain_raise_the_uncertainty():
     load = run(generator, count=4096).channel("AF").values.copy()
     load[2048:2304] += 8 * generator.normal(size=256)
     name = "what the model does not explain"
-    with pytest.warns(DoubtWarning, match="depart from what the model"):
+    with pytest.warns(DataQualityWarning, match="depart from what the model"):
         estimate = reconstruct(record(AF=(load, {"noise": 2.0})), T128)
     part = next(item for item in estimate.contributions if item.name == name)
     noise = next(item for item in estimate.contributions if item.name == "noise of the readings")

@@ -19,7 +19,7 @@ from aerobalance.balance.weighing.advice import PROPOSALS
 from aerobalance.balance.weighing.model import misalignment_matrix
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.gravity import Attitudes, weight_direction
 from aerobalance.recording.recording import Recording
 from seeds import new_seed, trials
@@ -82,7 +82,7 @@ def points(pitch, roll, loads, components=COMPONENTS, noise=None):
 def weigh_quietly(given):
     """Weigh; a disagreement by chance, once in a thousand times, is no failure of a test that looks at many draws."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         return weigh_components(given)
 
 
@@ -220,7 +220,7 @@ def test_live_ends_that_differ_are_found_and_kept_apart():
     pitch, roll = grid()
     masses = {"AF": 5.1, "SF": 5.0, "NF": 4.9}
     clean = read(pitch, roll, masses=masses)
-    with pytest.warns(DoubtWarning, match=r"forces find different masses: NF 4\.[89].*SF (5|4\.9).*AF 5\.[01]"):
+    with pytest.warns(DataQualityWarning, match=r"forces find different masses: NF 4\.[89].*SF (5|4\.9).*AF 5\.[01]"):
         found = weigh_components(points(pitch, roll, noisy(rng, clean)))
     assert not found.mass_agreement.agree
     for name, mass in masses.items():
@@ -240,7 +240,7 @@ def test_centres_that_differ_are_found_and_kept_apart():
     pitch, roll = grid()
     centres = {"RM": {**CENTRE, "up": 0.03}}
     clean = read(pitch, roll, centres=centres)
-    with pytest.warns(DoubtWarning, match="moments find different centres of gravity"):
+    with pytest.warns(DataQualityWarning, match="moments find different centres of gravity"):
         found = weigh_components(points(pitch, roll, noisy(rng, clean)))
     assert not found.centre_agreement.agree
     assert found.model.own_centres
@@ -257,7 +257,7 @@ def test_a_wrong_sign_of_a_moment_is_doubted():
     rng = np.random.default_rng(7)
     loads = noisy(rng, read(pitch, roll))
     loads[:, COMPONENTS.index("YM")] *= -1
-    with pytest.warns(DoubtWarning, match=r"moments find different.*a sign that is off"):
+    with pytest.warns(DataQualityWarning, match=r"moments find different.*a sign that is off"):
         weigh_components(points(pitch, roll, loads))
 
 
@@ -329,7 +329,7 @@ def test_what_one_component_cannot_tell_is_taken_from_the_others():
     rng = np.random.default_rng(21)
     sweep = np.radians(np.arange(-40.0, 41, 5))
     loads = noisy(rng, read(sweep, 0 * sweep, masses={"NF": 5.5}))
-    with pytest.warns(DoubtWarning, match="different masses"):
+    with pytest.warns(DataQualityWarning, match="different masses"):
         found = weigh_components(points(sweep, None, loads))
     assert "mass.SF" in found.left_out
     assert found.assumed["mass.SF"] == pytest.approx(found.mass, rel=1e-12)

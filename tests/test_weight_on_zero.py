@@ -18,7 +18,7 @@ from aerobalance.io import read, write_recording
 from aerobalance.io.balance_file import write_balance
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.gravity import gravity_share
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
@@ -88,7 +88,7 @@ def test_weighing_puts_back_the_weight_that_its_zero_was_read_under(
     paths = [stand.at_rest(f"pitch_{number}", angle) for number, angle in enumerate(ANGLES)]
     files = BalanceFiles.of(tmp_path / "balance.json", zero=[stand.at_rest("zero", 0.0)])
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)  # this matrix has no covariance
+        warnings.simplefilter("ignore", DataQualityWarning)  # this matrix has no covariance
         account = weigh(paths, tmp_path / "mass.json", component=component, files=files)
     found = account["mass"] if component else account["components"]["AF"]["mass"]
     # the matrix and the zero are exact but for the rounding
@@ -124,7 +124,7 @@ def test_a_weight_that_nothing_tells_is_told(tmp_path: Path) -> None:
     stand = Stand(tmp_path, rng, natural_zeros=False)
     path, _ = stand.pulled()
     files = BalanceFiles.of(tmp_path / "balance.json", zero=[stand.at_rest("zero", 0.0)])
-    with pytest.warns(DoubtWarning, match=r"zero.h5: the weight that hung on the balance .* is not known"):
+    with pytest.warns(DataQualityWarning, match=r"zero.h5: the weight that hung on the balance .* is not known"):
         releases_felt([read(path)], files, None, channel_map=None, counted=False)
 
 

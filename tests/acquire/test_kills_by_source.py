@@ -18,7 +18,7 @@ from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation.published import CABLE_CUT
 from seeds import new_seed
 
@@ -79,7 +79,7 @@ def check(file, acknowledged, expected):
         place = first + tick - blocks[0][0]
         assert samples.tobytes() == expected[place : place + len(samples)].tobytes()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         account = recordings.info(file)
         assert (account["samples"], account["gaps"]) == (found, [])
         if found >= LONG_ENOUGH:

@@ -18,7 +18,7 @@ from aerobalance.app.commands import recordings
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 
 installed = pytest.mark.skipif(
     find_spec("opendaq") is None,
@@ -132,7 +132,7 @@ def test_record_across_a_restart_gives_info_and_force(tmp_path) -> None:
         out, err = again.process.communicate(timeout=60)
         assert (again.process.returncode, out, err) == (0, "stopped\n", "")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         account = recordings.info(file)
         assert len(account["gaps"]) == 1
         assert account["channels"]["AF"]["unit"] == "N"

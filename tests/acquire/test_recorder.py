@@ -29,7 +29,7 @@ from aerobalance.io import read, write_recording
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import Provenance, StoredChannel
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from seeds import new_seed
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N"))
@@ -47,7 +47,7 @@ def job(path, **settings):
 
 def quietly(path):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         return read(path)
 
 
@@ -93,7 +93,7 @@ def test_every_acknowledged_block_can_be_read_while_it_is_recorded(tmp_path) -> 
     for number in range(5):
         take.feed(Block(number * 100, truth(number * 100, number * 100 + 100), 0.0))
         assert len(stored(file)) == take.progress.samples == (number + 1) * 100 // 64 * 64
-    with pytest.warns(DoubtWarning, match="not ended"):
+    with pytest.warns(DataQualityWarning, match="not ended"):
         assert read(file).samples == take.progress.samples
     take.end("done")
     assert read(file).samples == 500
@@ -162,7 +162,7 @@ def check_after_a_kill(file, acknowledged):
 def kill_recorders(folder, count, seed):
     rng = np.random.default_rng(seed)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         for number in range(count):
             with Session(setup_of(), folder) as session:
                 file = folder / f"run{number}.h5"
@@ -276,7 +276,7 @@ def test_force_is_worked_out_from_the_file_of_a_killed_recorder(tmp_path) -> Non
         while recorder.poll(0.05).seconds < 10.0:
             assert not recorder.progress.over
         recorder.process.kill()
-    with pytest.warns(DoubtWarning, match="not ended"):
+    with pytest.warns(DataQualityWarning, match="not ended"):
         recording = read(tmp_path / "run.h5")
     force = reconstruct(recording, CABLE_CUT.dynamics).values
     # means over 4 s: 6400 readings of 10 N noise have 0.13 N, the accelerometer's 5 m/s^2 on 177.87 kg 11 N
@@ -505,13 +505,13 @@ def test_replay_keeps_gaps_at_any_speed(tmp_path) -> None:
     take.feed(Block(0, truth(0, 300), 0.0))
     take.feed(Block(450, truth(450, 1000), 0.0))
     take.end("done")
-    with pytest.warns(DoubtWarning, match="150 sample"):
+    with pytest.warns(DataQualityWarning, match="150 sample"):
         write_recording(tmp_path / "first.csv", read(tmp_path / "first.h5"))
     for name in ("first.h5", "first.csv"):
         wishes = Wishes(source="replay", file=tmp_path / name, speed=float("inf"))
         account = record(tmp_path / f"{name}.h5", wishes=wishes)
         assert (account["samples"], account["gaps"], account["lost"]) == (850, 1, 150)
-        with pytest.warns(DoubtWarning, match="150 sample"):
+        with pytest.warns(DataQualityWarning, match="150 sample"):
             again = read(tmp_path / f"{name}.h5")
         assert again.gaps == [(pytest.approx(0.299), pytest.approx(0.15))]
         assert np.array_equal(

@@ -10,7 +10,7 @@ from aerobalance.acquisition.replay import AGAIN, ReplaySource
 from aerobalance.acquisition.source import SourceEndedError
 from aerobalance.io import read
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import DataQualityWarning, ReadError
 from seeds import new_seed
 
 CHANNELS = (
@@ -50,7 +50,7 @@ def test_a_record_is_played_as_it_would_be_read_with_its_gaps_and_units(tmp_path
         tick += rows + int(rng.integers(0, 2)) * int(rng.integers(1, 300))
     written(tmp_path / "run.h5", [*blocks, (tick + 5, np.zeros((2, len(CHANNELS))))])
     source = ReplaySource(tmp_path / "run.h5", speed=math.inf, block=0.05)
-    with pytest.warns(DoubtWarning, match="missing"):
+    with pytest.warns(DataQualityWarning, match="missing"):
         whole = read(tmp_path / "run.h5")
     assert [(item.name, item.unit) for item in source.channels] == [(item.name, item.unit) for item in whole]
     assert source.rate == whole.rate

@@ -22,7 +22,7 @@ from aerobalance.identification.step_relaxation.identify import identify_release
 from aerobalance.identification.step_relaxation.internal_coordinates import static_shares
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_bending import Bending, bending_dynamics
@@ -81,7 +81,7 @@ def identified(
 ) -> CoupledIdentification:
     half_range = dict(zip(COMPONENTS, balance.half_range.tolist(), strict=True))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         return identify_releases(made, half_range=half_range, modes=modes, mass=balance.mass.mass)
 
 

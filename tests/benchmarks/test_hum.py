@@ -11,7 +11,7 @@ from test_estimator import RUNS, SHARP, SOFT, T128, inner, rms_of, smooth_run
 from aerobalance.estimation.force import reconstruct
 from aerobalance.estimation.spectra.line_noise import hum_lines
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from seeds import generator
 
@@ -51,7 +51,7 @@ def test_force_beside_hum(kind: str, mains: float, record) -> None:
         lines = hum_of(run.time, rng, frequency=mains, size=(2.0, 12.0, 50.0)[k % 3])
         away = np.abs(run.time - instant) > (0.001 if kind == "step" else 0)
         clean.append(inner((reconstruct(run, T128).values - force) * away))
-        with pytest.warns(DoubtWarning, match="mains hum"):
+        with pytest.warns(DataQualityWarning, match="mains hum"):
             estimate = reconstruct(with_more(run, lines), T128)
         hummed.append(inner((estimate.values - force) * away))
     ratio = rms_of(clean) / rms_of(hummed)

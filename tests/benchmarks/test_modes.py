@@ -12,7 +12,7 @@ from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.force import reconstruct
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor, Simulation
 from aerobalance.validation.model_check import misfit_of
@@ -36,7 +36,7 @@ def released(truth: Dynamics, rng: np.random.Generator, *, noise: float) -> Simu
 def identified(truth: Dynamics, rng: np.random.Generator, *, noise: float, modes: int | str = "auto") -> Dynamics:
     """Dynamics from a release of their own."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         recording = released(truth, rng, noise=noise).recording
         return identify_decay(recording, mass=truth.mass, modes=modes).dynamics  # type: ignore[arg-type]
 

@@ -14,7 +14,7 @@ from aerobalance.identification.force_error import true_force_error
 from aerobalance.identification.result import CoupledIdentification
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import Release, SixComponentRig
@@ -36,7 +36,7 @@ def recorded(balance: CoupledBalance, rng: np.random.Generator, along: tuple[str
 
 def identified(balance: CoupledBalance, made: list[Recording], *, mass: bool = False) -> CoupledIdentification:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         return identify_releases(
             made,
             half_range=dict(zip(COMPONENTS, balance.half_range.tolist(), strict=True)),

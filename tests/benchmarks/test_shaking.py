@@ -20,7 +20,7 @@ from aerobalance.identification.from_stiffness import agreement
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import Band, BaseMotion, Sweep, broadband, driven_motion, random_motion
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
@@ -60,7 +60,7 @@ def ranges(balance: CoupledBalance) -> dict[str, float]:
 
 def identified(balance: CoupledBalance, *recordings: Recording) -> ShakingIdentification:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         return identify_shaking(recordings, half_range=ranges(balance), mass=balance.mass.mass)
 
 
@@ -123,7 +123,7 @@ def test_a_sweep_and_releases_agree_and_a_gust_comes_out(record) -> None:
         rig = SixComponentRig(balance, (Release(load, 0.05 + rng.uniform(0, 0.01)),), output="loads")
         releases.append(replace(rig.run(1.0, rng).recording, name=f"release {name}"))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         cut = identify_releases(releases, half_range=ranges(balance), mass=balance.mass.mass, modes=6)
     assert chi2.ppf(1e-5, 72) < squares_of(shake.dynamics, true) < chi2.isf(1e-5, 72)
     both = agreement(shake.dynamics, cut.dynamics, damping=True)
@@ -143,7 +143,7 @@ def test_a_sweep_and_releases_agree_and_a_gust_comes_out(record) -> None:
     inside = slice(500, -500)
     for name, dynamics in (("true", true), ("shaken", shake.dynamics)):
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DoubtWarning)
+            warnings.simplefilter("ignore", DataQualityWarning)
             force = reconstruct_coupled(simulation.recording, dynamics)
         found = np.column_stack([force[component].values for component in COMPONENTS])
         errors[name] = np.sqrt(np.mean((found - simulation.applied)[inside] ** 2, axis=0)) / balance.half_range

@@ -15,7 +15,7 @@ from test_six_chain import chain
 
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from seeds import generator
 
 BALANCES = 6
@@ -29,7 +29,7 @@ def test_errors_of_dynamics_from_gauge_outputs(record, tmp_path: Path) -> None:
     squares: dict[str, list[Array]] = {"A": [], "D": [], "A by the readings": [], "D by the readings": []}
     whitened, passed = [], []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)  # of zeros that were not given, and of weakly excited modes
+        warnings.simplefilter("ignore", DataQualityWarning)  # of zeros not given, and of weakly excited modes
         for number in range(BALANCES):
             one = chain(tmp_path / str(number), rng)
             found, truth = read_coupled(one.dynamics), one.balance.dynamics

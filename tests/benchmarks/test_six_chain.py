@@ -27,7 +27,7 @@ from aerobalance.io import read
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import Release, SixSimulation
@@ -98,7 +98,7 @@ def test_from_gauge_outputs_to_forces(gusts: str, edge: float, order: int, recor
     with_matrix, share, plateau = 0.0, 0.0, 0.0
     covered, alone, ratios = [], [], []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)  # of zeros that were not given, and of weakly excited modes
+        warnings.simplefilter("ignore", DataQualityWarning)  # of zeros not given, and of weakly excited modes
         for number in range(BALANCES):
             one = chain(tmp_path / str(number), rng)
             balance, level = one.balance, still(one.balance, 0.0, 0.0)

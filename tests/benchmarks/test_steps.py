@@ -10,7 +10,7 @@ from test_estimator import RIG, RUNS, SHARP, SOFT, T128, density, inner, rms_of,
 
 from aerobalance.estimation.force import reconstruct
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
 from seeds import generator
@@ -208,7 +208,7 @@ def test_harmonic_force_at_resonance(place: str, detuned: float, record) -> None
     time = time[::fine]
     channel = Channel("AF", load + rng.normal(0, noise, time.size), "N")
     recording = Recording.from_columns(time, {"AF": channel}, name="resonance")
-    with pytest.warns(DoubtWarning, match="depart"):
+    with pytest.warns(DataQualityWarning, match="depart"):
         values = reconstruct(recording, dynamics).values
     held = (time > 1) & (time < 3.8)
     turns = 2 * np.pi * frequency * time[held]

@@ -9,7 +9,7 @@ from nptdms import ChannelObject, TdmsWriter
 
 from aerobalance.io import read, read_table
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import DataQualityWarning, ReadError
 from seeds import new_seed
 
 GOOD = "time [s],AF [N]\n0,1\n0.1,2\n0.2,3\n"
@@ -98,7 +98,7 @@ def test_number_beyond_all_measure_is_missing_in_every_format(tmp_path, value, e
         with TdmsWriter(path) as file:
             file.write_segment([ChannelObject("run", "AF", samples, properties=settings)])
     places = {"csv": "line 4, column 2 ('AF [N]')", "h5": "AF at tick 2", "tdms": "channel 'run/AF', sample 3"}
-    with pytest.warns(DoubtWarning) as told:
+    with pytest.warns(DataQualityWarning) as told:
         recording = read(path)
     texts = [str(one.message) for one in told]
     assert any("1 of 5 samples of AF are missing" in text for text in texts)
@@ -137,7 +137,7 @@ def test_unreadable_file(tmp_path):
 def test_missing_cells_are_kept_as_missing_with_a_warning(tmp_path, cell):
     path = tmp_path / "gappy.csv"
     path.write_text(f"time [s],AF [N],pitch [deg]\n0,1,0\n1,{cell},0\n2,3,0\n3,4,0\n")
-    with pytest.warns(DoubtWarning, match=r"gappy\.csv: 1 of 4 samples of AF are missing.*uncertainty is larger"):
+    with pytest.warns(DataQualityWarning, match=r"gappy\.csv: 1 of 4 samples of AF are missing.*is larger"):
         recording = read(path)
     np.testing.assert_array_equal(recording.channel("AF").values, [1, np.nan, 3, 4])
 
@@ -145,7 +145,7 @@ def test_missing_cells_are_kept_as_missing_with_a_warning(tmp_path, cell):
 def test_missing_rows_are_a_gap_with_a_warning(tmp_path):
     path = tmp_path / "gap.csv"
     path.write_text("time [s],AF [N]\n" + "".join(f"{i / 10},{i}\n" for i in range(50) if i not in (20, 21)))
-    with pytest.warns(DoubtWarning, match=r"2 sample\(s\) are missing"):
+    with pytest.warns(DataQualityWarning, match=r"2 sample\(s\) are missing"):
         recording = read(path)
     assert recording.samples == 50
     assert recording.gaps == [(1.9, pytest.approx(0.2))]
@@ -157,7 +157,7 @@ def test_saturation_is_warned_of(tmp_path):
     time = np.arange(1000) / 1000
     values = np.clip(np.sin(2 * np.pi * 10 * time), -2, 0.8)
     path.write_text("time [s],AF [N]\n" + "".join(f"{t},{v!r}\n" for t, v in zip(time, values.tolist(), strict=True)))
-    with pytest.warns(DoubtWarning, match=r"AF rests on its limit.*too small"):
+    with pytest.warns(DataQualityWarning, match=r"AF rests on its limit.*too small"):
         read(path)
 
 
@@ -178,7 +178,7 @@ def test_damaged_files_never_end_in_anything_but_a_read_error(tmp_path, seed):
     path = tmp_path / "damaged.csv"
     good = bytearray(b"time [s],AF [N],pitch [deg]\n" + b"".join(b"%d.5,%d,1e-3\n" % (i, i * i) for i in range(20)))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         for _ in range(60):
             content = bytearray(good)
             for _ in range(rng.integers(1, 6)):

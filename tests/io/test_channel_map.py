@@ -10,7 +10,7 @@ from aerobalance.app.commands.recordings import convert
 from aerobalance.io import load_channel_map, read, template, write_recording
 from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Channel, CrossAxis
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import DataQualityWarning, ReadError
 
 TREADMILL = Path(__file__).parents[3] / "shared" / "data" / "treadmill"
 
@@ -59,7 +59,7 @@ def test_a_position_becomes_an_acceleration(tmp_path):
 def test_derivatives_lose_the_neighbours_of_a_gap_and_say_so(tmp_path):
     lines = belt().splitlines()
     lines[20] = "\t".join([*lines[20].split("\t")[:2], ""])
-    with pytest.warns(DoubtWarning) as caught:
+    with pytest.warns(DataQualityWarning) as caught:
         recording = mapped(tmp_path, MAP, "\n".join(lines))
     assert any("1 more samples are missing after differentiation" in str(item.message) for item in caught)
     # The central difference at the lost sample needs its neighbours only; theirs need the lost one.
@@ -157,7 +157,7 @@ def test_filter_and_cross_axis_reach_the_channel_and_survive_conversion(tmp_path
 def test_conversion_to_text_says_what_it_loses(tmp_path):
     (tmp_path / "map.toml").write_text(ACCELEROMETERS)
     (tmp_path / "data.csv").write_text("x,z,y\n" + "\n".join(f"{np.sin(k)},{k % 5},{k % 3}" for k in range(50)) + "\n")
-    with pytest.warns(DoubtWarning, match=r"out\.csv has no place for how ground_acceleration, ground_acc.* \.h5"):
+    with pytest.warns(DataQualityWarning, match=r"out\.csv has no place for how ground_acceleration, gr.* \.h5"):
         convert(tmp_path / "data.csv", tmp_path / "out.csv", channel_map=tmp_path / "map.toml")
     convert(tmp_path / "data.csv", tmp_path / "out.h5", channel_map=tmp_path / "map.toml")
     convert(tmp_path / "out.h5", tmp_path / "again.h5")
@@ -282,7 +282,7 @@ def test_shunt_readings_and_a_nominal_excitation(tmp_path):
 def test_a_shunt_ratio_beyond_two_percent_is_doubted(tmp_path, measured, doubted):
     text = GAUGE.replace('"V"', '"mV/V"') + f"shunt_expected = 1.0\nshunt_measured = {measured}\n"
     if doubted:
-        with pytest.warns(DoubtWarning, match=r"foreign\.txt: the shunt readings multiply rN1 by"):
+        with pytest.warns(DataQualityWarning, match=r"foreign\.txt: the shunt readings multiply rN1 by"):
             found = mapped(tmp_path, text, "F\n1\n2\n")
     else:
         found = mapped(tmp_path, text, "F\n1\n2\n")
@@ -390,7 +390,7 @@ def test_mapped_recordings_write_as_plain_ones(tmp_path):
 @pytest.mark.parametrize("speed", ["Slow", "Fast"])
 def test_real_treadmill_recordings(tmp_path, speed):
     (tmp_path / "map.toml").write_text(MAP)
-    with pytest.warns(DoubtWarning, match="repeat the one before" if speed == "Fast" else "depart from a steady"):
+    with pytest.warns(DataQualityWarning, match="repeat the one before" if speed == "Fast" else "depart from a stead"):
         recording = read(TREADMILL / f"Random{speed}Speed1.txt", channel_map=load_channel_map(tmp_path / "map.toml"))
     assert recording.rate == pytest.approx(100, rel=1e-4)  # 100 Hz, says its description
     assert recording.duration == pytest.approx(350, abs=0.1)

@@ -16,7 +16,7 @@ from test_hdf5_file import make, quietly, readings
 from aerobalance.io import read, write_recording
 from aerobalance.io.hdf5_closing import close_all_broken_off, close_broken_off, lookup3
 from aerobalance.io.hdf5_guard import GuardedFile
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 
 WRITES = """
 import resource, sys
@@ -147,7 +147,7 @@ def killed(path, n=300):
 def test_after_a_kill_the_file_is_closed_and_other_programs_open_it(tmp_path) -> None:
     for n in (64, 300, 3001):
         file = killed(tmp_path / f"{n}.h5", n)
-        with pytest.warns(DoubtWarning, match="Other HDF5 programs refuse it until it is closed"):
+        with pytest.warns(DataQualityWarning, match="Other HDF5 programs refuse it until it is closed"):
             read(file)
         marked = file.read_bytes()
         assert close_broken_off(file)

@@ -16,7 +16,7 @@ from aerobalance.io import column_names, load_channel_map, read, template, write
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import headings, read_blocks
 from aerobalance.io.hdf5_layout import CHANNEL_1, BlockWriter, Provenance, StoredChannel, text_bytes
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import DataQualityWarning, ReadError
 from seeds import new_seed
 
 CHANNELS = (
@@ -70,7 +70,7 @@ def test_an_impossible_filter_is_a_damaged_file(tmp_path) -> None:
 
 def quietly(path):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         return read(path)
 
 
@@ -89,7 +89,7 @@ def test_channels_come_back_in_their_units_with_their_settings(tmp_path) -> None
 
 def test_gaps_are_missing_samples_of_exact_length(tmp_path) -> None:
     make(tmp_path / "a.h5", [(0, 130), (171, 300), (1000, 1064)])
-    with pytest.warns(DoubtWarning, match=r"741 sample\(s\) are missing in 2 gap"):
+    with pytest.warns(DataQualityWarning, match=r"741 sample\(s\) are missing in 2 gap"):
         recording = read(tmp_path / "a.h5")
     assert recording.samples == 1064
     lost = np.r_[130:171, 300:1000]
@@ -98,7 +98,7 @@ def test_gaps_are_missing_samples_of_exact_length(tmp_path) -> None:
     assert np.array_equal(recording.channel("ground_acceleration").values[171:300], readings(171, 300)[:, 2])
     assert [round(length * 1000) for _, length in recording.gaps] == [41, 700]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         account = recordings.info(tmp_path / "a.h5")
     assert [gap["length"] for gap in account["gaps"]] == [pytest.approx(0.041), pytest.approx(0.7)]
 
@@ -111,7 +111,7 @@ def test_damaged_block_is_named_and_missing(tmp_path) -> None:
     data = bytearray(file.read_bytes())
     data[place + 1000] ^= 1
     file.write_bytes(data)
-    with pytest.warns(DoubtWarning) as said:
+    with pytest.warns(DataQualityWarning) as said:
         recording = read(file)
     assert any("block 3 of 5 (64 samples from tick 128)" in str(item.message) for item in said)
     assert np.array_equal(np.flatnonzero(recording.channel("AF").missing), np.arange(128, 192))
@@ -148,7 +148,7 @@ def test_file_of_a_killed_writer_is_read_to_its_last_block(tmp_path) -> None:
     code = KILLED.format(folders=[str(here), str(here.parent)], file=str(file))
     done = subprocess.run([sys.executable, "-c", code], check=False)
     assert done.returncode == -signal.SIGKILL
-    with pytest.warns(DoubtWarning, match="the record was not ended"):
+    with pytest.warns(DataQualityWarning, match="the record was not ended"):
         recording = read(file)
     assert np.array_equal(recording.channel("ground_acceleration").values, readings(0, 300)[:, 2])
 
@@ -185,7 +185,7 @@ def test_channel_map_of_a_recording(tmp_path) -> None:
     assert "lift" in template(file)
     assert column_names(file) == ("lift [N]", "pitch [deg]", "ground_acceleration [m/s^2]")
     (tmp_path / "map.toml").write_text('[channels.NF]\ncolumn = "lift"\nsign = -1\n')
-    with pytest.warns(DoubtWarning, match="41 of 300"):
+    with pytest.warns(DataQualityWarning, match="41 of 300"):
         recording = read(file, channel_map=load_channel_map(tmp_path / "map.toml"))
     assert list(recording.channels) == ["NF"]
     assert recording.rate == 1000.0

@@ -14,7 +14,7 @@ from aerobalance.acquisition.setup import load_setup
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import BLOCK, BlockWriter, Provenance, StoredChannel
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import DataQualityWarning, ReadError
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N"))
 
@@ -218,7 +218,7 @@ def test_damaged_hdf5_raises_read_errors_only(tmp_path) -> None:
             damaged[int(at)] = int(rng.integers(0, 256))
         path.write_bytes(damaged)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DoubtWarning)
+            warnings.simplefilter("ignore", DataQualityWarning)
             try:
                 read(path)
             except ReadError as problem:
@@ -316,7 +316,7 @@ def test_mutated_text_raises_read_errors_only(tmp_path, name, way, content) -> N
             damaged[at : at + int(rng.integers(0, 3))] = part
         path.write_bytes(damaged)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DoubtWarning)
+            warnings.simplefilter("ignore", DataQualityWarning)
             try:
                 way(path)
             except ReadError as problem:

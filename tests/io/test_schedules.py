@@ -13,7 +13,7 @@ from aerobalance.io import read
 from aerobalance.io.load_columns import balance_type_of, load_key
 from aerobalance.io.schedule import read_schedule, write_balfit_schedule
 from aerobalance.io.units import conversion
-from aerobalance.recording.errors import DoubtWarning, FitError, ReadError
+from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 from seeds import new_seed
 
 POUND = 0.45359237 * 9.80665  # international pound (1959) and standard gravity (1901), both exact
@@ -153,7 +153,7 @@ def test_vol_count_may_be_written_in_many_ways(tmp_path, count):
 
 def test_vol_with_a_wrong_count_uses_the_rows(tmp_path):
     text = vol().replace("Number of Loads--> 5", "Number of Loads--> 7", 1)
-    with pytest.warns(DoubtWarning, match=r"\[N1 pos\].*says '7' loads and has 5 row"):
+    with pytest.warns(DataQualityWarning, match=r"\[N1 pos\].*says '7' loads and has 5 row"):
         check_whole(read_schedule(put(tmp_path, text)))
 
 
@@ -167,7 +167,7 @@ def test_vol_columns_without_names_go_by_position(tmp_path):
 def test_vol_columns_without_names_in_doubtful_order(tmp_path):
     titles = ("N2", "N1", "Y1", "Y2", "Ax", "Mx")
     text = vol(titles=titles, header=lambda unit: [f"Load[{unit}]", *[f"ch{i}[Volt]" for i in range(7)]])
-    with pytest.warns(DoubtWarning, match="another order"):
+    with pytest.warns(DataQualityWarning, match="another order"):
         schedule = read_schedule(put(tmp_path, text))
     assert schedule.components == titles
 
@@ -246,7 +246,7 @@ def test_vol_moment_balance(tmp_path):
 
 
 def test_vol_balance_type_against_the_units(tmp_path):
-    with pytest.warns(DoubtWarning, match="1 of the 6 loads are moments"):
+    with pytest.warns(DataQualityWarning, match="1 of the 6 loads are moments"):
         schedule = read_schedule(put(tmp_path, vol(kind="1 Force/5 Moment")))
     assert schedule.balance_type == "force"
 
@@ -268,14 +268,14 @@ def test_vol_without_distances_says_so(tmp_path):
 
 def test_vol_load_unit_against_name_and_maximal_load(tmp_path):
     text = vol().replace("Load[in-lb]", "Load[lb]", 1)
-    with pytest.warns(DoubtWarning, match=r"\[Mx pos\] has its loads in \[lb\], but Roll is a moment"):
+    with pytest.warns(DataQualityWarning, match=r"\[Mx pos\] has its loads in \[lb\], but Roll is a moment"):
         check_whole(read_schedule(put(tmp_path, text)))
 
 
 def test_vol_blocks_without_header_take_that_of_the_block_before(tmp_path):
     first, rest = vol().split("[N1 neg]")
     text = first + "[N1 neg]" + "\n".join(line for line in rest.split("\n") if not line.startswith("Load"))
-    with pytest.warns(DoubtWarning, match="has no header"):
+    with pytest.warns(DataQualityWarning, match="has no header"):
         check_whole(read_schedule(put(tmp_path, text)))
     with pytest.raises(ReadError, match=r"\[N1 pos\] has no header"):
         read_schedule(put(tmp_path, "\n".join(line for line in vol().split("\n") if not line.startswith("Load"))))
@@ -343,14 +343,14 @@ def test_vol_signs_that_contradict_the_title_are_doubted(tmp_path):
     start = text.split("\n").index("[Y1 pos]")
     rows = text.split("\n")
     rows[start + 4] = "-" + rows[start + 4]
-    with pytest.warns(DoubtWarning, match=rf"\[Y1 pos\] mixes signs \(line\(s\) {start + 5}\)"):
+    with pytest.warns(DataQualityWarning, match=rf"\[Y1 pos\] mixes signs \(line\(s\) {start + 5}\)"):
         check_whole(read_schedule(put(tmp_path, "\n".join(rows))))
     rows = text.split("\n")
     start = rows.index("[Y1 neg]")
     rows[start + 4] = rows[start + 4].removeprefix("-")
-    with pytest.warns(DoubtWarning, match=rf"\[Y1 neg\] mixes signs \(line\(s\) {start + 5}\)"):
+    with pytest.warns(DataQualityWarning, match=rf"\[Y1 neg\] mixes signs \(line\(s\) {start + 5}\)"):
         check_whole(read_schedule(put(tmp_path, "\n".join(rows))))
-    with pytest.warns(DoubtWarning, match=r"\[\w+ pos\] lists negative loads"):
+    with pytest.warns(DataQualityWarning, match=r"\[\w+ pos\] lists negative loads"):
         check_whole(read_schedule(put(tmp_path, vol(signs=(("pos", -1), ("neg", -1))))))
 
 
@@ -411,10 +411,10 @@ def test_vol_cut_off_uses_what_is_complete(tmp_path):
     rows = whole.rstrip("\n").split("\n")
     for keep in (len(rows[-1]) // 2, len(rows[-1]) - len(repr(excitation_of(4))) + 1):
         text = "\n".join([*rows[:-1], rows[-1][:keep]])
-        with pytest.warns(DoubtWarning, match=r"\[Mx neg\].*cut off"):
+        with pytest.warns(DataQualityWarning, match=r"\[Mx neg\].*cut off"):
             schedule = read_schedule(put(tmp_path, text))
         np.testing.assert_allclose(schedule.outputs, expected_outputs()[:-1], rtol=RTOL)
-    with pytest.warns(DoubtWarning, match="has no rows of numbers"):
+    with pytest.warns(DataQualityWarning, match="has no rows of numbers"):
         schedule = read_schedule(put(tmp_path, "\n".join(rows[:-5])))
     assert schedule.series_names[-1] == "Mx pos"
 
@@ -564,7 +564,7 @@ def test_balfit_points_of_two_natural_zeros_share_the_first(tmp_path):
     [((("A", "0", 1.0), ("B", "90", 9.0)), "no roll angle in common"), ((("A", "0", 1.0),), "not in the file")],
 )
 def test_balfit_natural_zeros_that_do_not_compare_are_doubted(tmp_path, zeros, said):
-    with pytest.warns(DoubtWarning, match=said):
+    with pytest.warns(DataQualityWarning, match=said):
         schedule = read_schedule(put(tmp_path, balfit(zeros=zeros, zero_of=("A", "B", "A", "A"))))
     np.testing.assert_allclose(schedule.outputs, balfit_numbers()[1] * 1e-3, rtol=RTOL)
 
@@ -579,7 +579,7 @@ def test_balfit_without_capacities_takes_the_largest_load(tmp_path):
 
 def test_balfit_cut_off_uses_what_is_complete(tmp_path):
     text = balfit()
-    with pytest.warns(DoubtWarning, match="cut off"):
+    with pytest.warns(DataQualityWarning, match="cut off"):
         schedule = read_schedule(put(tmp_path, text[:-30]))
     np.testing.assert_allclose(schedule.outputs, balfit_numbers()[1][:-1] * 1e-3, rtol=RTOL)
 
@@ -777,7 +777,7 @@ def test_damage_ends_in_an_error_or_a_schedule(tmp_path, kind, data):
     path = put(tmp_path, content)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         try:
             schedule = read_schedule(path)
         except (ReadError, FitError):

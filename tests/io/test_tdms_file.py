@@ -12,7 +12,7 @@ from nptdms.reader import TdmsReader
 from aerobalance.app.cli import main
 from aerobalance.io import column_names, load_channel_map, read, template
 from aerobalance.io.tdms_file import round_interval
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import DataQualityWarning, ReadError
 from seeds import new_seed
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "internal-balance"
@@ -274,7 +274,7 @@ def test_slower_channels_are_interpolated_by_their_own_start(tmp_path):
             }
         ),
     )
-    with pytest.warns(DoubtWarning, match="49 of 1000 samples of pitch are missing"):
+    with pytest.warns(DataQualityWarning, match="49 of 1000 samples of pitch are missing"):
         recording = read(path)
     assert (recording.rate, recording.samples) == (1000.0, 1000)
     pitch = recording.channel("pitch").values
@@ -299,7 +299,7 @@ def test_a_slow_channel_is_held_before_it_starts_for_one_interval(tmp_path):
             }
         ),
     )
-    with pytest.warns(DoubtWarning, match="50 of 500 samples of pitch are missing"):
+    with pytest.warns(DataQualityWarning, match="50 of 500 samples of pitch are missing"):
         pitch = read(path).channel("pitch").values
     assert np.isnan(pitch[:50]).all()
     np.testing.assert_array_equal(pitch[50:], 0.3)
@@ -347,7 +347,7 @@ def test_channels_of_one_task_are_side_by_side_whatever_their_stamps(tmp_path, m
         ),
     )
     behind = "SF, PM" if microseconds > 0 else "AF, NF"
-    with pytest.warns(DoubtWarning) as said:
+    with pytest.warns(DataQualityWarning) as said:
         recording = read(path)
     assert len(said) == 1
     text = str(said[0].message)
@@ -391,7 +391,7 @@ def test_channels_that_are_not_one_task_stand_where_their_stamps_put_them(tmp_pa
         label: wave(index, wf_start_time=Stamp(base + late), **settings),
     }
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)  # samples at the ends are left out
+        warnings.simplefilter("ignore", DataQualityWarning)  # samples at the ends are left out
         recording = read(written(tmp_path, segment(waves)))
     assert recording.channel("AF").values[0] >= late / 1000
 
@@ -409,7 +409,7 @@ def test_a_delay_of_the_map_comes_on_top(tmp_path):
 
 def test_fast_channels_of_other_lengths_are_doubted(tmp_path):
     path = written(tmp_path, segment({"run/AF": wave(np.arange(90.0)), "run/SF": wave(np.arange(100.0))}))
-    with pytest.warns(DoubtWarning, match="the 90 samples that they have in common, and up to 10 others"):
+    with pytest.warns(DataQualityWarning, match="the 90 samples that they have in common, and up to 10 others"):
         assert read(path).samples == 90
     late = wave(np.arange(90.0), wf_start_offset=0.2)
     path = written(tmp_path, segment({"run/AF": late, "run/SF": wave(np.arange(100.0))}))
@@ -463,7 +463,7 @@ def test_scaled_integers_single_precision_and_interleaved_data(tmp_path):
 
 def test_infinite_samples_are_missing(tmp_path):
     data = np.array([1.0, np.inf, 3.0, -np.inf, 5.0, np.nan])
-    with pytest.warns(DoubtWarning, match="3 of 6 samples of AF are missing"):
+    with pytest.warns(DataQualityWarning, match="3 of 6 samples of AF are missing"):
         recording = read(written(tmp_path, segment({"run/AF": wave(data)})))
     assert np.flatnonzero(recording.channel("AF").missing).tolist() == [1, 3, 5]
 
@@ -483,7 +483,7 @@ def outcome(path, *, note=""):
             assert "\n" not in str(error), note
             found = None
     for item in caught:
-        assert item.category is DoubtWarning, (item.message, note)
+        assert item.category is DataQualityWarning, (item.message, note)
     return found, [str(item.message) for item in caught]
 
 
@@ -505,7 +505,7 @@ def test_a_file_cut_off_anywhere_is_read_as_far_as_it_goes_or_refused(tmp_path, 
 def test_a_file_that_was_never_closed_is_read_and_doubted(tmp_path):
     channels = {"run/AF": wave(FORCE)}
     path = written(tmp_path, segment(channels), segment(channels, to_the_end=True))
-    with pytest.warns(DoubtWarning, match=r"run\.tdms: the file was cut off while it was written"):
+    with pytest.warns(DataQualityWarning, match=r"run\.tdms: the file was cut off while it was written"):
         assert read(path).samples == 10
 
 
@@ -598,7 +598,7 @@ def test_real_recordings(tmp_path, wind, angle):
     bridges = "".join(channel(f"r{name}", f"StrainBook_0/{name}", "V") for name in ("N1", "N2", "Y1", "Axial"))
     toml.write_text("[file]\n" + bridges + channel("pitch", "Alpha", "deg") + channel("excitation", "Excitation", "V"))
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "airO.*start times of", DoubtWarning)
+        warnings.filterwarnings("ignore", "airO.*start times of", DataQualityWarning)
         recording = read(REAL / f"{wind}_alpha_{angle}.tdms", channel_map=load_channel_map(toml))
     # Its description: bridges at 1 kHz for 5 s, angles at 10 Hz; start times differ by the clock's tick at most.
     assert recording.rate == 1000.0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from aerobalance.io import load_channel_map, read, template
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from text_exports import BRIDGES, EXPORTS, GAUGES, PITCH, RATE, TIME, completed
 
 
@@ -19,7 +19,7 @@ def test_an_export_reads_as_the_truth_when_only_the_columns_are_named(tmp_path, 
     toml.write_text(completed(template(path), given.names), encoding="utf-8")
     with warnings.catch_warnings():
         # LabVIEW writes stamps of milliseconds beside the interval, and the clock is what the preamble says.
-        warnings.filterwarnings("ignore", "book.csv|export.txt: has no column of times", DoubtWarning)
+        warnings.filterwarnings("ignore", "book.csv|export.txt: has no column of times", DataQualityWarning)
         found = read(path, channel_map=load_channel_map(toml))
     assert set(found.channels) == {*GAUGES, "pitch"}
     # Stamps are printed to 0.1 ms at best where they are the clock.

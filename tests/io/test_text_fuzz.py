@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aerobalance.io import load_channel_map, read, template
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import DataQualityWarning, ReadError
 from text_exports import EXPORTS
 
 PARTS = st.sampled_from(
@@ -51,7 +51,7 @@ SIGNS = st.sampled_from([";", ",", "\t", " ", "  ", ";;", "\n", "\r\n", "\n\n", 
 def outcome(path):
     """Whether a file can be read, or through the map proposed for it; all else must be a read error."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         ends = []
         for way in (read, mapped):
             try:

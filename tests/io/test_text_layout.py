@@ -7,7 +7,7 @@ import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.io import load_channel_map, read, read_table, template
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import DataQualityWarning, ReadError
 
 ROWS = [(i / 5000, round(0.5 + 0.25 * float(np.sin(i)), 4)) for i in range(100)]
 
@@ -87,7 +87,7 @@ def test_no_rate_is_invented(tmp_path):
 def test_a_rate_that_disagrees_with_the_times_is_warned_of(tmp_path, header):
     path = written(tmp_path, table(header))
     channel = '[channels.AF]\ncolumn = "AF [N]"\n'
-    with pytest.warns(DoubtWarning, match=r"the channel map says 1000 Hz, but column 1 \('X_Value.*put time = "):
+    with pytest.warns(DataQualityWarning, match=r"the channel map says 1000 Hz, but column 1 \('X_Value.*put time = "):
         assert mapped(path, "[file]\nrate = 1000.0\n" + channel).rate == pytest.approx(1000)
     assert mapped(path, "[file]\nrate = 5000.0\n" + channel).rate == pytest.approx(5000)
 
@@ -115,7 +115,7 @@ def test_a_rate_that_the_preamble_states_is_the_clock_of_a_file_without_times(tm
         with pytest.raises(ReadError, match=r"has no column time .*give the rate"):
             read(path)
         return
-    with pytest.warns(DoubtWarning, match="the clock is what line 2 states"):
+    with pytest.warns(DataQualityWarning, match="the clock is what line 2 states"):
         assert read(path).rate == rate
     assert proposed(path)["file"]["rate"] == rate
 
@@ -123,7 +123,7 @@ def test_a_rate_that_the_preamble_states_is_the_clock_of_a_file_without_times(tm
 def test_a_preamble_that_disagrees_with_the_times_is_warned_of(tmp_path):
     path = written(tmp_path, table("Zeit [s];AF [N]", before="Lauf 3\nAbtastrate: 2000 Hz\n\n"))
     with pytest.warns(
-        DoubtWarning, match=r"line 2 says 2000 Hz, but column 1 .* 5000 Hz; the column of times is taken"
+        DataQualityWarning, match=r"line 2 says 2000 Hz, but column 1 .* 5000 Hz; the column of times is taken"
     ):
         assert read(path).rate == pytest.approx(5000)
 
@@ -170,7 +170,7 @@ def test_rows_of_units_and_comments_under_the_names(tmp_path, header, skipped):
 def test_decimal_commas_behind_columns_of_text(tmp_path, stamp):
     rows = "".join(f"{stamp};{comma(t)};{comma(x)}\n" for t, x in ROWS)
     path = written(tmp_path, f"Stempel;X_Value (s);AF [N]\n{rows}")
-    with pytest.warns(DoubtWarning, match=r"left out, for they hold no number: column 1 \('Stempel'\)$"):
+    with pytest.warns(DataQualityWarning, match=r"left out, for they hold no number: column 1 \('Stempel'\)$"):
         found = read(path)
     assert found.channel("AF").values.tolist() == [x for _, x in ROWS]
     assert list(found.channels) == ["AF"]
@@ -182,7 +182,7 @@ def test_decimal_commas_behind_columns_of_text(tmp_path, stamp):
 def test_text_that_comes_late_in_a_column_of_nothing_is_left_out_and_numbers_are_not(tmp_path):
     notes = ["", "gust"]
     rows = "".join(f"{t},{x},{notes[i == 90]},{i if i > 80 else ''}\n" for i, (t, x) in enumerate(ROWS))
-    with pytest.warns(DoubtWarning) as caught:
+    with pytest.warns(DataQualityWarning) as caught:
         found = read(written(tmp_path, "time [s],AF [N],remark,fan [rpm]\n" + rows))
     assert any("left out, for they hold no number: column 3 ('remark')" in str(item.message) for item in caught)
     assert found.channel("fan").values[81:].tolist() == list(range(81, 100))
@@ -198,7 +198,7 @@ def test_text_in_a_channel_that_is_known_is_refused(tmp_path):
 
 def test_tables_of_points_may_hold_remarks(tmp_path):
     path = written(tmp_path, "pitch [deg],AF [N],remark\n0,1,first\n5,2,second\n")
-    with pytest.warns(DoubtWarning, match="column 3 .'remark'"):
+    with pytest.warns(DataQualityWarning, match="column 3 .'remark'"):
         assert read_table(path).values("AF").tolist() == [1, 2]
 
 
@@ -310,7 +310,7 @@ def test_cp1252_whose_first_letter_comes_after_64_kilobytes(tmp_path, late):
     )
     content = f"time [s];AF [N];remark\n{rows}".encode("cp1252")
     assert (b"\x96" in content[:65536]) != late
-    with pytest.warns(DoubtWarning, match="column 3"):
+    with pytest.warns(DataQualityWarning, match="column 3"):
         found = read(written(tmp_path, content))
     assert found.samples == 10000
     assert proposed(tmp_path / "foreign.csv")["file"]["encoding"] == "cp1252"
@@ -402,8 +402,8 @@ def test_a_rate_of_the_map_and_one_of_the_preamble_are_compared(tmp_path):
     path = written(tmp_path, content)
     channel = '[channels.AF]\ncolumn = "AF [N]"\n'
     with pytest.warns(
-        DoubtWarning, match="the channel map says 1000 Hz, but line 1 says 5000 Hz; the channel map is taken"
+        DataQualityWarning, match="the channel map says 1000 Hz, but line 1 says 5000 Hz; the channel map is taken"
     ):
         assert mapped(path, "[file]\nrate = 1000.0\n" + channel).rate == pytest.approx(1000)
-    with pytest.warns(DoubtWarning, match="the clock is what line 1 states"):
+    with pytest.warns(DataQualityWarning, match="the clock is what line 1 states"):
         assert mapped(path, channel).rate == 5000

@@ -10,7 +10,7 @@ from aerobalance.balance.weighing import LoadPoints, Weighing, WeightModel, weig
 from aerobalance.io.mass_file import read_mass, write_mass
 from aerobalance.io.weighing_file import read_weighing, write_weighing
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import DoubtWarning, FitError, ReadError
+from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 from aerobalance.recording.gravity import weight_direction
 
 LATER = {"pitch": np.radians([-20.0, 0, 30]), "roll": np.radians([0.0, 90, 200])}
@@ -64,7 +64,7 @@ def test_round_trip(tmp_path, rolls):
 
 
 def test_round_trip_where_components_differ(tmp_path):
-    with pytest.warns(DoubtWarning, match="different masses"):
+    with pytest.warns(DataQualityWarning, match="different masses"):
         given = weigh_components(readings(AF=5.5))
     write_weighing(tmp_path / "mass.json", given)
     same(read_weighing(tmp_path / "mass.json"), given)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import is_gauge
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.recording import Recording
 
 NEAR_ZERO: Final = 0.1
@@ -56,7 +55,7 @@ def gauge_outputs(recording: Recording) -> Recording:
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         The excitation is zero, negative or near zero in some samples; the outputs are missing (NaN) there.
     """
     in_volts = [channel.name for channel in recording if is_gauge(channel.name) and channel.unit == "V"]
@@ -105,11 +104,9 @@ def _usable(name: str, values: Array) -> NDArray[np.bool_]:
     usable: NDArray[np.bool_] = known & (values > least)
     off = int(np.count_nonzero(known & ~usable))
     if off:
-        warnings.warn(
+        warn_quality(
             f"{name}: the excitation is zero, negative or near zero (up to {least:.3g} V) in {off} of {values.size} "
-            "samples; the gauge outputs are missing there",
-            DoubtWarning,
-            stacklevel=4,
+            "samples; the gauge outputs are missing there"
         )
     return usable
 

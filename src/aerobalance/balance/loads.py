@@ -8,7 +8,6 @@ References
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -20,7 +19,7 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.zeros import GaugeZero, gauge_table
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import is_gauge
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 
@@ -116,7 +115,7 @@ def loads_felt(
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         Loads leave the calibrated range; the iteration nearly diverges, or found no load for some samples; zeros are
         not those of this run.
     """
@@ -174,7 +173,7 @@ def _form_of(balance: BalanceMatrix, form: Form | None) -> tuple[tuple[str, ...]
 
 
 def _doubt(text: str) -> None:
-    warnings.warn(text, DoubtWarning, stacklevel=4)
+    warn_quality(text)
 
 
 def _calibration_zero(recording: Recording, balance: BalanceMatrix) -> GaugeZero:

@@ -6,7 +6,6 @@ the others (`aerobalance.dynamics.decoupling`).
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -23,7 +22,7 @@ from aerobalance.motion.platform import PlatformMotion
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import EXACT, at_instants, bridged, later
@@ -201,11 +200,7 @@ def net_load(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
     if not platform.specific_force.any():
         return np.zeros((platform.specific_force.shape[0], len(dynamics.components)))
     if dynamics.mass is None and not np.ptp(platform.specific_force, axis=0).any():
-        warnings.warn(
-            "the dynamics hold no mass: the weight at the steady attitude of the record stays in the forces",
-            DoubtWarning,
-            stacklevel=5,
-        )
+        warn_quality("the dynamics hold no mass: the weight at the steady attitude of the record stays in the forces")
         return np.zeros((platform.specific_force.shape[0], len(dynamics.components)))
     if dynamics.mass is None:
         raise FitError(

@@ -6,7 +6,6 @@ a band. Each gives every sample a standard uncertainty.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
@@ -24,7 +23,7 @@ from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, NoiseSpe
 from aerobalance.motion.single_axis import GroundMotion, Unknown
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.recording import Recording
 
 Method = Literal["smoother", "paper"]
@@ -69,7 +68,7 @@ def reconstruct(
         Local acceleration of gravity and its standard uncertainty [m/s^2].
     hum
         What the smoother takes for hum and not for force: ``"mains"`` steady lines at 50 or 60 Hz and harmonics that
-        stand out of the reading (with a `DoubtWarning` that names them), ``"keep"`` none, or lines near given
+        stand out of the reading (with a `DataQualityWarning` that names them), ``"keep"`` none, or lines near given
         frequencies [Hz].
     noise
         Spectrum of the noise of the load's readings, as `noise_of` finds it. Without one the noise is taken as white,
@@ -280,7 +279,7 @@ def _words_on_noise(job: Job, learned: Learned) -> str:
 
 
 def _doubt(job: Job, text: str) -> None:
-    warnings.warn(f"{job.recording.name}: {text}", DoubtWarning, stacklevel=6)
+    warn_quality(f"{job.recording.name}: {text}")
 
 
 def _with_noise(job: Job) -> Reading:
@@ -337,10 +336,8 @@ def _tell_of_hum(job: Job, lines: tuple[Line, ...], *, large: tuple[Line, ...]) 
     for some, what in told:
         named = [f"{line.frequency:.7g} Hz ({line.amplitude:.3g} {unit} in the reading)" for line in some]
         if named:
-            warnings.warn(
-                f"{job.recording.name}: steady lines of {job.dynamics.component} at {', '.join(named)} {what}",
-                DoubtWarning,
-                stacklevel=5,
+            warn_quality(
+                f"{job.recording.name}: steady lines of {job.dynamics.component} at {', '.join(named)} {what}"
             )
 
 
@@ -363,13 +360,11 @@ def _unexplained(job: Job, white: Array) -> Array:
     if strange.size:
         worst = int(strange[np.argmax(level[strange])])
         start, stop = (job.recording.start + edge * white.size / count * job.interval for edge in (worst, worst + 1))
-        warnings.warn(
+        warn_quality(
             f"{job.recording.name}: in {strange.size} of {count} stretches the readings of {job.dynamics.component} "
             f"depart from what the model of balance and load expects, most between {start:.4g} and {stop:.4g} s "
             f"({np.sqrt(level[worst]):.2g} times the chance scatter); the uncertainty from noise is raised by as much "
-            "there, but an error that the model makes everywhere is not in it",
-            DoubtWarning,
-            stacklevel=4,
+            "there, but an error that the model makes everywhere is not in it"
         )
     raised = np.ones(count)
     raised[strange] = level[strange]

@@ -12,7 +12,6 @@ References
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
@@ -27,7 +26,7 @@ from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import Filter
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import warn_quality
 
 STEP_EVIDENCE: Final = 40.0
 """Gain in twice the log-likelihood that a step must bring in a record of `FEW_INSTANTS`.
@@ -149,12 +148,10 @@ def find_steps(reading: Reading) -> tuple[list[Step], Learned]:
         steps, learned = found
         sound = _without_echoes(steps, reading)
         if len(sound) < len(steps):
-            warnings.warn(
+            warn_quality(
                 f"{reading.dynamics.component} rings after a step as its dynamics do not: what they leave over is no "
                 "steps and stays in the force, and smaller steps of the record are not looked for any more; identify "
-                "the dynamics again",
-                DoubtWarning,
-                stacklevel=2,
+                "the dynamics again"
             )
             return sound, learn(reading, columns=columns_of(sound, reading))
     return sorted(steps, key=lambda step: step.instant), learned

@@ -128,7 +128,7 @@ def read(path: Path | str, *, channel_map: ChannelMap | None = None) -> Recordin
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         Samples are missing or saturated, or time stamps jitter.
     """
     file = Path(path)

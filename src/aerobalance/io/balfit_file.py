@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +20,7 @@ from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_cells import number_in, separator_of, split_line
 from aerobalance.io.units import Conversion, conversion
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 NAME: Final = "BALFIT load schedule"
 """What to call the format in messages."""
@@ -96,7 +95,7 @@ def read_balfit(path: Path, text: str, *, capacities: Capacities | None = None) 
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         The file is cut off, or points refer to natural zeros that the file does not hold or that cannot be compared.
     """
     keywords, rows = _rows(text)
@@ -200,11 +199,9 @@ def _sorted(reading: _Reading, rows: Sequence[_Row], *, torn: bool) -> tuple[lis
     columns, path = reading.columns, reading.path
     kept = list(rows)
     if kept and _is_torn(columns, kept, torn=torn):
-        warnings.warn(
+        warn_quality(
             f"{path}: line {kept[-1].line}: the file ends in the middle of a row: it is cut off, and only the "
-            f"{len(kept) - 1} complete row(s) are used",
-            DoubtWarning,
-            stacklevel=3,
+            f"{len(kept) - 1} complete row(s) are used"
         )
         kept.pop()
     zeros: list[_Row] = []
@@ -269,12 +266,10 @@ def _one_zero(reading: _Reading, points: Sequence[_Row], *, zeros: Sequence[_Row
         if shift is None:
             what = "has no roll angle in common with" if (groups == group).any() else "is not in the file, unlike"
             if group or columns.zero >= 0:
-                warnings.warn(
+                warn_quality(
                     f"{reading.path}: {int((refers == group).sum())} point(s) refer to the natural zeros {group!r}, "
                     f"which {what} {first!r}; their outputs are taken on the natural zeros {first!r} as they are, so "
-                    "a drift of the zeros between them goes into the loads",
-                    DoubtWarning,
-                    stacklevel=3,
+                    "a drift of the zeros between them goes into the loads"
                 )
             continue
         outputs[refers == group] += shift

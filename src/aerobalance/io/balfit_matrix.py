@@ -7,7 +7,6 @@ outputs less natural zero.
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +18,7 @@ from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_table import read_text
 from aerobalance.io.units import conversion
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 FILE_TYPE: Final = "DATA_REDUCTION_MATRIX_IN_AMES_FORMAT"
 MOMENT_UNIT: Final = "N*m"
@@ -108,7 +107,7 @@ def read_balfit_matrix(path: Path | str) -> BalanceMatrix:
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         The layout has no uncertainties: those of the loads are without the matrix's.
     """
     file = Path(path)
@@ -138,10 +137,8 @@ def read_balfit_matrix(path: Path | str) -> BalanceMatrix:
         term = known[label]
         terms.append(term)
         rows.append(linear @ (row * load * _scale(term, capacity) / _scale(term, load)) / output_scale)
-    warnings.warn(
-        f"{file.name}: the layout carries no uncertainties; the uncertainty of the loads is without the matrix's own",
-        DoubtWarning,
-        stacklevel=2,
+    warn_quality(
+        f"{file.name}: the layout carries no uncertainties; the uncertainty of the loads is without the matrix's own"
     )
     t = len(terms)
     try:

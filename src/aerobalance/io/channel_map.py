@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -27,7 +26,7 @@ from aerobalance.recording.channel import (
     unit_inside,
 )
 from aerobalance.recording.components import is_gauge
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 from aerobalance.recording.recording import Recording
 
 Position = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
@@ -385,11 +384,9 @@ def _gain(path: Path, name: str, given: MappedChannel) -> float:
     """Factor of a gauge output by its nominal excitation and its shunt readings; 1 for other channels."""
     ratio = given.shunt_ratio
     if abs(ratio - 1) > SHUNT_DOUBTED:
-        warnings.warn(
+        warn_quality(
             f"{path.name}: the shunt readings multiply {name} by {ratio:.4g}; more than {SHUNT_DOUBTED:.0%} is more "
-            "than gains drift, so check the resistor and the bridge: a mistake there is a mistake in all its loads",
-            DoubtWarning,
-            stacklevel=4,
+            "than gains drift, so check the resistor and the bridge: a mistake there is a mistake in all its loads"
         )
     return ratio if given.excitation is None else ratio * 1e3 / given.excitation
 
@@ -406,11 +403,9 @@ def _differentiated(channel: Channel, order: int, rate: float) -> Channel:
         values = np.concatenate((inner[:1], inner, inner[-1:]))
     lost = int(np.count_nonzero(~np.isfinite(values)) - np.count_nonzero(channel.missing))
     if lost > 0:
-        warnings.warn(
+        warn_quality(
             f"{channel.name}: {lost} more samples are missing after differentiation, beside those missing in the "
-            "file; the model bridges them, and the uncertainty is larger there",
-            DoubtWarning,
-            stacklevel=3,
+            "file; the model bridges them, and the uncertainty is larger there"
         )
     settings = {slot: getattr(channel, slot) for slot in Channel.__slots__ if slot != "values"}
     return Channel(**settings, values=values)

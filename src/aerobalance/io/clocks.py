@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import Final
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from aerobalance.io.columns import Clock, RawColumn, RawColumns
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 DRIFT_ALLOWED: Final = 0.1
 """Sampling intervals by which two clocks may run apart over a record and still count as of equal rate."""
@@ -46,7 +45,7 @@ def on_one_clock(raw: RawColumns) -> RawColumns:
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         The fastest columns do not cover the same time, and more than two samples at the ends are left out.
     """
     clocks = [_clock(raw, column) for column in raw.columns]
@@ -96,11 +95,9 @@ def _check_overlap(raw: RawColumns, peers: list[bool], span: tuple[int, int]) ->
     lost = max(column.values.size for column in fastest) - rows
     if lost > 2:
         sizes = ", ".join(f"{column.label} {column.values.size}" for column in fastest)
-        warnings.warn(
+        warn_quality(
             f"{raw.path.name}: the fastest channels do not cover the same time (samples: {sizes}); the recording is "
-            f"the {rows} samples that they have in common, and up to {lost} others are left out",
-            DoubtWarning,
-            stacklevel=3,
+            f"the {rows} samples that they have in common, and up to {lost} others are left out"
         )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from aerobalance.io.text_table import describe_text, guess_encoding, read_text_c
 from aerobalance.io.toml_text import quoted
 from aerobalance.io.units import expected_unit
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 NAME: Final = "CSV text"
 """What to call the format in messages."""
@@ -55,7 +54,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         Columns are left out; two statements of the clock disagree.
     """
     given = layout or Layout()
@@ -87,7 +86,7 @@ def _compare_clocks(path: Path, found: TextLayout, given: Layout) -> None:
     elif given.rate and stated and abs(given.rate / stated.rate - 1) > ALIKE:
         other, advice = f"line {stated.line} says {stated.rate:.6g} Hz", "; the channel map is taken"
     if other:
-        warnings.warn(f"{path.name}: {source} {said:.6g} Hz, but {other}{advice}", DoubtWarning, stacklevel=3)
+        warn_quality(f"{path.name}: {source} {said:.6g} Hz, but {other}{advice}")
 
 
 def _clocked(raw: RawColumns, found: TextLayout, *, named: bool) -> RawColumns:
@@ -110,11 +109,9 @@ def _clocked(raw: RawColumns, found: TextLayout, *, named: bool) -> RawColumns:
         return replace(raw, columns=renamed, time=number)
     others = tuple(column for column in raw.columns if clock is None or not named or column.number != clock.column + 1)
     if stated is not None:
-        warnings.warn(
+        warn_quality(
             f"{raw.path.name}: has no column of times in a known unit; the clock is what line {stated.line} states "
-            f"({stated.text[:60]!r}): {stated.rate:.6g} Hz",
-            DoubtWarning,
-            stacklevel=3,
+            f"({stated.text[:60]!r}): {stated.rate:.6g} Hz"
         )
         return replace(raw, columns=others, rate=stated.rate)
     if clock is not None and clock.named and named:

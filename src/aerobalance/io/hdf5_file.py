@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time as clock
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +30,7 @@ from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.io.text_layout import Layout
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 if TYPE_CHECKING:
     import h5py
@@ -121,7 +120,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         A block is damaged and left out, the record was broken off, or model and support touched.
     """
     del layout
@@ -134,7 +133,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
         doubts.append(_not_ended(found))
     touched = contact_doubt(found.events, rate=found.rate, origin=found.origin)
     for text in (*doubts, *([touched] if touched else [])):
-        warnings.warn(f"{path.name}: {text}", DoubtWarning, stacklevel=4)
+        warn_quality(f"{path.name}: {text}")
     columns = [_column(found.channels[i], readings[:, k], i + found.timed) for k, i in enumerate(labels)]
     if found.timed:
         time = RawColumn(f"time [{found.time_unit}]", "time", found.time_unit, stamps, 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from aerobalance.io.text_layout import Layout, TextLayout
 from aerobalance.io.text_rows import Grid, read_cells
 from aerobalance.io.text_table import decoded, guess_encoding
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 NAME: Final = "LabVIEW measurement file (LVM)"
 """What to call the format in messages."""
@@ -144,7 +143,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         Headers, times and segments do not agree on the clock.
     """
     del layout
@@ -341,11 +340,9 @@ def _interval(contents: _Contents, channel: int, cells: Mapping[int, Array]) -> 
     rounding = 2e-6 / (times[-1] - times[0]) if stepped > 0 else 0.0
     if stepped > 0 and (not stated or abs(stepped / stated - 1) > ALIKE + rounding):
         if stated and (channel == 0 or at > 0):
-            warnings.warn(
+            warn_quality(
                 f"{contents.path.name}: Delta_X of channel {channel + 1} says {1 / stated:.6g} Hz, but its times step "
-                f"by {stepped:.6g} s, which is {1 / stepped:.6g} Hz; the times are taken",
-                DoubtWarning,
-                stacklevel=5,
+                f"by {stepped:.6g} s, which is {1 / stepped:.6g} Hz; the times are taken"
             )
         return stepped
     if not stated or stated < 0:
@@ -355,11 +352,9 @@ def _interval(contents: _Contents, channel: int, cells: Mapping[int, Array]) -> 
             f"states no Delta_X above 0 for channel {channel + 1}; give rate in a channel map",
         )
     if stated == 1.0 and not stepped and channel == 0:
-        warnings.warn(
+        warn_quality(
             f"{contents.path.name}: Delta_X is 1 s, which LabVIEW also writes where signals have no timing; if the "
-            "rate is another, give it under [file] of a channel map",
-            DoubtWarning,
-            stacklevel=5,
+            "rate is another, give it under [file] of a channel map"
         )
     return stated
 
@@ -396,11 +391,9 @@ def _ticks(contents: _Contents, lines: NDArray[np.intp], rate: float) -> NDArray
         ticks.append(at + np.arange(size))
         at += int(size)
     if late:
-        warnings.warn(
+        warn_quality(
             f"{contents.path.name}: {late} of {len(begins)} segments begin, by their date and time, before the one "
-            "before them ends; they are taken to follow it without a gap",
-            DoubtWarning,
-            stacklevel=4,
+            "before them ends; they are taken to follow it without a gap"
         )
     joined = np.concatenate(ticks).astype(np.intp)
     return None if int(joined[-1]) + 1 == joined.size else joined

@@ -47,7 +47,7 @@ def read_schedule(
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         The file is cut off, or what it says contradicts itself.
     """
     file = Path(path)

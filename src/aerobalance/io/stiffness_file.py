@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import warnings
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -20,7 +19,7 @@ from aerobalance.io.opening import opened_file
 from aerobalance.io.toml_text import read_toml
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 DOUBTFUL: Final = 5.0
 """Difference of two elements that should be equal, in standard uncertainties, from which it is warned of."""
@@ -81,11 +80,9 @@ def _warn_of_asymmetry(file: Path, stiffness: Array, u: Array) -> None:
     row, column = np.unravel_index(int(np.argmax(over)), over.shape)
     if over[row, column] > 1:
         first, second = COMPONENTS[row], COMPONENTS[column]
-        warnings.warn(
+        warn_quality(
             f"{file}: the stiffness is not symmetric: {first}/{second} is {stiffness[row, column]:.5g} and "
-            f"{second}/{first} {stiffness[column, row]:.5g}; their mean is taken, which may be as wrong",
-            DoubtWarning,
-            stacklevel=3,
+            f"{second}/{first} {stiffness[column, row]:.5g}; their mean is taken, which may be as wrong"
         )
 
 

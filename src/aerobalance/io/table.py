@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from aerobalance.io.columns import RawColumn, RawColumns, Sensing
 from aerobalance.io.units import ALLOWED, conversion_for, expected_unit
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.errors import DoubtWarning, FitError, ReadError
+from aerobalance.recording.errors import FitError, ReadError, warn_quality
 from aerobalance.recording.recording import Recording
 
 
@@ -266,11 +265,9 @@ def on_clock(
         if count == channel.values.size:
             raise ReadError(path, f"column {channel.name}", "has no number in it; leave the column out")
         if count:
-            warnings.warn(
+            warn_quality(
                 f"{path.name}: {count} of {channel.values.size} samples of {channel.name} are missing (empty or NaN); "
-                "the model bridges them, and the uncertainty is larger there",
-                DoubtWarning,
-                stacklevel=3,
+                "the model bridges them, and the uncertainty is larger there"
             )
     try:
         if rate is None:
@@ -287,12 +284,10 @@ def on_clock(
             continue
         count = int(np.count_nonzero(channel.saturated))
         if count:
-            warnings.warn(
+            warn_quality(
                 f"{path.name}: {channel.name} rests on its limit in {count} samples (saturated); the signal went "
                 "further than was recorded: force takes these samples for missing, every other result from them is "
-                "too small",
-                DoubtWarning,
-                stacklevel=3,
+                "too small"
             )
     return recording
 
@@ -302,11 +297,9 @@ def _placed(path: Path, channels: Mapping[str, Channel], ticks: NDArray[np.intp]
     size = int(ticks[-1]) + 1
     missing = size - ticks.size
     if missing:
-        warnings.warn(
+        warn_quality(
             f"{path.name}: {missing} sample(s) are missing in {int(np.count_nonzero(np.diff(ticks) > 1))} gap(s); "
-            "the model bridges them, with a larger uncertainty",
-            DoubtWarning,
-            stacklevel=4,
+            "the model bridges them, with a larger uncertainty"
         )
     placed = {}
     for name, channel in channels.items():

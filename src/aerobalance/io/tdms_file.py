@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import struct
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from aerobalance.io.text_layout import Layout
 from aerobalance.io.units import conversion, readable
 from aerobalance.recording.channel import QUANTITIES, Array
 from aerobalance.recording.components import is_gauge
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 if TYPE_CHECKING:
     from nptdms import TdmsChannel, TdmsFile
@@ -83,7 +82,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         The file was cut off while it was written; the start times of one task differ.
     """
     del layout
@@ -105,7 +104,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
             for entry in chosen
         )
     for text in doubts:
-        warnings.warn(f"{path.name}: {text}", DoubtWarning, stacklevel=4)
+        warn_quality(f"{path.name}: {text}")
     return RawColumns(path, columns, range(1, max((column.values.size for column in columns), default=0) + 1))
 
 
@@ -174,7 +173,7 @@ def _opened(path: Path) -> Iterator[TdmsFile]:
     if cut_off:
         said = ["the file was cut off while it was written; what was complete is used, and the end is missing"]
     for text in dict.fromkeys(said):
-        warnings.warn(f"{path.name}: {text}", DoubtWarning, stacklevel=5)
+        warn_quality(f"{path.name}: {text}")
 
 
 def _cut_off(stream: BinaryIO) -> bool:
@@ -334,7 +333,7 @@ def _without_infinities(path: Path, entry: _Entry, values: Array) -> Array:
     large = np.flatnonzero(np.abs(found) > LARGEST)
     if large.size:
         where = f"channel {entry.label!r}, sample {large[0] + 1}"
-        warnings.warn(f"{path.name}: {beyond_all_measure(large.size, where)}", DoubtWarning, stacklevel=6)
+        warn_quality(f"{path.name}: {beyond_all_measure(large.size, where)}")
         found[large] = np.nan
     return found
 

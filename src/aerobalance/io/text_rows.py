@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from aerobalance.io.text_cells import LARGEST, MISSING, beyond_all_measure, numb
 from aerobalance.io.text_layout import TextLayout
 from aerobalance.io.text_limits import check_quotes
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 Lines = Sequence[int] | NDArray[np.intp]
 """Line of every row, counted from 1."""
@@ -132,7 +131,7 @@ def read_cells(
         row, column = large[0]
         number = numeric[column]
         where = f"line {lines[row]}, column {number + 1} ({grid.found.labels[number]!r})"
-        warnings.warn(f"{path.name}: {beyond_all_measure(len(large), where)}", DoubtWarning, stacklevel=6)
+        warn_quality(f"{path.name}: {beyond_all_measure(len(large), where)}")
         values[np.abs(values) > LARGEST] = np.nan
     told = {i: frame[i].astype(object).fillna("").astype(str).to_list() for i in texts}
     return {i: values[:, j] for j, i in enumerate(numeric)}, told, lines

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from aerobalance.io.text_limits import check_columns, check_first_line, check_li
 from aerobalance.io.text_rows import Grid, Lines, no_number, read_cells
 from aerobalance.io.units import expected_unit
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 _BOMS: Final = (
     (b"\xef\xbb\xbf", "utf-8"),
@@ -77,7 +76,7 @@ def read_text_columns(
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         Columns that hold text are left out.
     """
     return read_text_table(path, layout, wanted=wanted, texts_dropped=texts_dropped)[0]
@@ -296,11 +295,7 @@ def _unknown(name: str) -> bool:
 
 def _say_dropped(path: Path, heads: Sequence[RawColumn], dropped: Sequence[int]) -> None:
     if dropped:
-        warnings.warn(
-            f"{path.name}: left out, for they hold no number: {', '.join(heads[i].place for i in dropped)}",
-            DoubtWarning,
-            stacklevel=4,
-        )
+        warn_quality(f"{path.name}: left out, for they hold no number: {', '.join(heads[i].place for i in dropped)}")
 
 
 def _late_numbers(path: Path, head: RawColumn, cells: Sequence[str], *, lines: Lines, decimal: str) -> Array | None:

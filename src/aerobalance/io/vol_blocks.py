@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -12,7 +11,7 @@ import numpy as np
 
 from aerobalance.io.text_cells import number_in, separator_of, split_line
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 _SECTION: Final = re.compile(r"\[\s*(?P<title>[^\[\]]*?)\s*\]")
 _SIGNED: Final = re.compile(
@@ -110,7 +109,7 @@ def take_apart(path: Path, text: str) -> VolText:
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         The file is cut off, or a block has another number of rows than it says.
     """
     sections = _sections(text)
@@ -188,11 +187,9 @@ def _block(path: Path, section: _Section, ends: _End, inherited: tuple[str, ...]
     elif rows and labels:
         # The unit of the load may be another one than in the block before: that of the maximal load goes before it.
         labels = tuple("Load" if label.casefold().startswith("load") else label for label in labels)
-        warnings.warn(
+        warn_quality(
             f"{path}: block [{section.title}] (line {section.line}) has no header: its columns are taken as those of "
-            "the block before, and its load in the unit of the maximal load",
-            DoubtWarning,
-            stacklevel=2,
+            "the block before, and its load in the unit of the maximal load"
         )
     elif rows:
         raise ReadError(
@@ -281,18 +278,14 @@ def _check_count(path: Path, section: _Section, *, found: int, cut: bool) -> Non
     entry = next((entry for entry in section.entries if _COUNT.match(entry.key)), None)
     place = f"{path}: block [{section.title}] (line {section.line})"
     if cut:
-        warnings.warn(
+        warn_quality(
             f"{place}: the file ends in the middle of a row: it is cut off, and only the {found} complete row(s) of "
-            "the block are used",
-            DoubtWarning,
-            stacklevel=2,
+            "the block are used"
         )
     elif found == 0:
-        warnings.warn(f"{place} has no rows of numbers and is left out", DoubtWarning, stacklevel=2)
+        warn_quality(f"{place} has no rows of numbers and is left out")
     elif entry is not None and number_in(entry.value) != found:
-        warnings.warn(
+        warn_quality(
             f"{place} says {entry.value[:20]!r} loads and has {found} row(s); the rows that are there are used, and "
-            "the result rests on fewer or other points than were meant",
-            DoubtWarning,
-            stacklevel=2,
+            "the result rests on fewer or other points than were meant"
         )

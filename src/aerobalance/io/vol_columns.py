@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ from aerobalance.io.load_columns import load_conversion, load_key, load_unit_of,
 from aerobalance.io.units import conversion
 from aerobalance.io.vol_blocks import Block, Entry, VolText
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 _GENERIC: Final = re.compile(
     r"((ch|chan|channel|ai|ain|col|column|bridge|gauge|gage|in|input|sensor|signal|out|output|volt|voltage|v|adc)?"
@@ -175,13 +174,11 @@ def _by_position(reading: Reading, titles: dict[str, str], *, columns: int) -> t
         names = tuple(titles.get(key, entry.key) for key, entry in zip(listed, reading.parts.capacities, strict=True))
         return names, {key: listed.index(key) for key in titles}
     if complete and listed != list(titles):
-        warnings.warn(
+        warn_quality(
             f"{reading.path}: the headers do not name the bridges, and the blocks come in another order "
             f"({', '.join(titles.values())}) than the maximal loads "
             f"({', '.join(entry.key for entry in reading.parts.capacities)}); the bridges are taken "
-            "in the order of the blocks, so outputs may be given to the wrong component",
-            DoubtWarning,
-            stacklevel=2,
+            "in the order of the blocks, so outputs may be given to the wrong component"
         )
     reading.notes.append("the headers do not name the bridges: taken in the order in which the blocks first appear")
     spare = [f"bridge {i + 1}" for i in range(len(titles), columns)]
@@ -207,11 +204,9 @@ def _by_name(reading: Reading, names: Sequence[str], *, titles: dict[str, str]) 
         pairs = ", ".join(f"[{titles[key]}] to {names[i]}" for key, i in zip(left, free, strict=False))
         reading.notes.append(f"blocks were given to bridges by their order: {pairs}")
         if len(left) < len(free):
-            warnings.warn(
+            warn_quality(
                 f"{reading.path}: blocks were given to bridges of other names by their order ({pairs}), and there are "
-                "more bridges than blocks; the loads may stand at the wrong component",
-                DoubtWarning,
-                stacklevel=2,
+                "more bridges than blocks; the loads may stand at the wrong component"
             )
     return found | dict(zip(left, free, strict=False))
 
@@ -291,12 +286,10 @@ def load_units_of(
             raise ReadError(reading.path, where, f"load of block [{block.title}]: {error}") from None
         name = naming.components[component]
         if amount and kind != load_unit_of(name) and load_unit_of(name) == _kind(amount.unit):
-            warnings.warn(
+            warn_quality(
                 f"{reading.path}: {where}: block [{block.title}] has its loads in [{unit}], but {name} is a "
                 f"{'moment' if kind == 'N' else 'force'} by its name and its maximal load [{amount.unit}]; the loads "
-                f"are taken in [{amount.unit}], so check them",
-                DoubtWarning,
-                stacklevel=2,
+                f"are taken in [{amount.unit}], so check them"
             )
             unit, kind = amount.unit, load_conversion(amount.unit).unit
         if kinds[component] not in ("", kind):

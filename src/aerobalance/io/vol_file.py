@@ -7,7 +7,6 @@ and rows of load, bridge voltages and excitation. The sign of the loads is that 
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -30,7 +29,7 @@ from aerobalance.io.vol_columns import (
     stated_capacities,
 )
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import warn_quality
 
 NAME: Final = "voltage calibration file (.vol)"
 """What to call the format in messages."""
@@ -76,7 +75,7 @@ def read_vol(path: Path, text: str, *, capacities: Capacities | None = None) -> 
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         The file is cut off, signs within a block contradict its title, or names had to be guessed.
     """
     reading = Reading(path, take_apart(path, text))
@@ -130,11 +129,9 @@ def _signed(reading: Reading, block: Block, *, loads: Array) -> Array:
         lines = ", ".join(str(block.lines[i]) for i in wrong[:8]) + (" ..." if wrong.size > 8 else "")
         word = "positive" if block.sign > 0 else "negative"
         what = "mixes signs" if right.size else f"lists {'negative' if block.sign > 0 else 'positive'} loads"
-        warnings.warn(
+        warn_quality(
             f"{reading.path}: block [{block.title}] {what} (line(s) {lines}); all of its loads are taken as {word}, "
-            f"as the title says; if the title is wrong, so is the sensitivity to {block.component}",
-            DoubtWarning,
-            stacklevel=3,
+            f"as the title says; if the title is wrong, so is the sensitivity to {block.component}"
         )
     return block.sign * np.abs(loads) + 0.0
 
@@ -147,11 +144,9 @@ def _balance_type(reading: Reading, names: Sequence[str], *, moments: Sequence[b
     said = _SPLIT.search(entry.value) if entry else None
     whole = said is not None and int(said["forces"]) + int(said["moments"]) == len(moments)
     if entry and said and whole and int(said["moments"]) != sum(moments):
-        warnings.warn(
+        warn_quality(
             f"{reading.path}: line {entry.line}: the balance type is {entry.value!r}, but by their units "
-            f"{sum(moments)} of the {len(moments)} loads are moments; the units are believed, so check them",
-            DoubtWarning,
-            stacklevel=2,
+            f"{sum(moments)} of the {len(moments)} loads are moments; the units are believed, so check them"
         )
     return found
 

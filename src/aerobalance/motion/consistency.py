@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import warn_quality
 
 SURE: Final = 6.0
 """Standard deviations from which a difference is no chance: once in 1e9 for white noise."""
@@ -92,7 +91,7 @@ def check_agreement(name: str, fit: GroundFit, readings: Array, motion: Array, e
     for scores, words in (found.spread, found.gain, found.offset):
         worst = int(np.argmax(np.where(checked, scores, 0.0)))
         if checked[worst] and scores[worst] > 0:
-            warnings.warn(f"{name}: {found.sentence(worst, words[worst])}", DoubtWarning, stacklevel=5)
+            warn_quality(f"{name}: {found.sentence(worst, words[worst])}")
             return
 
 

@@ -7,7 +7,6 @@ up, PM the turn nose up.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from aerobalance.motion.single_axis import bridged
 from aerobalance.recording.channel import AXES_BY_NAME, Array, Channel, is_ground_acceleration
 from aerobalance.recording.components import COMPONENTS, MOMENTS, VECTORS
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import divided, filtered, high_pass
@@ -134,11 +133,9 @@ def _on_clock(recording: Recording, channel: Channel, delay: float) -> Array:
     values = bridged(recording, channel)
     if channel.coupling == "ac":
         values = divided(values, high_pass(channel.corner), rate=recording.rate)
-        warnings.warn(
+        warn_quality(
             f"{channel.name} is ac-coupled: ground motion below its corner of {channel.corner:g} Hz is not in the "
-            "channel and stays in the force",
-            DoubtWarning,
-            stacklevel=4,
+            "channel and stays in the force"
         )
     late = channel.delay - delay
     if late:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
@@ -14,7 +13,7 @@ from scipy.signal import resample_poly
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.gravity import Pull
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
@@ -139,11 +138,9 @@ class GroundMotion:
                 *_across(recording, channel),
             ]
             if coupling == "ac":
-                warnings.warn(
+                warn_quality(
                     f"{name} is ac-coupled: ground motion below its corner of {channel.corner:g} Hz is not in the "
-                    "channel and stays in the force",
-                    DoubtWarning,
-                    stacklevel=2,
+                    "channel and stays in the force"
                 )
         else:
             assumptions.append(f"{name} is not recorded and taken as zero")
@@ -257,11 +254,9 @@ def bridged(recording: Recording, channel: Channel) -> Array:
     missing = channel.missing
     if not missing.any():
         return channel.values
-    warnings.warn(
+    warn_quality(
         f"{channel.name}: {int(missing.sum())} missing sample(s) are filled by straight lines; the ground motion "
-        "within them stays in the force",
-        DoubtWarning,
-        stacklevel=3,
+        "within them stays in the force"
     )
     index = np.arange(recording.samples)
     return np.interp(index, index[~missing], channel.values[~missing])

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import sys
+import warnings
 from pathlib import Path
+from typing import Final
+
+_PASSED_BY: Final = (str(Path(__file__).parents[1]) + os.sep, contextlib.__file__)
+"""Files that a warning is not the place of: those of the package, and what stands between two of them."""
 
 
 class FitError(Exception):
@@ -30,5 +38,14 @@ class ReadError(Exception):
         super().__init__(f"{place}: {what}")
 
 
-class DoubtWarning(UserWarning):
+class DataQualityWarning(UserWarning):
     """Data that can be used but not trusted fully; the message says what it does to the result."""
+
+
+def warn_quality(text: str) -> None:
+    """Issue a `DataQualityWarning` at the line outside the package that called it."""
+    level = 2
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PASSED_BY):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, DataQualityWarning, stacklevel=level)

@@ -7,7 +7,6 @@ in both. Every step carries the full covariance of the six loads of each sample.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS, VECTORS
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import warn_quality
 
 WIND_NAMES: Final[Mapping[str, str]] = {"NF": "L", "SF": "Y", "AF": "D", "PM": "PM", "YM": "YM", "RM": "RM"}
 """Names of the components in wind axes: lift, side force, drag, and the moments about the wind's axes."""
@@ -307,11 +306,9 @@ def coefficients(
     if not flowing.any():
         raise ValueError("pressure must be positive [Pa]; it nowhere is")
     if not flowing.all():
-        warnings.warn(
+        warn_quality(
             f"the dynamic pressure is not positive in {int(np.count_nonzero(~flowing))} of {samples} samples, which "
-            "have no coefficients",
-            DoubtWarning,
-            stacklevel=2,
+            "have no coefficients"
         )
     q = np.where(flowing, q, np.nan)
     lengths = {"PM": chord, "YM": span, "RM": span}

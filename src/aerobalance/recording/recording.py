@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.gravity import PullOnZero
 from aerobalance.recording.jitter import following, on_steady_clock
 from aerobalance.recording.steady_clock import Clock, first_repeated, steady_clock
@@ -171,11 +170,9 @@ def _samples_jitter(stamps: Array, channels: Mapping[str, Channel], clock: Clock
         repeated = int(np.count_nonzero(np.diff(stamps) == 0))
         which = first_repeated(np.diff(stamps), stamps)
         equal = f"{repeated} time stamp(s) repeat the one before{which}, and " if repeated else ""
-        warnings.warn(
+        warn_quality(
             f"{name}: {equal}time stamps depart from a steady {1 / clock.interval:.6g} Hz clock by up to "
-            f"{clock.departure:.2f} sampling intervals; the samples are taken as evenly spaced: {why}",
-            DoubtWarning,
-            stacklevel=3,
+            f"{clock.departure:.2f} sampling intervals; the samples are taken as evenly spaced: {why}"
         )
     return jitter
 
@@ -203,12 +200,10 @@ def _resampled(stamps: Array, channels: Mapping[str, Channel], clock: Clock, nam
         clipped = ", saturated samples left out" if channel.saturated.any() else ""
         said.append(f"{channel.name} {error:.2g} {channel.unit} rms, noise times {gain:.2f}{clipped}")
     jitter = float(np.std(clock.late(stamps)))
-    warnings.warn(
+    warn_quality(
         f"{name}: the samples were not taken evenly (jitter {jitter:.2g} sampling intervals rms, up to "
         f"{clock.departure:.2g}); they are interpolated to a steady {1 / clock.interval:.6g} Hz clock. "
-        f"What that leaves: {'; '.join(said[:6])}{'; ...' if len(said) > 6 else ''}",
-        DoubtWarning,
-        stacklevel=3,
+        f"What that leaves: {'; '.join(said[:6])}{'; ...' if len(said) > 6 else ''}"
     )
     grid = np.arange(samples)
     time: Array = first + np.arange(samples, dtype=np.float64) * clock.interval

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 
 GAP_SUSPECTED: Final = 0.2
 """Departure from evenly spaced rows from which gaps are looked for: one sample lost from five departs by 0.21."""
@@ -77,7 +76,7 @@ def steady_clock(stamps: Array, name: str) -> Clock:
             "gap(s); the model bridges them, with a larger uncertainty"
         )
     for doubt in doubts:
-        warnings.warn(f"{name}: {doubt}", DoubtWarning, stacklevel=3)
+        warn_quality(f"{name}: {doubt}")
     return Clock(order, interval, start, departure, rounded)
 
 

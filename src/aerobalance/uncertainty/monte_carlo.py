@@ -38,7 +38,7 @@ from aerobalance.estimation.steps import Step, shape_of
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import bridged
 from aerobalance.uncertainty.budget import noise_power, scalars
@@ -162,7 +162,7 @@ def monte_carlo(
     _check(draws)
     if motion is None:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DoubtWarning)  # said when the force was worked out
+            warnings.simplefilter("ignore", DataQualityWarning)  # said when the force was worked out
             motion = GroundMotion.of(recording, dynamics.component)
     job = Job.of(recording, dynamics, motion)
 
@@ -205,7 +205,7 @@ def monte_carlo_of_coupled(
     """
     _check(draws)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)  # said when the force was worked out
+        warnings.simplefilter("ignore", DataQualityWarning)  # said when the force was worked out
         record = CoupledRecord.of(recording, dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
         filled = bridged(record.loads)
         if record.has_gaps:

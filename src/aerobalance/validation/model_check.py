@@ -22,7 +22,7 @@ from aerobalance.identification.free_decay.waveform import fit_ring
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import frequency_text, share_text
 from aerobalance.validation.local_modes import Averaged, missing_mode, own_resonance
@@ -161,7 +161,7 @@ def _release(recording: Recording, dynamics: Dynamics, values: Array, *, noise: 
     channel = replace(recording.channel(name), values=values)
     alone = Recording.from_columns(np.arange(values.size) / recording.rate, {name: channel}, name=recording.name)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)
+        warnings.simplefilter("ignore", DataQualityWarning)
         try:
             look = first_look(values, rate=recording.rate, name=recording.name)
             if look.shape != "release":

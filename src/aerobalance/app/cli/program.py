@@ -17,7 +17,7 @@ from aerobalance import __version__
 from aerobalance.app.cli import lab, recordings, runs, streams
 from aerobalance.app.cli.account import Manner, show
 from aerobalance.app.cli.options import PROGRAM, Json, Replace, Verbose, example
-from aerobalance.recording.errors import DoubtWarning, FitError, ReadError
+from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 
 HELP = ["-h", "--help"]
 
@@ -99,8 +99,8 @@ def main(arguments: list[str] | None = None) -> int:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        warnings.simplefilter("always", DoubtWarning)
-        warnings.showwarning = warn
+        warnings.simplefilter("always", DataQualityWarning)
+        warnings.showwarning = warn  # at once, as `record` runs for hours
         try:
             return _run(sys.argv[1:] if arguments is None else arguments)
         except BrokenPipeError:  # whoever reads the answer has seen enough of it

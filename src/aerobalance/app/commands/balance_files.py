@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -26,7 +25,7 @@ from aerobalance.balance.zeros import (
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, si_unit
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.gravity import Attitudes, PullOnZero
 from aerobalance.recording.recording import Recording
 
@@ -165,15 +164,13 @@ def zero_of(
         return zero
     carried = Carried(_NOTHING, PullOnZero(), known=()) if on_zero is None else on_zero(before)
     if files.model_on_zero == "auto" and reads_no_weight(zero, carried.weight, matrix):
-        warnings.warn(
+        warn_quality(
             f"{zero.source} reads as the natural zeros of the calibration do, without the weight: it is taken as read "
-            "with the model off; --model-on-zero on or off says which",
-            DoubtWarning,
-            stacklevel=4,
+            "with the model off; --model-on-zero on or off says which"
         )
         return zero
     if carried.doubt:
-        warnings.warn(carried.doubt, DoubtWarning, stacklevel=4)
+        warn_quality(carried.doubt)
     return without_weight(_under(zero, carried, matrix), matrix)
 
 
@@ -208,18 +205,16 @@ def _say_what_is_guessed(zero: GaugeZero, point: Array, carried: Carried, matrix
             "--component) with --mass, or say --model-on-zero off if there was none; natural zeros in the calibration "
             "tell it too"
         )
-    warnings.warn(text, DoubtWarning, stacklevel=5)
+    warn_quality(text)
 
 
 def stand_in(zero: GaugeZero | None, recordings: Sequence[Recording], matrix: BalanceMatrix) -> GaugeZero | None:
     """Take the mean of recordings at rest for a zero, where neither the run nor the calibration has one."""
     if zero is not None or matrix.natural_zero is not None:
         return zero
-    warnings.warn(
+    warn_quality(
         "no zero was given and the calibration has none; the mean of the recordings at rest is taken for it. Offsets "
-        "count from there, and curved or bidirectional bridges are read from there",
-        DoubtWarning,
-        stacklevel=3,
+        "count from there, and curved or bidirectional bridges are read from there"
     )
     return gauge_zero(recordings, matrix)
 

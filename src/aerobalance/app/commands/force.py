@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -32,7 +31,7 @@ from aerobalance.io import check_output, write_force
 from aerobalance.io.artefacts import digest
 from aerobalance.io.kinds import PAGE, TABLE
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge, si_unit
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.recording import GAUGES_BECOME_LOADS, Force, Recording
 from aerobalance.uncertainty.monte_carlo import MonteCarlo
 
@@ -90,11 +89,9 @@ def _through(balance: Path, known: Known, *, dynamics: Path) -> Known:
         return known
     if known.dynamics.balance == digest(balance):
         return known
-    warnings.warn(
+    warn_quality(
         f"{dynamics.name} was found by another balance matrix than {balance.name}; what the calibration of that one "
-        "left in the dynamics is added to the uncertainty",
-        DoubtWarning,
-        stacklevel=2,
+        "left in the dynamics is added to the uncertainty"
     )
     return Coupled(known.dynamics.with_calibration)
 
@@ -140,7 +137,7 @@ def _found(
     checked = {} if check is None else known.checked(recording, estimates, settings, check=check)
     texts += [f"{name}: {text}" for name, result in checked.items() for text in result.doubts]
     for text in texts:
-        warnings.warn(f"{recording.name}: {text}", DoubtWarning, stacklevel=2)
+        warn_quality(f"{recording.name}: {text}")
     return _Found(recording, reduction, estimates, noises, checked)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal
@@ -28,7 +27,7 @@ from aerobalance.io import (
 from aerobalance.io.dynamics_file import dynamics_payload, write_dynamics
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.errors import DoubtWarning, FitError, ReadError
+from aerobalance.recording.errors import FitError, ReadError, warn_quality
 from aerobalance.recording.recording import Recording
 
 PHASES: Final[tuple[Phase, ...]] = ("relative", "absolute")
@@ -211,11 +210,9 @@ def _dwell_details(recording: Recording, dynamics: Dynamics) -> Account:
     checks = harmonic_check(recording, dwells, dynamics=dynamics)
     unsteady = [f"{check.frequency:.4g}" for check in checks if not check.steady]
     if unsteady:
-        warnings.warn(
+        warn_quality(
             f"the dwells at {', '.join(unsteady)} Hz are not steady: (12) to (16) do not hold there; the fit of the "
-            "whole response takes the unsteadiness into account",
-            DoubtWarning,
-            stacklevel=3,
+            "whole response takes the unsteadiness into account"
         )
     return {
         "dwells": [

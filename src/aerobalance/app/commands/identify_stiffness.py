@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from pathlib import Path
 from typing import Final
 
@@ -23,7 +22,7 @@ from aerobalance.identification.rigid_body import Departure
 from aerobalance.io.coupled_file import coupled_payload, read_coupled, write_coupled
 from aerobalance.io.stiffness_file import read_rigid_mass, read_stiffness
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import warn_quality
 
 SHOWN: Final = 6
 """Elements that are shown, those that depart most."""
@@ -68,12 +67,10 @@ def from_stiffness(
         test = None if identified is None else agreement(found, identified, damping=ratios is not None)
         if test is not None and not test.chance:
             worst = _worst(differences, damping=ratios is not None)[0]
-            warnings.warn(
+            warn_quality(
                 f"{compare}: the dynamics identified are not those of this mass and stiffness (chi2 {test.chi2:.3g} "
                 f"for {test.degrees_of_freedom} degrees of freedom); {worst.name} departs most, by "
-                f"{worst.ratio:+.1f} standard uncertainties",
-                DoubtWarning,
-                stacklevel=2,
+                f"{worst.ratio:+.1f} standard uncertainties"
             )
     details = {"method": "rigid mass on a measured stiffness", "damping_ratios": _ratio_details(values, u_values)}
     inputs = [file for file in (table, mass, compare) if file is not None]

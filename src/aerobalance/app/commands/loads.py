@@ -36,7 +36,7 @@ from aerobalance.io.matrix_file import read_matrix
 from aerobalance.io.weighing_file import read_weighing
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError, warn_quality
 from aerobalance.recording.gravity import PullOnZero, gravity_share
 from aerobalance.recording.recording import Recording
 
@@ -78,11 +78,9 @@ def reduced(
         raise ValueError("give --tare or --mass, not both: each takes the weight off")
     matrix = read_matrix(files.balance)
     if matrix.direct is None and not set(matrix.components) <= set(COMPONENTS):
-        warnings.warn(
+        warn_quality(
             f"{files.balance.name} lacks the distances of the gauges: the loads stay {', '.join(matrix.components)}. "
-            "Calibrate with --distances to have NF PM SF YM RM AF",
-            DoubtWarning,
-            stacklevel=2,
+            "Calibrate with --distances to have NF PM SF YM RM AF"
         )
     before = zeros_before(files, channel_map)
     zero = zero_of(files, before, matrix, channel_map, on_zero=on_zero)
@@ -313,11 +311,9 @@ def weighed_loads(
     if before and files.model_on_zero != "off":
         found = _settled(recordings, before, files, matrix, gravity=gravity, channel_map=channel_map)
         if found is None:
-            warnings.warn(
+            warn_quality(
                 f"{before[0].name} was read without what is weighed, as the offsets say: it is taken as read with the "
-                "model off; --model-on-zero on or off says which",
-                DoubtWarning,
-                stacklevel=2,
+                "model off; --model-on-zero on or off says which"
             )
             files = replace(files, model_on_zero="off")
         else:
@@ -366,7 +362,7 @@ def _settled(
     last = np.full(len(matrix.components), np.inf)
     scale = matrix.output_scale
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DoubtWarning)  # what is doubtful is told of the last round
+        warnings.simplefilter("ignore", DataQualityWarning)  # what is doubtful is told of the last round
         for _ in range(MOST_ROUNDS):
             on_zero = partial(_carried_on_zero, known=known, gravity=gravity, pitched=True)
             zero = zero_of(files, before, matrix, channel_map, on_zero=on_zero)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from aerobalance.app.commands.shared import Account
 from aerobalance.io.hdf5_closing import close_all_broken_off, closed_text
 from aerobalance.io.held_file import recover_all
 from aerobalance.io.safe_write import OUTPUTS
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 
 _TICK = 0.1
 
@@ -72,9 +71,9 @@ def record(
     folder = Path() if setup is None else setup.parent
     for found in recover_all(out.parent):
         text = "its record was broken off by a kill after it had lost its name; what was written is in it"
-        warnings.warn(f"{found.name} is back: {text}", DoubtWarning, stacklevel=2)
+        warn_quality(f"{found.name} is back: {text}")
     for name in close_all_broken_off(out.parent):  # those that are back as well
-        warnings.warn(closed_text(name), DoubtWarning, stacklevel=2)
+        warn_quality(closed_text(name))
     with _told(out) as told, Session(chosen, folder.resolve()) as session:
         recorder = session.record(out, replace=replace)
         recorder.ready()
@@ -83,7 +82,7 @@ def record(
         session.start()
         progress = _follow(recorder, session, told, show or (lambda _: None))
     if progress.mishap and not progress.unkept:
-        warnings.warn(progress.mishap, DoubtWarning, stacklevel=2)
+        warn_quality(progress.mishap)
     return _account(progress, bool(told), [said.text for said in session.said if said.kind == "refused"])
 
 

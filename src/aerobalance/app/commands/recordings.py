@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +16,7 @@ from aerobalance.io.matrix_file import is_matrix
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.units import conversion_for, edge_unit
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.noise import channel_noise
 
 NO_TIME: Final = 1e-12
@@ -103,11 +102,9 @@ def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Accoun
         kept = out.suffix.lower() in hdf5_file.SUFFIXES
         told = [] if kept else [channel.name for channel in recording if _described(channel)]
         if told:
-            warnings.warn(
+            warn_quality(
                 f"{out.name} has no place for how {', '.join(told)} was measured (noise, uncertainties, delay, "
-                "coupling, filter, cross-axis sensitivity): write .h5 to keep it",
-                DoubtWarning,
-                stacklevel=2,
+                "coupling, filter, cross-axis sensitivity): write .h5 to keep it"
             )
     write_recording(out, recording)
     names = list(recording.channels)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from aerobalance.app.commands.loads import Hanging, from_gauges
 from aerobalance.balance.matrix_errors import MatrixErrors
 from aerobalance.balance.weighing.result import Weighing
 from aerobalance.recording.components import STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.recording import Recording
 
 
@@ -48,11 +47,9 @@ def releases_felt(
     gravity = STANDARD_GRAVITY if weighing is None else weighing.gravity
     found = [from_gauges(recording, files, hung, gravity=gravity, channel_map=channel_map) for recording in recordings]
     if counted and not all(part.matrix.covariance.any() for _, part in found):
-        warnings.warn(
+        warn_quality(
             f"{files.balance.name} holds no covariance of its coefficients; what its calibration leaves in the "
-            "dynamics is not known",
-            DoubtWarning,
-            stacklevel=2,
+            "dynamics is not known"
         )
     errors = [
         MatrixErrors(part.matrix, part.felt.components, part.felt.transform, part.felt.native) for _, part in found

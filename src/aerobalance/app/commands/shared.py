@@ -21,7 +21,7 @@ from aerobalance.io.held_file import refuse_held
 from aerobalance.io.kinds import EMPTY, kind_of
 from aerobalance.io.safe_write import OUTPUTS, reason_of
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError, warn_quality
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
@@ -31,19 +31,13 @@ Account = dict[str, Any]
 
 @contextmanager
 def doubts() -> Iterator[list[str]]:
-    """Collect what is doubted while a result is worked out, each text once; the doubts are passed on at the end."""
-    collected: list[str] = []
-
-    def collect(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
-        text = " ".join(str(message).split())
-        if issubclass(category, DoubtWarning) and text not in collected:
-            collected.append(text)
-
+    """Collect what is doubted while a result is worked out; at the end, list each text once and pass it on."""
+    texts: list[str] = []
+    caught: list[warnings.WarningMessage] = []
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("always", DoubtWarning)
-            warnings.showwarning = collect
-            yield collected
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", DataQualityWarning)
+            yield texts
     except np.linalg.LinAlgError as problem:  # a ValueError by class, but no wrong call
         raise FitError(
             f"the equations of the fit have no solution ({problem}): the data leave too much open; "
@@ -55,8 +49,10 @@ def doubts() -> Iterator[list[str]]:
             "check the units and the values of the recording, the mass and the dynamics"
         ) from problem
     finally:
-        for text in collected:
-            warnings.warn(text, DoubtWarning, stacklevel=4)
+        said = [one.message for one in caught if issubclass(one.category, DataQualityWarning)]
+        texts += dict.fromkeys(" ".join(str(message).split()) for message in said)
+        for text in texts:
+            warn_quality(text)
 
 
 def check_out(out: Path | None, *inputs: Path | None, kind: str = "") -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from aerobalance.app.monitor.orphan import end_with_starter
-from aerobalance.recording.errors import DoubtWarning, FitError, ReadError
+from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 
 if TYPE_CHECKING:
     Pipe = Connection[Any, Any]
@@ -87,7 +87,7 @@ def outcome_of(task: Task) -> Outcome:
     """Do a task; what goes wrong is said, not raised."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DoubtWarning)  # they are in the account
+            warnings.simplefilter("ignore", DataQualityWarning)  # they are in the account
             return _VERBS[task.verb](task)
     except (FitError, ReadError, ValueError) as problem:
         return Outcome(task.number, False, str(problem))

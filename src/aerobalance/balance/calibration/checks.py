@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Final
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from aerobalance.balance.schedule import Schedule
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 
 LOADED: Final = 0.01
 """Least span of a load, over capacity, for its component to count as loaded."""
@@ -54,7 +53,7 @@ def check_schedule(schedule: Schedule) -> None:
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         A series' sensitivity departs from the others.
     """
     used = schedule.fitted
@@ -190,7 +189,7 @@ def _check_slopes(schedule: Schedule, slopes: list[dict[int, tuple[float, float]
                     f"{text}; check the loads, units and arms of that series, or leave it out with "
                     f'--leave-out "{schedule.series_names[number]}"'
                 )
-            warnings.warn(f"{text}; the matrix averages over both", DoubtWarning, stacklevel=4)
+            warn_quality(f"{text}; the matrix averages over both")
 
 
 def _check_zeros(schedule: Schedule, residuals: Array) -> None:
@@ -208,11 +207,9 @@ def _check_zeros(schedule: Schedule, residuals: Array) -> None:
             if zeros.size > 1 and np.ptp(zeros) > worst:
                 worst, where = float(np.ptp(zeros)), int(number)
         if worst > max(DRIFT, DRIFT_IN_NOISE * noise):
-            warnings.warn(
+            warn_quality(
                 f"{schedule.name}: the zero of {name} drifts by {100 * worst:.2g} % of capacity within "
-                f"series {schedule.series_names[where]!r}; the drift goes into the residuals",
-                DoubtWarning,
-                stacklevel=4,
+                f"series {schedule.series_names[where]!r}; the drift goes into the residuals"
             )
 
 
@@ -226,7 +223,7 @@ def check_residuals(schedule: Schedule, residuals: Array, *, deviation: Array) -
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         It is above `DOUBTFUL`, or a zero drifts.
     """
     _check_zeros(schedule, residuals)
@@ -240,12 +237,10 @@ def check_residuals(schedule: Schedule, residuals: Array, *, deviation: Array) -
             "these series, or leave out what is known to be wrong (--leave-out)"
         )
     for i in np.flatnonzero(size > DOUBTFUL):
-        warnings.warn(
+        warn_quality(
             f"{schedule.name}: the residuals of {schedule.components[i]} have a standard deviation of "
             f"{100 * size[i]:.2g} % of capacity{_blame(schedule, residuals[:, i])}; balances reach 0.05 to 0.3 %. "
-            "Loads from this matrix are no better",
-            DoubtWarning,
-            stacklevel=4,
+            "Loads from this matrix are no better"
         )
 
 

@@ -102,7 +102,7 @@ def calibrate(
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         The matrix can be used, but something in the schedule makes it worse than it looks.
     """
     check_schedule(schedule)

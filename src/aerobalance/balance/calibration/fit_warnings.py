@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Final
 
 import numpy as np
@@ -13,7 +12,7 @@ from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.calibration.quality import Quality
 from aerobalance.balance.calibration.regression import HIGHEST_INFLATION, inflation_text
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.recording.errors import DoubtWarning
+from aerobalance.recording.errors import warn_quality
 
 TOO_QUIET: Final = 1e-6
 """Probability, over all bridges together, below which the readings' scatter is less than the noise given for them."""
@@ -98,4 +97,4 @@ def _has_direction(matrix: BalanceMatrix, included: NDArray[np.bool_], index: in
 
 
 def _doubt(text: str) -> None:
-    warnings.warn(text, DoubtWarning, stacklevel=3)
+    warn_quality(text)

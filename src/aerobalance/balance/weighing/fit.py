@@ -13,7 +13,6 @@ References
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -28,7 +27,7 @@ from aerobalance.balance.weighing.result import Agreement, Weighing, centre_of
 from aerobalance.balance.weighing.single import MovingMass
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.gravity import weight_direction
 
 LEAST_SHARE: Final = 1e-4
@@ -69,7 +68,7 @@ def weigh_components(points: LoadPoints, *, gravity: float = STANDARD_GRAVITY) -
 
     Warns
     -----
-    DoubtWarning
+    DataQualityWarning
         The masses or the centres of gravity of the components differ.
     """
     components = points.components
@@ -192,11 +191,9 @@ def _warn(separate: Adjustment, *, own_masses: bool, own_centres: bool) -> None:
     cause = "live ends of their own mass, a sensitivity or a sign that is off, or cross effects"
     if own_masses:
         masses = ", ".join(f"{name.removeprefix('mass.')} {text} kg" for name, text in said.items() if "mass" in name)
-        warnings.warn(
+        warn_quality(
             f"the forces find different masses: {masses} ({cause}); each is corrected with its own, and the common "
-            "mass is uncertain by their scatter",
-            DoubtWarning,
-            stacklevel=3,
+            "mass is uncertain by their scatter"
         )
     if own_centres:
         moments = ", ".join(
@@ -204,11 +201,9 @@ def _warn(separate: Adjustment, *, own_masses: bool, own_centres: bool) -> None:
             for name, text in said.items()
             if name.startswith("moment")
         )
-        warnings.warn(
+        warn_quality(
             f"the moments find different centres of gravity; mass times coordinate is {moments} ({cause}); each is "
-            "corrected with its own, and the common centre is uncertain by their scatter",
-            DoubtWarning,
-            stacklevel=3,
+            "corrected with its own, and the common centre is uncertain by their scatter"
         )
 
 

@@ -11,7 +11,6 @@ References
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -26,7 +25,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.spectra.line_noise import columns_of_lines, hum_lines
 from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, Hump, NoiseSpectrum
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 
 FEWEST_SAMPLES: Final = 512
 """Shortest record that a spectrum of noise is learned from."""
@@ -137,12 +136,10 @@ def _tell_of_misfit(seen: Ordinates, model: Array, *, component: str, name: str)
     wrong = wrong[np.abs(np.log(ratio[wrong])) > MATTERS]
     if wrong.size:
         worst = int(wrong[np.argmax(np.abs(np.log(ratio[wrong])))])
-        warnings.warn(
+        warn_quality(
             f"{name}: the noise of {component} is no white noise with 1/f and broad humps: between {edges[worst]:.3g} "
             f"and {edges[worst + 1]:.3g} Hz its power is {ratio[worst]:.2g} times what is taken; the uncertainty of a "
-            "force there is wrong by as much",
-            DoubtWarning,
-            stacklevel=3,
+            "force there is wrong by as much"
         )
 
 

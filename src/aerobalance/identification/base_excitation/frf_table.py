@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,7 +11,7 @@ from scipy.stats import chi2 as chi_square
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.wording import damping_text
 
 DOUBTFUL_DAMPING: Final = 0.1
@@ -135,7 +134,7 @@ def identify_frf(table: ResponseTable, *, component: str = "AF", mass: float | t
     dynamics = _dynamics(table, parameters, free=free, component=component, mass=(value, uncertainty), scale=scale)
     notes = _notes(table, dynamics, chi2=chi2, freedom=freedom, probability=probability)
     for note in notes:
-        warnings.warn(f"{table.name}: {note}", DoubtWarning, stacklevel=2)
+        warn_quality(f"{table.name}: {note}")
     model, _ = _model(table.frequency, parameters)
     return FrfFit(
         dynamics=dynamics,

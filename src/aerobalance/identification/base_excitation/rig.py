@@ -12,7 +12,6 @@ on the model.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -25,7 +24,7 @@ from aerobalance.identification.base_excitation.live_check import LiveCheck, liv
 from aerobalance.identification.base_excitation.maximum_likelihood import HIGHEST, Estimate, maximise
 from aerobalance.identification.base_excitation.spectra import excited, transform
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import damping_text, share_text
 
@@ -148,7 +147,7 @@ def identify_rig(
     notes = _notes(dynamics, estimate, problem=problem, live=live, component=component)
     notes += _mass_notes(fitted.implied, value, looseness) + _left_out_notes(fitted.left_out, modes)
     for note in notes:
-        warnings.warn(f"{recording.name}: {note}", DoubtWarning, stacklevel=2)
+        warn_quality(f"{recording.name}: {note}")
     count = spectra.block_sum(np.ones(spectra.frequency.size))
     return RigFit(
         dynamics=dynamics,

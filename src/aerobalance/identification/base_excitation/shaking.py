@@ -7,7 +7,6 @@ kind: broadband, swept or stepped.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
@@ -54,7 +53,7 @@ from aerobalance.identification.step_relaxation.record import ROUNDING
 from aerobalance.motion.sensors import motion_name
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.recording import Recording
 
 NOISE_ROUNDS: Final = 2
@@ -116,7 +115,7 @@ def identify_shaking(
         fit = settle(records, replace(fit, noise=fit.noise * np.sqrt(np.outer(colour, colour))))
     found = _result(records, fit, sizes, colour=colour, weighed=weighed, given=half_range is not None, delay=delay)
     for note in found.notes:
-        warnings.warn(f"{_called(records)}: {note}", DoubtWarning, stacklevel=2)
+        warn_quality(f"{_called(records)}: {note}")
     return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -14,7 +13,7 @@ from scipy.signal.windows import hann
 
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.recording import Recording
 
 Complex = NDArray[np.complex128]
@@ -280,11 +279,9 @@ def longest_whole(recording: Recording, channels: list[Channel]) -> slice:
             for word, flags in (("missing", bad), ("saturated", saturated))
             if flags.any()
         )
-        warnings.warn(
+        warn_quality(
             f"{recording.name}: {what} sample(s); {stop - start} of {bad.size} samples in a row are used and gaps of "
-            f"up to {LONGEST_BRIDGE} samples among them are bridged, which makes the uncertainties larger",
-            DoubtWarning,
-            stacklevel=5,
+            f"up to {LONGEST_BRIDGE} samples among them are bridged, which makes the uncertainties larger"
         )
     return slice(start, stop)
 

@@ -7,7 +7,6 @@ the window that is used.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -32,7 +31,7 @@ from aerobalance.identification.free_decay.waveform import (
     ring_up_to,
 )
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import NOT_TOLD, damping_text
@@ -154,7 +153,7 @@ def identify_decay(
     dynamics = _dynamics(ring, component, value, uncertainty, kept=kept)
     notes = [*_notes(ring, dynamics, recording, kept=kept), *_amplitude_notes(dependence, component)]
     for note in notes:
-        warnings.warn(f"{recording.name}: {note}", DoubtWarning, stacklevel=2)
+        warn_quality(f"{recording.name}: {note}")
     return _result(ring, dynamics, recording, dependence, notes)
 
 
@@ -163,10 +162,8 @@ def _usable(channel: Channel, name: str) -> NDArray[np.bool_]:
     present = np.isfinite(channel.values)
     saturated = channel.saturated
     if saturated.any():
-        warnings.warn(
-            f"{name}: {int(saturated.sum())} readings of {channel.name} rest on a limit; they are left out of the fit",
-            DoubtWarning,
-            stacklevel=3,
+        warn_quality(
+            f"{name}: {int(saturated.sum())} readings of {channel.name} rest on a limit; they are left out of the fit"
         )
     usable = present & ~saturated
     if np.count_nonzero(usable) < 16:

@@ -6,7 +6,6 @@ After a release F is constant, so that with X counted from its final rest X'' = 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -43,7 +42,7 @@ from aerobalance.identification.step_relaxation.record import ReleaseRecord, rel
 from aerobalance.identification.step_relaxation.stages import Units
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.recording import Recording
 
 
@@ -121,7 +120,7 @@ def identify_releases(
     )
     found = replace(found, notes=(*_notes_on_modes(found, chosen), *found.notes))
     for note in found.notes:
-        warnings.warn(f"{_called(records)}: {note}", DoubtWarning, stacklevel=2)
+        warn_quality(f"{_called(records)}: {note}")
     return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DoubtWarning, FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 
@@ -66,11 +65,9 @@ def release_record(recording: Recording, components: tuple[str, ...]) -> Release
     for channel in channels:
         saturated = channel.saturated
         if saturated.any():
-            warnings.warn(
+            warn_quality(
                 f"{recording.name}: {int(saturated.sum())} readings of {channel.name} rest on a limit; they are left "
-                "out of the fit",
-                DoubtWarning,
-                stacklevel=3,
+                "out of the fit"
             )
         usable &= np.isfinite(channel.values) & ~saturated
     if np.count_nonzero(usable) < FEWEST:
