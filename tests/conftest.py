@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import hypothesis
+import numpy as np
 import pytest
 
 import seeds
@@ -18,6 +19,18 @@ SEED = pytest.StashKey[int]()
 # Without a time limit for one example: a busy machine would fail it.
 hypothesis.settings.register_profile("fixed", derandomize=True, database=None, deadline=None)
 hypothesis.settings.register_profile("fresh", derandomize=False, database=None, deadline=None)
+
+
+@pytest.fixture
+def seed() -> int:
+    """Seed of this test, for what takes one; it follows from that of the run and from the test's name."""
+    return seeds.new_seed()
+
+
+@pytest.fixture
+def rng(seed: int) -> np.random.Generator:
+    """Random numbers of this test, the same at every run unless another seed is given."""
+    return np.random.default_rng(seed)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

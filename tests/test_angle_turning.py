@@ -19,7 +19,6 @@ from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_components import SixSimulation
 from aerobalance.simulation.six_signals import Band, random_motion
 from aerobalance.validation.unmeasured_rotation import turning_by_angles
-from seeds import fresh
 
 DURATION = 1.0
 RATE = 4000.0
@@ -61,58 +60,55 @@ def noisy(values, generator):
 
 
 @pytest.mark.parametrize("angle", ["pitch", "roll"])
-def test_turning_that_an_angle_shows_is_told_with_its_size(angle):
-    generator, seed = fresh()
+def test_turning_that_an_angle_shows_is_told_with_its_size(angle, rng):
     size = 20.0
-    dynamics, run = turned(generator, turning=(size, 0.0) if angle == "pitch" else (0.0, size))
+    dynamics, run = turned(rng, turning=(size, 0.0) if angle == "pitch" else (0.0, size))
     recording = seen_by(run)
     channel = recording.channel(angle)
-    told = replace(channel, values=noisy(channel.values, generator))
+    told = replace(channel, values=noisy(channel.values, rng))
     recording = replace(recording, channels={**recording.channels, angle: told})
     estimates = forces(recording, dynamics)
     (text,) = turning_by_angles(recording, dynamics, estimates)
     moment = "PM" if angle == "pitch" else "RM"
-    assert text.startswith(f"{angle} shows turning, and no sensor"), seed
+    assert text.startswith(f"{angle} shows turning, and no sensor")
     assert f"ground_turn_{moment}" in text
-    assert "unless" not in text, (text, seed)
+    assert "unless" not in text, text
     assert text in Coupled(dynamics).doubts(recording, estimates)
     stated = float(text.split(f" N*m rms in {moment}")[0].split()[-1])
     error = float(np.std(estimates[moment].values - run.applied[:, COMPONENTS.index(moment)]))
     # the window passes half of the turning at the frequency that is named, which is above the band; the number has
     # two digits, and the force is found a little less than whole
-    assert 0.5 * error < stated < 1.1 * error, (stated, error, seed)
+    assert 0.5 * error < stated < 1.1 * error, (stated, error)
     # with the angular acceleration recorded there is nothing to tell
     whole = seen_by(run, without=("nothing",))
-    assert turning_by_angles(whole, dynamics, forces(whole, dynamics)) == [], seed
+    assert turning_by_angles(whole, dynamics, forces(whole, dynamics)) == []
 
 
-def test_noise_of_an_angle_behind_a_filter_is_told_as_what_it_may_be():
-    generator, seed = fresh()
-    dynamics, run = turned(generator, pitch=sweep)
-    white = generator.normal(0, 1, run.pitch.size)
+def test_noise_of_an_angle_behind_a_filter_is_told_as_what_it_may_be(rng):
+    dynamics, run = turned(rng, pitch=sweep)
+    white = rng.normal(0, 1, run.pitch.size)
     smooth = sosfilt(butter(2, 20, fs=RATE, output="sos"), white)
     recording = seen_by(run, pitch=run.pitch + np.deg2rad(0.01) * smooth / smooth.std())
     estimates = forces(recording, dynamics)
     # under no load the force shows that nothing turns
-    assert turning_by_angles(recording, dynamics, estimates) == [], seed
+    assert turning_by_angles(recording, dynamics, estimates) == []
     # under gusts of some N*m, in which 1 s tells nothing of it, it may be either
-    gust = sosfilt(butter(2, 30, fs=RATE, output="sos"), generator.normal(0, 1, run.pitch.size))
+    gust = sosfilt(butter(2, 30, fs=RATE, output="sos"), rng.normal(0, 1, run.pitch.size))
     gust *= 100 * dynamics.mass.matrix[1, 1] / gust.std()
     moved = estimates | {"PM": replace(estimates["PM"], values=estimates["PM"].values + gust)}
     texts = turning_by_angles(recording, dynamics, moved)
-    assert len(texts) == 1, seed
-    assert "unless it is noise of pitch that a filter has coloured" in texts[0], seed
+    assert len(texts) == 1
+    assert "unless it is noise of pitch that a filter has coloured" in texts[0]
 
 
-def test_turning_too_small_to_matter_is_not_told():
-    generator, seed = fresh()
-    dynamics, run = turned(generator, turning=(1e-6, 1e-6))
+def test_turning_too_small_to_matter_is_not_told(rng):
+    dynamics, run = turned(rng, turning=(1e-6, 1e-6))
     recording = seen_by(run)
     estimates = forces(recording, dynamics)
     place = COMPONENTS.index("PM")
     u = np.sqrt(np.mean(estimates["PM"].uncertainty ** 2))
-    assert 1e-6 * dynamics.mass.matrix[place, place] < 0.25 * u, seed
-    assert turning_by_angles(recording, dynamics, estimates) == [], seed
+    assert 1e-6 * dynamics.mass.matrix[place, place] < 0.25 * u
+    assert turning_by_angles(recording, dynamics, estimates) == []
 
 
 def sweep(time):
@@ -135,18 +131,16 @@ def hum(values, generator):
     )
 
 
-def test_a_steady_sweep_is_no_turning_however_it_is_read():
-    generator, seed = fresh()
-    dynamics, run = turned(generator, pitch=sweep)
+def test_a_steady_sweep_is_no_turning_however_it_is_read(rng):
+    dynamics, run = turned(rng, pitch=sweep)
     estimates = forces(run.recording, dynamics)
     for read in (noisy, counts, held, hum):
-        recording = seen_by(run, pitch=read(run.pitch, generator))
-        assert turning_by_angles(recording, dynamics, estimates) == [], (read.__name__, seed)
+        recording = seen_by(run, pitch=read(run.pitch, rng))
+        assert turning_by_angles(recording, dynamics, estimates) == [], read.__name__
 
 
-def test_a_balance_without_mass_or_angle_says_nothing():
-    generator, _ = fresh()
-    dynamics, run = turned(generator, pitch=sweep)
+def test_a_balance_without_mass_or_angle_says_nothing(rng):
+    dynamics, run = turned(rng, pitch=sweep)
     estimates: dict = {}
     assert turning_by_angles(run.recording, replace(dynamics, mass=None), estimates) == []
     bare = replace(run.recording, channels={name: run.recording.channel(name) for name in COMPONENTS})

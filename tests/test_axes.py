@@ -8,16 +8,8 @@ from aerobalance.dynamics.coupled import RigidMass
 from aerobalance.recording.components import COMPONENTS, MOMENTS, VECTORS
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.frames import PLACEMENT, WIND_NAMES, Frame, ResolvedLoads, coefficients, wind_loads
-from seeds import new_seed
 
 NF, PM, SF, YM, RM, AF = range(6)
-
-
-@pytest.fixture
-def rng():
-    seed = new_seed()
-    print("seed", seed)  # noqa: T201 - shown where a test fails
-    return np.random.default_rng(seed)
 
 
 def loads(**values):

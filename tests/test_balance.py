@@ -17,7 +17,6 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.terms import KINDS, codes, terms_of
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.simulation.calibration_stand import CAPACITIES, random_balance
-from seeds import generator
 
 MODELS = ("linear", "quadratic", "abs", "27", "96")
 seeds = st.integers(0, 2**63 - 1)
@@ -170,8 +169,7 @@ def test_terms_beside_plain_numpy(seed: int) -> None:
     np.testing.assert_allclose(kernels.design(*codes(matrix.terms), x), H, rtol=4 * np.finfo(float).eps)
 
 
-def test_inverse_beside_a_general_solver() -> None:
-    rng = generator()
+def test_inverse_beside_a_general_solver(rng) -> None:
     matrix = random_balance(int(rng.integers(2**31)))
     outputs = matrix.outputs(some_loads(rng, 10))
     loads = matrix.loads(outputs).loads / CAPACITIES
@@ -181,8 +179,7 @@ def test_inverse_beside_a_general_solver() -> None:
         np.testing.assert_allclose(x, found.x, rtol=0, atol=1e-11)
 
 
-def test_jacobian_beside_differences() -> None:
-    rng = generator()
+def test_jacobian_beside_differences(rng) -> None:
     matrix = random_balance(int(rng.integers(2**31)))
     x = rng.uniform(0.1, 1, (5, 6)) * rng.choice([-1, 1], (5, 6))  # away from the kinks
     J = kernels.jacobians(*codes(matrix.terms), matrix.coefficients, x)
@@ -195,8 +192,7 @@ def test_jacobian_beside_differences() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_kernels_without_compilation(model: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = generator()
+def test_kernels_without_compilation(model: str, monkeypatch: pytest.MonkeyPatch, rng) -> None:
     matrix = random_balance(int(rng.integers(2**31)), model=model)
     x = some_loads(rng, 6) / CAPACITIES
     terms, C = codes(matrix.terms), np.ascontiguousarray(matrix.coefficients)
@@ -236,8 +232,7 @@ def test_contraction_in_closed_form() -> None:
 
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
-def test_sensitivity_beside_differences(way: str) -> None:
-    rng = generator()
+def test_sensitivity_beside_differences(way: str, rng) -> None:
     matrix = replace(random_balance(int(rng.integers(2**31))), way=way)
     loads = rng.uniform(0.1, 1, (3, 6)) * CAPACITIES
     outputs, step = matrix.outputs(loads), 1e-5
@@ -250,8 +245,7 @@ def test_sensitivity_beside_differences(way: str) -> None:
         np.testing.assert_allclose(change / scale, expected / scale, rtol=0, atol=1e-6)
 
 
-def test_output_of_many_samples_is_that_of_few(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = generator()
+def test_output_of_many_samples_is_that_of_few(monkeypatch: pytest.MonkeyPatch, rng) -> None:
     matrix = random_balance(int(rng.integers(2**31)))
     loads = some_loads(rng, 23)
     whole, covariance = matrix.outputs(loads), matrix.load_covariance(loads)
@@ -281,8 +275,7 @@ def one_component(terms, coefficients) -> BalanceMatrix:
     )
 
 
-def test_paper_form_solves_equation_2() -> None:
-    rng = generator()
+def test_paper_form_solves_equation_2(rng) -> None:
     matrix = random_balance(int(rng.integers(2**31)), model="quadratic")
     loads = some_loads(rng, 20)
     form = matrix.paper_form()

@@ -20,7 +20,7 @@ from aerobalance.balance.terms import terms_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, SimulatedCalibration, random_balance
-from seeds import generator, seed_from, trials
+from seeds import new_seed, seed_from, trials
 from tare_bound import tare_bound
 
 NOISE = 0.7e-3
@@ -67,8 +67,7 @@ def single_loads(
 # ---- Eq. (2) --------------------------------------------------------------------------------------------
 
 
-def test_equation_2_comes_back_to_rounding() -> None:
-    rng = generator()
+def test_equation_2_comes_back_to_rounding(rng) -> None:
     own = CAPACITIES / rng.uniform(0.8, 1.4, 6) * rng.choice([-1, 1], 6)
     cross = rng.normal(0, 0.03, (6, 6)) * CAPACITIES[:, None] / CAPACITIES
     np.fill_diagonal(cross, 0)
@@ -103,7 +102,7 @@ def test_equation_2_comes_back_to_rounding() -> None:
 
 @pytest.fixture(scope="module")
 def draws() -> list[tuple[BalanceMatrix, SimulatedCalibration, Calibration]]:
-    rng = generator()
+    rng = np.random.default_rng(new_seed())
     found = []
     for _ in range(trials(12, 20)):
         balance = random_balance(seed_from(rng))
@@ -145,8 +144,7 @@ def test_tares_reach_the_bound_and_are_covered(draws) -> None:
     assert abs(np.mean(scores) - 1) < limit + 0.05
 
 
-def test_longer_series_tell_tares_to_three_hundredths_of_a_percent() -> None:
-    rng = generator()
+def test_longer_series_tell_tares_to_three_hundredths_of_a_percent(rng) -> None:
     balance = random_balance(seed_from(rng))
     run = CalibrationStand(balance, noise=NOISE, repeats=4).run(seed_from(rng))
     error = (calibrate(run.schedule, model="96").tares - run.tares) / CAPACITIES
@@ -170,8 +168,7 @@ def test_both_ways_to_the_tares_agree(draws) -> None:
         assert np.max(np.abs(fit.tares - fit.tares_by_iteration) / CAPACITIES) < limit < 5e-4
 
 
-def test_heavy_fixtures_without_noise() -> None:
-    rng = generator()
+def test_heavy_fixtures_without_noise(rng) -> None:
     balance = random_balance(seed_from(rng))
     run = CalibrationStand(balance, tare_size=0.1).without_noise().run(seed_from(rng))
     fit = calibrate(run.schedule, model="96")
@@ -196,8 +193,7 @@ def test_residuals_are_the_noise(draws) -> None:
 
 
 @pytest.mark.parametrize("model", ["linear", "96"])
-def test_iterative_and_non_iterative_matrices_agree(model: str) -> None:
-    rng = generator()
+def test_iterative_and_non_iterative_matrices_agree(model: str, rng) -> None:
     balance = random_balance(seed_from(rng), model=model)
     schedule = CalibrationStand(balance, noise=NOISE).run(seed_from(rng)).schedule
     one, other = (calibrate(schedule, model=model, way=way).matrix for way in ("iterative", "non-iterative"))
@@ -210,8 +206,7 @@ def test_iterative_and_non_iterative_matrices_agree(model: str) -> None:
     assert (np.sqrt(np.mean(difference**2, axis=0)) < noise * (0.1 if model == "linear" else 1)).all()
 
 
-def test_tares_without_noise_are_exact() -> None:
-    rng = generator()
+def test_tares_without_noise_are_exact(rng) -> None:
     balance = random_balance(seed_from(rng))
     run = CalibrationStand(balance).without_noise().run(seed_from(rng))
     fit = calibrate(run.schedule, model="96")
@@ -221,8 +216,7 @@ def test_tares_without_noise_are_exact() -> None:
     np.testing.assert_allclose(fit.matrix.coefficients * gain, balance.coefficients, rtol=0, atol=1e-10)
 
 
-def test_nothing_absolute_without_natural_zeros() -> None:
-    rng = generator()
+def test_nothing_absolute_without_natural_zeros(rng) -> None:
     schedule = (
         CalibrationStand(random_balance(seed_from(rng)), natural_zeros=False, tare_size=0.0)
         .run(seed_from(rng))
@@ -259,17 +253,16 @@ def cover_of_errors(model: str, rng: np.random.Generator, *, count: int) -> Arra
     ("model", "fixed", "soak"),
     [("linear", 40, 100), ("abs", 40, 100), pytest.param("96", 20, 40, marks=pytest.mark.slow)],
 )
-def test_covariance_of_loads_against_monte_carlo(model: str, fixed: int, soak: int) -> None:
+def test_covariance_of_loads_against_monte_carlo(model: str, fixed: int, soak: int, rng) -> None:
     count = trials(fixed, soak)
-    ratio = cover_of_errors(model, generator(), count=count)
+    ratio = cover_of_errors(model, rng, count=count)
     # six components are independent; the four loads of one draw need not be
     limit = scipy.stats.norm.isf(FALSE_ALARM / 2) * np.sqrt(2 / (6 * count))
     assert abs(ratio.mean() - 1) < limit + 0.05, f"{ratio.mean()} is not 1 +- {limit}"
 
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
-def test_known_noise_of_the_readings_is_not_counted_as_scatter(way: str) -> None:
-    rng = generator()
+def test_known_noise_of_the_readings_is_not_counted_as_scatter(way: str, rng) -> None:
     balance = random_balance(seed_from(rng), model="linear")
     schedule = CalibrationStand(balance, noise=NOISE).run(seed_from(rng)).schedule
     plain = calibrate(schedule, model="linear", way=way).matrix
@@ -284,8 +277,7 @@ def test_known_noise_of_the_readings_is_not_counted_as_scatter(way: str) -> None
     np.testing.assert_allclose(matrix.load_covariance(loads), rest.load_covariance(loads), rtol=1e-9)
 
 
-def test_readings_quieter_than_the_noise_given_are_doubted() -> None:
-    rng = generator()
+def test_readings_quieter_than_the_noise_given_are_doubted(rng) -> None:
     noise = 0.2e-3  # so small that no reading is an outlier, which takes 2.5e-3
     schedule = (
         CalibrationStand(random_balance(seed_from(rng), model="linear"), noise=noise).run(seed_from(rng)).schedule
@@ -300,8 +292,7 @@ def test_readings_quieter_than_the_noise_given_are_doubted() -> None:
 
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
-def test_bridges_have_each_its_own_noise(way: str) -> None:
-    rng = generator()
+def test_bridges_have_each_its_own_noise(way: str, rng) -> None:
     noise = 1e-4 * np.array([1.0, 2.0, 0.5, 1.5, 1.0, 3.0])  # so small that no reading is an outlier
     balance = random_balance(seed_from(rng), model="linear")
     schedule = CalibrationStand(balance, noise=0.0).run(seed_from(rng)).schedule
@@ -321,8 +312,7 @@ def test_bridges_have_each_its_own_noise(way: str) -> None:
         calibrate(schedule, model="linear", way=way, reading_noise={"rXX": 1e-4})
 
 
-def test_one_noise_for_bridges_that_differ_is_doubted_for_the_quiet_ones() -> None:
-    rng = generator()
+def test_one_noise_for_bridges_that_differ_is_doubted_for_the_quiet_ones(rng) -> None:
     noise = 1e-4 * np.array([1.0, 0.25, 1.0, 1.0, 1.0, 1.0])
     balance = random_balance(seed_from(rng), model="linear")
     schedule = CalibrationStand(balance, noise=0.0).run(seed_from(rng)).schedule
@@ -361,16 +351,15 @@ def covers(truth: str, model: str, rng: np.random.Generator, *, count: int) -> l
         ("96", "auto", 0.91, 0.98),
     ],
 )
-def test_cover_of_confirmation_points(truth: str, model: str, low: float, high: float) -> None:
-    shares = covers(truth, model, generator(), count=trials(6, 12))
+def test_cover_of_confirmation_points(truth: str, model: str, low: float, high: float, rng) -> None:
+    shares = covers(truth, model, rng, count=trials(6, 12))
     assert low <= np.mean(shares) <= high, shares
 
 
 # ---- statistics against closed forms --------------------------------------------------------------------
 
 
-def test_regression_beside_closed_forms() -> None:
-    rng = generator()
+def test_regression_beside_closed_forms(rng) -> None:
     n, t = 60, 7
     X = rng.normal(size=(n, t))
     X[:, 3] = X[:, 2] + 0.3 * X[:, 3]
@@ -412,8 +401,7 @@ def test_regression_beside_closed_forms() -> None:
         np.testing.assert_allclose(inflated, (centred @ centred) / (unexplained @ unexplained), **close)
 
 
-def test_regression_with_terms_left_out_and_drawn_to_zero() -> None:
-    rng = generator()
+def test_regression_with_terms_left_out_and_drawn_to_zero(rng) -> None:
     n, t = 60, 7
     X, Z = rng.normal(size=(n, t)), np.eye(3)[np.arange(n) % 3]
     y = X @ rng.normal(size=t) + Z @ [1, 2, 3] + rng.normal(0, 0.5, n)
@@ -459,8 +447,7 @@ def unknown(fit: Calibration) -> set[str]:
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
 @pytest.mark.parametrize("model", ["linear", "quadratic", "96", "auto"])
-def test_single_loads_name_every_cross_term(model: str, way: str) -> None:
-    rng = generator()
+def test_single_loads_name_every_cross_term(model: str, way: str, rng) -> None:
     fit = calibrate(single_loads(random_balance(seed_from(rng)), rng), model=model, way=way)
     names = fit.matrix.variables
     # of all 96, whether or not the model offers them
@@ -468,8 +455,7 @@ def test_single_loads_name_every_cross_term(model: str, way: str) -> None:
     assert unknown(fit) == products
 
 
-def test_loads_of_one_direction_name_absolute_values() -> None:
-    rng = generator()
+def test_loads_of_one_direction_name_absolute_values(rng) -> None:
     fit = calibrate(single_loads(random_balance(seed_from(rng)), rng, low=0), model="96")
     assert {"|N1|", "|AF|", "N1*|N1|", "|RM*RM*RM|", "N1*N2"} <= unknown(fit)
     like = {item.term.label(fit.matrix.variables): item.like for item in fit.unidentified}
@@ -477,8 +463,7 @@ def test_loads_of_one_direction_name_absolute_values() -> None:
     assert like["N1*N2"] is None
 
 
-def test_small_parasitic_loads_do_not_make_products_known() -> None:
-    rng = generator()
+def test_small_parasitic_loads_do_not_make_products_known(rng) -> None:
     balance = random_balance(seed_from(rng))
     schedule = single_loads(balance, rng)
     loads = schedule.loads + rng.uniform(-1, 1, schedule.loads.shape) * 1e-3 * CAPACITIES
@@ -489,14 +474,12 @@ def test_small_parasitic_loads_do_not_make_products_known() -> None:
     )
 
 
-def test_pairs_of_loads_tell_all_terms() -> None:
-    rng = generator()
+def test_pairs_of_loads_tell_all_terms(rng) -> None:
     fit = calibrate(CalibrationStand(random_balance(seed_from(rng))).run(seed_from(rng)).schedule, model="96")
     assert unknown(fit) == set()
 
 
-def test_selection_keeps_what_is_there_and_little_else() -> None:
-    rng = generator()
+def test_selection_keeps_what_is_there_and_little_else(rng) -> None:
     balance = random_balance(seed_from(rng), model="linear")
     fit = calibrate(CalibrationStand(balance).run(seed_from(rng)).schedule, model="auto")
     linear = np.array([term.kind == 0 for term in fit.matrix.terms])
@@ -531,8 +514,7 @@ def balance_with(kind: int, size: float, rng: np.random.Generator) -> BalanceMat
     return replace(balance, coefficients=C)
 
 
-def test_bridges_with_two_sensitivities_are_found() -> None:
-    rng = generator()
+def test_bridges_with_two_sensitivities_are_found(rng) -> None:
     balance = balance_with(1, 0.01, rng)  # slopes 1.01 and 0.99: 2 % apart
     for schedule in (CalibrationStand(balance).run(seed_from(rng)).schedule, single_loads(balance, rng)):
         for direction in assess(calibrate(schedule, model="abs")).directions:
@@ -543,8 +525,7 @@ def test_bridges_with_two_sensitivities_are_found() -> None:
             assert direction.difference == pytest.approx(0.02, abs=0.006)
 
 
-def test_curved_and_plain_bridges_are_not_taken_for_it() -> None:
-    rng = generator()
+def test_curved_and_plain_bridges_are_not_taken_for_it(rng) -> None:
     false = 0
     for _ in range(10):
         # |F| fits a square of 0.03 to within 0.03 / sqrt(180) = 0.22 % of capacity, well above 0.06 % of noise
@@ -555,14 +536,12 @@ def test_curved_and_plain_bridges_are_not_taken_for_it() -> None:
     assert false <= 4
 
 
-def test_one_direction_tells_nothing_of_the_other() -> None:
-    rng = generator()
+def test_one_direction_tells_nothing_of_the_other(rng) -> None:
     schedule = single_loads(random_balance(seed_from(rng), model="linear"), rng, low=0)
     assert not any(item.known or item.bidirectional for item in assess(calibrate(schedule, model="linear")).directions)
 
 
-def test_outliers_hysteresis_and_repeats() -> None:
-    rng = generator()
+def test_outliers_hysteresis_and_repeats(rng) -> None:
     balance = random_balance(seed_from(rng), model="linear")
     clean = single_loads(balance, rng, noise=0.3e-3)
     quality = assess(calibrate(clean, model="linear"))
@@ -580,8 +559,7 @@ def test_outliers_hysteresis_and_repeats() -> None:
     assert 6e-3 * 0.6 < spoilt.outliers[0].residual < 6e-3 + 5 * 0.3e-3
 
 
-def test_hysteresis_between_going_up_and_down() -> None:
-    rng = generator()
+def test_hysteresis_between_going_up_and_down(rng) -> None:
     balance = random_balance(seed_from(rng), model="linear")
     schedule = CalibrationStand(balance, noise=0.05e-3, tare_size=0).run(seed_from(rng)).schedule
     # round loads, so that a load comes twice
@@ -607,8 +585,7 @@ def test_hysteresis_between_going_up_and_down() -> None:
 
 
 @pytest.mark.parametrize("model", ["linear", "abs", "quadratic", "96"])
-def test_healthy_schedules_raise_no_doubt(model: str) -> None:
-    rng = generator()
+def test_healthy_schedules_raise_no_doubt(model: str, rng) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", DataQualityWarning)
         for _ in range(3):

@@ -14,7 +14,7 @@ from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
 from aerobalance.balance.schedule import Schedule
 from aerobalance.recording.errors import FitError
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from seeds import generator, seed_from
+from seeds import seed_from
 
 FALSE_ALARM = 1e-6
 
@@ -35,8 +35,7 @@ def with_gain(balance: BalanceMatrix, component: int, gain: float) -> BalanceMat
 @pytest.mark.parametrize(
     ("model", "way"), [("linear", "iterative"), ("linear", "non-iterative"), ("abs", "iterative")]
 )
-def test_one_truth_twice_shows_no_drift(model: str, way: str) -> None:
-    rng = generator()
+def test_one_truth_twice_shows_no_drift(model: str, way: str, rng) -> None:
     alarms, scores = 0, []
     pairs = 40
     for _ in range(pairs):
@@ -53,8 +52,7 @@ def test_one_truth_twice_shows_no_drift(model: str, way: str) -> None:
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
 @pytest.mark.parametrize("gain", [1.01, 0.99])
-def test_one_percent_is_found_with_its_sign(gain: float, way: str) -> None:
-    rng = generator()
+def test_one_percent_is_found_with_its_sign(gain: float, way: str, rng) -> None:
     balance = random_balance(seed_from(rng), model="linear")
     before = calibrated(balance, rng, model="linear", way=way)
     after = calibrated(with_gain(balance, 4, gain), rng, model="linear", way=way)
@@ -69,8 +67,7 @@ def test_one_percent_is_found_with_its_sign(gain: float, way: str) -> None:
     assert drift.interactions[4, 4] == pytest.approx(found.relative, rel=1e-6)
 
 
-def test_columns_are_matched_by_name() -> None:
-    rng = generator()
+def test_columns_are_matched_by_name(rng) -> None:
     balance = random_balance(seed_from(rng), model="linear")
     before = calibrated(balance, rng, model="linear")
     schedule = CalibrationStand(with_gain(balance, 2, 1.01)).run(seed_from(rng)).schedule
@@ -99,8 +96,7 @@ def test_columns_are_matched_by_name() -> None:
     np.testing.assert_allclose(drift.zero_change, straight.zero_change, rtol=0, atol=1e-14)
 
 
-def test_different_capacities_compare() -> None:
-    rng = generator()
+def test_different_capacities_compare(rng) -> None:
     schedule = CalibrationStand(random_balance(seed_from(rng), model="linear")).run(seed_from(rng)).schedule
     larger = replace(schedule, capacities=1.5 * schedule.capacities)
     drift = compare_calibrations(*(calibrate(item, model="linear").matrix for item in (schedule, larger)))
@@ -109,8 +105,7 @@ def test_different_capacities_compare() -> None:
     assert (drift.load_difference < 1e-9).all()
 
 
-def test_zeros_are_compared_where_both_have_them() -> None:
-    rng = generator()
+def test_zeros_are_compared_where_both_have_them(rng) -> None:
     balance = random_balance(seed_from(rng), model="linear")
     before = calibrated(balance, rng, model="linear")
     shifted = replace(balance, natural_zero=balance.natural_zero + 0.01)
@@ -145,8 +140,7 @@ def some_effects(rng: np.random.Generator) -> tuple[TemperatureEffect, ...]:
 
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
-def test_effects_of_temperature_come_back(way: str) -> None:
-    rng = generator()
+def test_effects_of_temperature_come_back(way: str, rng) -> None:
     zeros, gains = [], []
     for _ in range(15):
         balance = random_balance(seed_from(rng), model="linear")
@@ -162,8 +156,7 @@ def test_effects_of_temperature_come_back(way: str) -> None:
         assert low * 0.97 < np.sum(np.square(scores)) < high * 1.05
 
 
-def test_effects_of_temperature_are_taken_out_of_the_residuals() -> None:
-    rng = generator()
+def test_effects_of_temperature_are_taken_out_of_the_residuals(rng) -> None:
     balance = random_balance(seed_from(rng), model="linear")
     effects = tuple(TemperatureEffect(20.0, 1e-3, 0.0, 5e-4, 0.0) for _ in range(6))  # up to 0.4 % of capacity
     schedule = warm_schedule(balance, effects, rng)
@@ -176,8 +169,7 @@ def test_effects_of_temperature_are_taken_out_of_the_residuals() -> None:
     np.testing.assert_allclose(fit.tares / CAPACITIES, fit.tares_by_iteration / CAPACITIES, rtol=0, atol=5e-5)
 
 
-def test_steady_temperature_tells_no_effects() -> None:
-    rng = generator()
+def test_steady_temperature_tells_no_effects(rng) -> None:
     schedule = CalibrationStand(random_balance(seed_from(rng), model="linear")).run(seed_from(rng)).schedule
     steady = replace(schedule, temperature=20 + rng.uniform(0, 0.5, len(schedule.points)))
     assert not calibrate(steady, model="linear").matrix.temperature

@@ -13,7 +13,6 @@ from aerobalance.balance.calibration.fit import calibrate
 from aerobalance.balance.schedule import Schedule
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from seeds import generator
 
 NOISE = 0.7e-3
 Maker = Callable[[np.random.Generator], Schedule]
@@ -77,8 +76,8 @@ def problem(schedule: Schedule, *, model: str = "linear") -> str:
 
 @both
 @component
-def test_dead_bridge_that_reads_one_number(make: Maker, index: int) -> None:
-    schedule = make(generator())
+def test_dead_bridge_that_reads_one_number(make: Maker, index: int, rng) -> None:
+    schedule = make(rng)
     outputs = schedule.outputs.copy()
     outputs[:, index] = 0.1
     name = schedule.components[index]
@@ -87,8 +86,7 @@ def test_dead_bridge_that_reads_one_number(make: Maker, index: int) -> None:
 
 @both
 @component
-def test_dead_bridge_that_reads_noise(make: Maker, index: int) -> None:
-    rng = generator()
+def test_dead_bridge_that_reads_noise(make: Maker, index: int, rng) -> None:
     schedule = make(rng)
     outputs = schedule.outputs.copy()
     outputs[:, index] = 0.1 + rng.normal(0, NOISE, len(outputs))
@@ -97,8 +95,8 @@ def test_dead_bridge_that_reads_noise(make: Maker, index: int) -> None:
 
 @both
 @pytest.mark.parametrize(("index", "other"), [(0, 1), (2, 5), (3, 4)])
-def test_crossed_wires(make: Maker, index: int, other: int) -> None:
-    schedule = make(generator())
+def test_crossed_wires(make: Maker, index: int, other: int, rng) -> None:
+    schedule = make(rng)
     outputs = schedule.outputs.copy()
     outputs[:, [index, other]] = outputs[:, [other, index]]
     first, second = schedule.components[index], schedule.components[other]
@@ -108,8 +106,8 @@ def test_crossed_wires(make: Maker, index: int, other: int) -> None:
     )
 
 
-def test_wires_crossed_in_a_ring() -> None:
-    schedule = stand(generator())
+def test_wires_crossed_in_a_ring(rng) -> None:
+    schedule = stand(rng)
     refused(
         replace(schedule, outputs=schedule.outputs[:, [1, 2, 0, 3, 4, 5]]), match="crossed wires: the bridge of N1"
     )
@@ -117,8 +115,8 @@ def test_wires_crossed_in_a_ring() -> None:
 
 @both
 @component
-def test_wrong_sign_in_one_series(make: Maker, index: int) -> None:
-    schedule = make(generator())
+def test_wrong_sign_in_one_series(make: Maker, index: int, rng) -> None:
+    schedule = make(rng)
     loads = schedule.loads.copy()
     # the series that loads this component most
     span = [np.ptp(loads[schedule.series == k, index]) for k in range(len(schedule.series_names))]
@@ -131,8 +129,8 @@ def test_wrong_sign_in_one_series(make: Maker, index: int) -> None:
 
 @both
 @component
-def test_component_that_is_never_loaded(make: Maker, index: int) -> None:
-    schedule = make(generator())
+def test_component_that_is_never_loaded(make: Maker, index: int, rng) -> None:
+    schedule = make(rng)
     loads = schedule.loads.copy()
     loads[:, index] = 0
     refused(replace(schedule, loads=loads), match=f"{schedule.components[index]} is never loaded")
@@ -141,8 +139,8 @@ def test_component_that_is_never_loaded(make: Maker, index: int) -> None:
 @both
 @component
 @pytest.mark.parametrize("factor", [4.448, 1 / 4.448])
-def test_series_in_other_units(make: Maker, index: int, factor: float) -> None:
-    schedule = make(generator())
+def test_series_in_other_units(make: Maker, index: int, factor: float, rng) -> None:
+    schedule = make(rng)
     loads = schedule.loads.copy()
     span = [np.ptp(loads[schedule.series == k, index]) for k in range(len(schedule.series_names))]
     number = int(np.argmax(span))
@@ -155,8 +153,8 @@ def test_series_in_other_units(make: Maker, index: int, factor: float) -> None:
 
 @both
 @component
-def test_drifting_bridge_is_refused(make: Maker, index: int) -> None:
-    schedule = make(generator())
+def test_drifting_bridge_is_refused(make: Maker, index: int, rng) -> None:
+    schedule = make(rng)
     outputs = schedule.outputs.copy()
     # to and fro by three times the output at capacity within the longest series
     number = int(np.argmax(np.bincount(schedule.series)))
@@ -169,8 +167,8 @@ def test_drifting_bridge_is_refused(make: Maker, index: int) -> None:
 
 @both
 @component
-def test_slowly_drifting_zero_is_doubted(make: Maker, index: int) -> None:
-    schedule = make(generator())
+def test_slowly_drifting_zero_is_doubted(make: Maker, index: int, rng) -> None:
+    schedule = make(rng)
     outputs = schedule.outputs.copy()
     number = int(np.flatnonzero(np.bincount(schedule.series) > 7)[-1])
     inside = schedule.series == number
@@ -182,8 +180,7 @@ def test_slowly_drifting_zero_is_doubted(make: Maker, index: int) -> None:
 
 @both
 @component
-def test_noisy_bridge_is_doubted(make: Maker, index: int) -> None:
-    rng = generator()
+def test_noisy_bridge_is_doubted(make: Maker, index: int, rng) -> None:
     schedule = make(rng)
     outputs = schedule.outputs.copy()
     loaded = (np.abs(schedule.loads) > 0.1 * CAPACITIES).any(axis=1)
@@ -193,8 +190,8 @@ def test_noisy_bridge_is_doubted(make: Maker, index: int) -> None:
 
 
 @both
-def test_sensitivity_of_one_series_is_doubted(make: Maker) -> None:
-    schedule = make(generator())
+def test_sensitivity_of_one_series_is_doubted(make: Maker, rng) -> None:
+    schedule = make(rng)
     outputs = schedule.outputs.copy()
     inside = schedule.series == 0
     outputs[inside, 0] *= 1.15
@@ -205,8 +202,8 @@ def test_sensitivity_of_one_series_is_doubted(make: Maker) -> None:
 
 @both
 @component
-def test_bridge_that_dies_half_way(make: Maker, index: int) -> None:
-    schedule = make(generator())
+def test_bridge_that_dies_half_way(make: Maker, index: int, rng) -> None:
+    schedule = make(rng)
     outputs = schedule.outputs.copy()
     span = [np.ptp(schedule.loads[schedule.series == k, index]) for k in range(len(schedule.series_names))]
     number = int(np.flatnonzero(np.array(span) > CAPACITIES[index] / 2)[-1])
@@ -214,15 +211,14 @@ def test_bridge_that_dies_half_way(make: Maker, index: int) -> None:
     assert f"the bridge of {schedule.components[index]} " in problem(replace(schedule, outputs=outputs))
 
 
-def test_few_points_are_refused() -> None:
-    schedule = single(generator())
+def test_few_points_are_refused(rng) -> None:
+    schedule = single(rng)
     held = np.ones(len(schedule.points), dtype=bool)
     held[:6] = False
     refused(replace(schedule, confirmation=held), match="6 points; a matrix of 6 components needs at least 8")
 
 
 @both
-def test_healthy_schedules_raise_nothing(make: Maker) -> None:
-    rng = generator()
+def test_healthy_schedules_raise_nothing(make: Maker, rng) -> None:
     for _ in range(10):
         assert problem(make(rng), model="96") == ""

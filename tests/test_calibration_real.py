@@ -14,7 +14,6 @@ from aerobalance.balance.calibration.quality import assess
 from aerobalance.balance.terms import terms_of
 from aerobalance.io.schedule import read_schedule
 from aerobalance.recording.errors import DataQualityWarning, FitError
-from seeds import generator
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "internal-balance"
 
@@ -70,9 +69,9 @@ def test_directions_and_products_of_a_real_calibration() -> None:
     assert products <= set(fit.unidentified_labels)
 
 
-def test_chosen_terms_foretell_a_real_calibration_best() -> None:
+def test_chosen_terms_foretell_a_real_calibration_best(rng) -> None:
     schedule = fitted("100lb_2025-06.vol", "linear").schedule
-    folds = generator().integers(0, 4, len(schedule.loads))
+    folds = rng.integers(0, 4, len(schedule.loads))
     missed = {model: [] for model in ("linear", "96", "auto")}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)

@@ -11,7 +11,6 @@ import pytest
 from scipy.signal import butter, filtfilt
 
 from aerobalance.app.cli import main
-from seeds import new_seed
 
 MASS, STIFFNESS, DAMPING = 177.87, 3.4e7, 3000.0
 RATE, COUNT, RELEASE, HELD = 1600.0, 2400, 0.3, 5000.0
@@ -30,19 +29,13 @@ HAND_MADE = {
 
 
 @pytest.fixture
-def seed():
-    return new_seed()
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch, seed):
+def here(tmp_path, monkeypatch, rng):
     """A folder with a free decay, a table of points, a table of a response and a dynamics.json, all with noise."""
     monkeypatch.chdir(tmp_path)
-    generator = np.random.default_rng(seed)
     time = np.arange(COUNT) / RATE
-    Path("cut.csv").write_text(table("time [s],AF [N]", time, decay(time) + generator.normal(size=COUNT) * 5))
+    Path("cut.csv").write_text(table("time [s],AF [N]", time, decay(time) + rng.normal(size=COUNT) * 5))
     pitch = np.array([-10.0, -5, 0, 5, 10, 15])
-    load = 12 + MASS * 9.80665 * np.sin(np.radians(pitch)) + generator.normal(size=6) * 0.1
+    load = 12 + MASS * 9.80665 * np.sin(np.radians(pitch)) + rng.normal(size=6) * 0.1
     Path("points.csv").write_text(table("pitch [deg],AF [N]", pitch, load))
     Path("dynamics.json").write_text(json.dumps(HAND_MADE))
     return tmp_path
@@ -256,14 +249,14 @@ def test_info_tells_duration_rate_and_channels(here, capsys):
     assert re.search(r"^ AF +N( +-?\d\S*){4} +- +-$", out, re.MULTILINE)
 
 
-def test_weighed_mass_goes_into_the_decay_with_its_uncertainty(here, capsys, seed):
+def test_weighed_mass_goes_into_the_decay_with_its_uncertainty(here, capsys):
     code, out, err = call(capsys, "weigh points.csv -o mass.json --json")
     weighed = json.loads(out)
     assert (code, err) == (0, "")
     written = json.loads(Path("mass.json").read_text())["components"]["AF"]
     assert written["mass"] == weighed["mass"]
     code, out, err = call(capsys, "identify decay cut.csv --mass mass.json -o d.json --json")
-    assert (code, err) == (0, ""), f"{err} (seed {seed})"
+    assert (code, err) == (0, ""), f"{err}"
     found = json.loads(Path("d.json").read_text())
     assert json.loads(out)["components"] == found["components"]
     assert {entry["name"] for entry in found["provenance"]["inputs"]} == {"cut.csv", "mass.json"}
@@ -272,7 +265,7 @@ def test_weighed_mass_goes_into_the_decay_with_its_uncertainty(here, capsys, see
     frequency = np.sqrt(STIFFNESS / MASS) / (2 * np.pi)
     # Six standard uncertainties: one draw in 500 million lies outside.
     off = abs(entry["natural_frequency"]["value"] - frequency)
-    assert off < 6 * entry["natural_frequency"]["u"], f"seed {seed}"
+    assert off < 6 * entry["natural_frequency"]["u"]
     assert entry["natural_frequency"]["u"] < 1e-3 * frequency
 
 
@@ -293,14 +286,14 @@ def test_force_keeps_time_name_and_unit(unit, factor, here, capsys):
         assert part["mean"] == pytest.approx(got[:, 1].mean() * factor, abs=5e-4 * factor * got[:, 2].min())
 
 
-def test_smoother_finds_the_force_that_was_let_go(here, capsys, seed):
+def test_smoother_finds_the_force_that_was_let_go(here, capsys):
     code, _, err = call(capsys, "force cut.csv --dynamics dynamics.json -o f.csv")
     assert code == 0, err
     time, force, _ = np.loadtxt("f.csv", delimiter=",", skiprows=1).T
     late = time > RELEASE + 0.05
     # The promise for a step with 2 N noise is 0.2 % of half range from 50 ms after the release; here it is 5 N noise.
-    assert np.sqrt(np.mean(force[late] ** 2)) < 2.5 * 0.002 * HELD / 2, f"seed {seed}"
-    assert force[time < RELEASE - 0.05].mean() == pytest.approx(HELD, abs=5), f"seed {seed}"
+    assert np.sqrt(np.mean(force[late] ** 2)) < 2.5 * 0.002 * HELD / 2
+    assert force[time < RELEASE - 0.05].mean() == pytest.approx(HELD, abs=5)
 
 
 def test_same_inputs_give_the_same_bytes_but_for_the_time(here, capsys):
@@ -322,17 +315,16 @@ def test_same_inputs_give_the_same_bytes_but_for_the_time(here, capsys):
         assert written[0] == written[1], line
 
 
-def test_response_table_gives_dynamics(here, capsys, seed):
-    generator = np.random.default_rng(seed)
+def test_response_table_gives_dynamics(here, capsys, rng):
     frequency = np.linspace(10, 140, 14)
     s = 2j * np.pi * frequency
     response = STIFFNESS / (MASS * s**2 + DAMPING * s + STIFFNESS)
     u_amplitude, u_phase = 0.002 * abs(response), np.full(14, 0.1)
     columns = (
         frequency,
-        abs(response) + u_amplitude * generator.normal(size=14),
+        abs(response) + u_amplitude * rng.normal(size=14),
         u_amplitude,
-        np.degrees(np.angle(response)) + u_phase * generator.normal(size=14),
+        np.degrees(np.angle(response)) + u_phase * rng.normal(size=14),
         u_phase,
     )
     header = "frequency [Hz],amplitude [1],u_amplitude [1],phase [deg],u_phase [deg]"
@@ -341,7 +333,7 @@ def test_response_table_gives_dynamics(here, capsys, seed):
     assert code == 0, err
     entry = json.loads(Path("d.json").read_text())["components"]["AF"]
     for name, true in (("stiffness", STIFFNESS), ("damping", DAMPING)):
-        assert abs(entry[name]["value"] - true) < 6 * entry[name]["u"], f"seed {seed}"
+        assert abs(entry[name]["value"] - true) < 6 * entry[name]["u"]
 
 
 @pytest.mark.skipif(not TREADMILL.is_dir(), reason="the treadmill trials are not here")

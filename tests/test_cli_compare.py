@@ -18,25 +18,18 @@ from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor, band_noise
 from aerobalance.simulation.published import CABLE_CUT, TABLE_1, TABLE_2
 from aerobalance.validation.baselines import RIVALS, THIS, TUNED
-from seeds import new_seed
 
 T128 = CABLE_CUT.dynamics
 
 
 @pytest.fixture
-def seed():
-    return new_seed()
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch, seed):
+def here(tmp_path, monkeypatch, rng):
     """A folder with a cable cut, its truth, a second cut, a smooth load and hand-made dynamics."""
     monkeypatch.chdir(tmp_path)
-    generator = np.random.default_rng(seed)
-    save("cut", CableCut(release=0.5003).run(2.0, generator))
-    save("lab", CableCut(release=0.3002, cable_force=700.0).run(3.0, generator))
-    load = band_noise(generator, low=0, high=60, rms=200.0, period=4.0)
-    save("smooth", CableCut(cable_force=0.0, applied=load, sensors={"AF": Sensor(noise=2.0)}).run(2.0, generator))
+    save("cut", CableCut(release=0.5003).run(2.0, rng))
+    save("lab", CableCut(release=0.3002, cable_force=700.0).run(3.0, rng))
+    load = band_noise(rng, low=0, high=60, rms=200.0, period=4.0)
+    save("smooth", CableCut(cable_force=0.0, applied=load, sensors={"AF": Sensor(noise=2.0)}).run(2.0, rng))
     values = {"mass": T128.mass, "stiffness": T128.stiffness, "damping": T128.damping}
     Path("dynamics.json").write_text(
         json.dumps({"components": {"AF": {key: {"value": value} for key, value in values.items()}}})
@@ -76,36 +69,36 @@ def test_moments_keep_their_unit(here, capsys):
     assert re.search(r"^rms: this estimator is first, \S+ N\*m; next is", out, flags=re.MULTILINE), out
 
 
-def test_table_with_truth(here, capsys, seed):
+def test_table_with_truth(here, capsys):
     line = "compare cut.csv --dynamics dynamics.json --truth cut_truth.csv --half-range 2000 --json"
     code, out, err = call(capsys, line)
-    assert code == 0, (err, seed)
+    assert code == 0, err
     account = json.loads(out)
     rows = {(row["name"], row["setting"]): row for row in account["rivals"]}
     assert [name for name, setting in rows if setting == "customary"] == list(RIVALS)
     assert {name for name, setting in rows if setting == "tuned on the truth"} == set(TUNED)
     own = rows[THIS, "customary"]
-    assert own["plateau"] < 1.0, seed  # total variation and a parametric step reach 0.2 to 0.8 N at 10 N of noise
-    assert rows["central differences", "customary"]["plateau"] == pytest.approx(352, rel=0.15), seed
+    assert own["plateau"] < 1.0  # total variation and a parametric step reach 0.2 to 0.8 N at 10 N of noise
+    assert rows["central differences", "customary"]["plateau"] == pytest.approx(352, rel=0.15)
     assert own["percent_of_half_range"]["rms"] == pytest.approx(own["rms"] / 20)
     assert account["half_range"] == {"value": 2000.0, "unit": "N", "from": "given"}
     assert account["jumps"] is True
-    assert any(text.startswith(f"rms: {THIS} is first") for text in account["verdict"]), (account["verdict"], seed)
+    assert any(text.startswith(f"rms: {THIS} is first") for text in account["verdict"]), account["verdict"]
     assert "model's own response" in rows["FIR deconvolution", "customary"]["settings"]
     # the edges of a jump are where a linear filter must fail: one sample half way is 510 N off
     assert rows["low-pass", "tuned on the truth"]["edge"] > 50
 
 
-def test_measured_step_makes_the_black_box_inverse(here, capsys, seed):
+def test_measured_step_makes_the_black_box_inverse(here, capsys):
     code, out, err = call(
         capsys, "compare cut.csv --dynamics dynamics.json --truth cut_truth.csv --step lab.csv --json"
     )
-    assert code == 0, (err, seed)
+    assert code == 0, err
     account = json.loads(out)
     row = next(row for row in account["rivals"] if row["name"] == "FIR deconvolution")
     assert "step response in lab.csv" in row["settings"]
     raw = next(row for row in account["rivals"] if row["name"] == "raw reading")
-    assert row["plateau"] < raw["plateau"] / 10, seed
+    assert row["plateau"] < raw["plateau"] / 10
     # half of the truth's span is half of the step
     assert account["half_range"]["value"] == pytest.approx(510.0)
 
@@ -132,7 +125,7 @@ def test_two_modes_are_labelled_and_used(here, seed):
     assert "notch at 66.37 Hz, 33.2 Hz wide, notch at 165 Hz, 82.5 Hz wide" in rows["notch and low-pass"]["settings"]
     assert "165 Hz left out" in rows["central differences"]["settings"]
     # at 10 N of noise the one-mode plateau is known to a newton (see above), and a second mode adds none
-    assert rows[THIS]["plateau"] < 1.0, seed
+    assert rows[THIS]["plateau"] < 1.0
 
 
 def test_without_truth_only_differences_are_shown(here, capsys):
@@ -172,12 +165,12 @@ def test_page_stands_alone(here, capsys, truth):
         ("-o cut.csv", 2, "is an input and would be overwritten"),
     ],
 )
-def test_refused_with_a_reason(here, capsys, *, line, code, says):
+def test_refused_with_a_reason(here, capsys, rng, *, line, code, says):
     time = np.arange(3200) / 1600
     for name, clock in (("late", time + 0.4 / 1600), ("slow", time[::2]), ("short", time[:1000])):
         truth = {"AF": Channel("AF", np.zeros(clock.size), "N")}
         write_recording(Path(f"{name}.csv"), Recording.from_columns(clock, truth))
-    noise = {"AF": Channel("AF", np.random.default_rng(new_seed()).normal(size=3200), "N")}
+    noise = {"AF": Channel("AF", rng.normal(size=3200), "N")}
     write_recording(Path("quiet.csv"), Recording.from_columns(time, noise))
     before = Path("cut.csv").read_text()
     got, out, err = call(capsys, f"compare cut.csv --dynamics dynamics.json {line}")
@@ -208,8 +201,7 @@ def short_tables(monkeypatch):
     monkeypatch.setattr(tables, "rig_experiments", lambda generator: [])
 
 
-def test_tables_have_printed_and_measured_rows_and_repeat_themselves_with_a_seed(short_tables, tmp_path, capsys):
-    seed = new_seed()
+def test_tables_have_printed_and_measured_rows_and_repeat_themselves_with_a_seed(short_tables, tmp_path, capsys, seed):
     code, out, err = call(capsys, f"demo --tables --out {tmp_path} --seed {seed} --json")
     assert code == 0, err
     account = json.loads(out)

@@ -20,23 +20,22 @@ from seeds import new_seed
 
 
 @pytest.fixture(scope="module")
-def cut(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CoupledBalance, SixSimulation, int]:
+def cut(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CoupledBalance, SixSimulation]:
     """A folder with the record of a release, run.h5, and the balance's dynamics.json."""
-    entropy = new_seed()
-    generator = np.random.default_rng(entropy)
-    balance = random_balance(generator)
+    rng = np.random.default_rng(new_seed())
+    balance = random_balance(rng)
     rig = SixComponentRig(balance, releases=(Release(0.3 * balance.half_range, 0.1001),), output="loads")
-    simulation = rig.run(0.25, generator)
+    simulation = rig.run(0.25, rng)
     folder = tmp_path_factory.mktemp("six")
     write_recording(folder / "run.h5", simulation.recording)
     write_coupled(folder / "dynamics.json", replace(balance.dynamics, mass=balance.mass))
-    return folder, balance, simulation, entropy
+    return folder, balance, simulation
 
 
 def test_force_takes_a_file_of_coupled_dynamics(
-    cut: tuple[Path, CoupledBalance, SixSimulation, int], capsys: pytest.CaptureFixture[str]
+    cut: tuple[Path, CoupledBalance, SixSimulation], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder, balance, simulation, entropy = cut
+    folder, balance, simulation = cut
     out = folder / "force.csv"
     assert (
         main(["force", str(folder / "run.h5"), "--dynamics", str(folder / "dynamics.json"), "-o", str(out), "--json"])
@@ -46,16 +45,16 @@ def test_force_takes_a_file_of_coupled_dynamics(
     found = read(out)
     for place, name in enumerate(COMPONENTS):
         steps = account["components"][name]["steps"]
-        assert [step["instant"] for step in steps] == pytest.approx([0.1001], abs=4e-6), f"{name}, seed {entropy}"
+        assert [step["instant"] for step in steps] == pytest.approx([0.1001], abs=4e-6), name
         error = found.channel(name).values - simulation.applied[:, place]
         error[np.abs(found.time - 0.1001) < 1e-4] = 0
         # 0.05 % of half range on the plateaus is what is promised
-        assert np.sqrt(np.mean(error**2)) < 5e-4 * balance.half_range[place], f"{name}, seed {entropy}"
+        assert np.sqrt(np.mean(error**2)) < 5e-4 * balance.half_range[place], name
         assert f"u_{name}" in found
 
 
 def test_force_says_which_component_lacks(
-    cut: tuple[Path, CoupledBalance, SixSimulation, int], capsys: pytest.CaptureFixture[str], tmp_path: Path
+    cut: tuple[Path, CoupledBalance, SixSimulation], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     folder, _, simulation, _ = cut
     recording = simulation.recording
@@ -78,7 +77,7 @@ def test_force_says_which_component_lacks(
     ],
 )
 def test_identify_decay_refuses_what_does_not_go_together(
-    cut: tuple[Path, CoupledBalance, SixSimulation, int],
+    cut: tuple[Path, CoupledBalance, SixSimulation],
     capsys: pytest.CaptureFixture[str],
     options: list[str],
     words: str,
@@ -89,7 +88,7 @@ def test_identify_decay_refuses_what_does_not_go_together(
 
 
 def test_one_component_is_identified_from_one_recording(
-    cut: tuple[Path, CoupledBalance, SixSimulation, int], capsys: pytest.CaptureFixture[str]
+    cut: tuple[Path, CoupledBalance, SixSimulation], capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = str(cut[0] / "run.h5")
     assert main(["identify", "decay", run, run, "--mass", "1"]) == 2

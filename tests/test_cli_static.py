@@ -18,19 +18,11 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.gravity import Attitudes
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from seeds import new_seed
 
 GRAVITY = 9.80665
 MASS = 60.0
 NOISE = 2e-4
 STIFFNESS, DAMPING = 3.0e7, 800.0
-
-
-@pytest.fixture
-def seed() -> int:
-    entropy = new_seed()
-    print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
-    return entropy
 
 
 @pytest.fixture
@@ -166,8 +158,7 @@ def test_summary_for_people(here, capsys):
     assert captured.err.startswith("warning: ")
 
 
-def test_loads_weigh_and_force_from_gauge_outputs(here, capsys, truth, seed):
-    generator = np.random.default_rng(seed)
+def test_loads_weigh_and_force_from_gauge_outputs(here, capsys, truth, rng):
     places = ["--distances", "12 12 10 10 cm"]
     run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json", *places)
     count, rate = 800, 400.0
@@ -176,7 +167,7 @@ def test_loads_weigh_and_force_from_gauge_outputs(here, capsys, truth, seed):
     for k, angle in enumerate(np.radians([-12.0, -6, 0, 6, 12])):
         pitch = np.full(count, angle)
         names.append(f"off{k}.csv")
-        write(names[-1], time, gauges(truth, weight(pitch), generator) | {"pitch [deg]": np.degrees(pitch)})
+        write(names[-1], time, gauges(truth, weight(pitch), rng) | {"pitch [deg]": np.degrees(pitch)})
     weighed = run(capsys, "weigh", *names, "--balance", "balance.json", "-o", "mass.json")
     mass, u = (weighed["components"]["AF"]["mass"][key] for key in ("value", "u"))
     # the weighed mass carries the calibration's error of AF, about one reading's worth of the range, over the sweep
@@ -186,7 +177,7 @@ def test_loads_weigh_and_force_from_gauge_outputs(here, capsys, truth, seed):
         [np.full(count, 800.0), np.full(count, 20.0), *[np.zeros(count)] * 3, np.full(count, 300.0)]
     )
     pitch = np.radians(6 * np.sin(2 * np.pi * 0.5 * time))
-    on = gauges(truth, weight(pitch) + aero, generator) | {"pitch [deg]": np.degrees(pitch)}
+    on = gauges(truth, weight(pitch) + aero, rng) | {"pitch [deg]": np.degrees(pitch)}
     write("on.csv", time, on)
     account = run(capsys, "loads", "on.csv", "--balance", "balance.json", "--mass", "mass.json", "-o", "loads.csv")
     assert account["zero"]["from"] == "natural zeros of the calibration"
@@ -200,16 +191,15 @@ def test_loads_weigh_and_force_from_gauge_outputs(here, capsys, truth, seed):
         assert abs(entry["mean"] - expected) < 4 * entry["u_calibration_rms"], name
 
 
-def test_a_run_without_pitch_counts_from_the_attitude_of_its_zero(here, capsys, truth, seed):
-    generator = np.random.default_rng(seed)
+def test_a_run_without_pitch_counts_from_the_attitude_of_its_zero(here, capsys, truth, rng):
     run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
     time = np.arange(1200) / 1000.0
     up = np.full(time.size, np.radians(9.0))
     applied = 200 * np.sin(2 * np.pi * 3 * time)
     felt = weight(up)
     felt[:, 5] += applied
-    write("run.csv", time, gauges(truth, felt, generator))
-    write("zero.csv", time, gauges(truth, weight(up), generator) | {"pitch [deg]": np.degrees(up)})
+    write("run.csv", time, gauges(truth, felt, rng))
+    write("zero.csv", time, gauges(truth, weight(up), rng) | {"pitch [deg]": np.degrees(up)})
     dynamics = {"mass": {"value": MASS}, "stiffness": {"value": STIFFNESS}, "damping": {"value": DAMPING}}
     Path("dynamics.json").write_text(json.dumps({"components": {"AF": dynamics}}))
     files = ["--dynamics", "dynamics.json", "--balance", "balance.json", "--zero", "zero.csv", "-o", "force.csv"]
@@ -220,16 +210,15 @@ def test_a_run_without_pitch_counts_from_the_attitude_of_its_zero(here, capsys, 
     assert np.sqrt(np.mean(table["u_AF_N"] ** 2)) < 0.1 * MASS * GRAVITY * np.sin(up[0])
 
 
-def test_loads_of_a_force_balance_in_its_own_form(here, capsys, truth, seed):
+def test_loads_of_a_force_balance_in_its_own_form(here, capsys, truth, rng):
     """Without distances, and with wind-off loads taken off in that form."""
-    generator = np.random.default_rng(seed)
     run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
     time = np.arange(400) / 400.0
     level = np.zeros(time.size)
-    off = gauges(truth, weight(level), generator)
+    off = gauges(truth, weight(level), rng)
     write("off.csv", time, off)
     applied = np.column_stack([np.full(time.size, 800.0), *[level] * 4, np.full(time.size, 300.0)])
-    write("on.csv", time, gauges(truth, weight(level) + applied, generator))
+    write("on.csv", time, gauges(truth, weight(level) + applied, rng))
     files = ["--balance", "balance.json", "--tare", "off.csv", "--form", "force", "-o", "loads.csv"]
     found = run(capsys, "loads", "on.csv", *files)["components"]
     assert list(found) == ["N1", "N2", "S1", "S2", "RM", "AF"]
@@ -240,15 +229,14 @@ def test_loads_of_a_force_balance_in_its_own_form(here, capsys, truth, seed):
 
 
 @pytest.mark.parametrize("at_zero", [4.0, 9.0])
-def test_a_wrong_mass_is_wrong_in_a_zero_read_with_the_model_on(here, capsys, truth, seed, at_zero):
-    generator = np.random.default_rng(seed)
+def test_a_wrong_mass_is_wrong_in_a_zero_read_with_the_model_on(here, capsys, truth, at_zero, rng):
     run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
     time = np.arange(1200) / 1000.0
     pitch, up = np.full((2, time.size), np.radians([[4.0], [at_zero]]))
     felt = weight(pitch)
     felt[:, 5] += 200 * np.sin(2 * np.pi * 3 * time)
-    write("run.csv", time, gauges(truth, felt, generator) | {"pitch [deg]": np.degrees(pitch)})
-    write("zero.csv", time, gauges(truth, weight(up), generator) | {"pitch [deg]": np.degrees(up)})
+    write("run.csv", time, gauges(truth, felt, rng) | {"pitch [deg]": np.degrees(pitch)})
+    write("zero.csv", time, gauges(truth, weight(up), rng) | {"pitch [deg]": np.degrees(up)})
     u = 0.02 * MASS
     dynamics = {"mass": {"value": MASS, "u": u}, "stiffness": {"value": STIFFNESS}, "damping": {"value": DAMPING}}
     Path("dynamics.json").write_text(json.dumps({"components": {"AF": dynamics}}))
@@ -270,15 +258,14 @@ def test_what_is_said_of_a_zero_needs_one(here, capsys):
     assert "go with --balance" in capsys.readouterr().err
 
 
-def test_weight_in_a_zero_adds_no_doubt_at_its_attitude(here, capsys, truth, seed):
-    generator = np.random.default_rng(seed)
+def test_weight_in_a_zero_adds_no_doubt_at_its_attitude(here, capsys, truth, rng):
     run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json", "--distances", "12 12 10 10 cm")
     time = np.arange(400) / 400.0
     names, angles = [], np.radians([-12.0, -6, 0, 6, 12])
     for k, angle in enumerate(angles):
         pitch = np.full(time.size, angle)
         names.append(f"off{k}.csv")
-        write(names[-1], time, gauges(truth, weight(pitch), generator) | {"pitch [deg]": np.degrees(pitch)})
+        write(names[-1], time, gauges(truth, weight(pitch), rng) | {"pitch [deg]": np.degrees(pitch)})
     run(capsys, "weigh", *names, "--balance", "balance.json", "-o", "mass.json")
     weighed = read_weighing(Path("mass.json"))
     weighing = replace(weighed, covariance=1e4 * weighed.covariance)  # as if weighed badly
@@ -298,8 +285,7 @@ def test_weight_in_a_zero_adds_no_doubt_at_its_attitude(here, capsys, truth, see
 
 
 @pytest.mark.parametrize("zero", ["natural", "with the model on, nose up", "with the model off", "off, as said"])
-def test_force_counts_gravity_once(here, capsys, truth, seed, zero):
-    generator = np.random.default_rng(seed)
+def test_force_counts_gravity_once(here, capsys, truth, zero, rng):
     run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
     dynamics = {"mass": {"value": MASS}, "stiffness": {"value": STIFFNESS}, "damping": {"value": DAMPING}}
     Path("dynamics.json").write_text(json.dumps({"components": {"AF": dynamics}}))
@@ -309,12 +295,12 @@ def test_force_counts_gravity_once(here, capsys, truth, seed, zero):
     applied = 200 * np.sin(2 * np.pi * 3 * time)
     felt = weight(pitch)
     felt[:, 5] += applied  # 3 Hz is far below the 112 Hz of the balance: felt by (3 / 112)^2 = 0.07 % too large
-    write("run.csv", time, gauges(truth, felt, generator) | {"pitch [deg]": np.degrees(pitch)})
+    write("run.csv", time, gauges(truth, felt, rng) | {"pitch [deg]": np.degrees(pitch)})
     options = []
     if zero != "natural":
         up = np.full(count, np.radians(9.0))
         hung = weight(up) if "model on" in zero else np.zeros((count, 6))
-        write("zero.csv", time, gauges(truth, hung, generator) | {"pitch [deg]": np.degrees(up)})
+        write("zero.csv", time, gauges(truth, hung, rng) | {"pitch [deg]": np.degrees(up)})
         options = ["--zero", "zero.csv", *(["--model-on-zero", "off"] if "said" in zero else [])]
     files = ["--dynamics", "dynamics.json", "--balance", "balance.json", "-o", "force.csv"]
     account = run(capsys, "force", "run.csv", *files, *options)
@@ -327,8 +313,7 @@ def test_force_counts_gravity_once(here, capsys, truth, seed, zero):
 
 
 @pytest.mark.parametrize("way", ["loads", "balance"])
-def test_compare_takes_gauge_outputs(here, capsys, truth, seed, way):
-    generator = np.random.default_rng(seed)
+def test_compare_takes_gauge_outputs(here, capsys, truth, way, rng):
     run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
     dynamics = {"mass": {"value": MASS}, "stiffness": {"value": STIFFNESS}, "damping": {"value": DAMPING}}
     Path("dynamics.json").write_text(json.dumps({"components": {"AF": dynamics}}))
@@ -337,11 +322,11 @@ def test_compare_takes_gauge_outputs(here, capsys, truth, seed, way):
     applied = 200 * np.sin(2 * np.pi * 3 * time)
     write("truth.csv", time, {"AF [N]": applied})
     up = np.full(count, np.radians(9.0))
-    write("zero.csv", time, gauges(truth, weight(up), generator) | {"pitch [deg]": np.degrees(up)})
+    write("zero.csv", time, gauges(truth, weight(up), rng) | {"pitch [deg]": np.degrees(up)})
     pitch = np.full(count, np.radians(4.0))
     felt = weight(pitch)
     felt[:, 5] += applied
-    write("run.csv", time, gauges(truth, felt, generator) | {"pitch [deg]": np.degrees(pitch)})
+    write("run.csv", time, gauges(truth, felt, rng) | {"pitch [deg]": np.degrees(pitch)})
     balance = ["--balance", "balance.json", "--zero", "zero.csv"]
     force = run(capsys, "force", "run.csv", "--dynamics", "dynamics.json", *balance, "-o", "force.csv")
     record = ["compare", "run.csv", "--dynamics", "dynamics.json", *(balance if way == "balance" else [])]

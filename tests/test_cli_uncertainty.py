@@ -10,7 +10,6 @@ import pytest
 from aerobalance.app.cli import main
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.components import STANDARD_GRAVITY
-from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 MAP = """\
@@ -26,14 +25,13 @@ noise = 0.0
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
+def here(tmp_path, monkeypatch, rng):
     """A folder with two tones and a weight at 5 degrees, a map that doubts the inclinometer's zero, and dynamics."""
     monkeypatch.chdir(tmp_path)
-    generator = np.random.default_rng(new_seed())
     time = np.arange(1200) / 1600
     force = 100 * np.sin(2 * np.pi * 9 * time) + 40 * np.sin(2 * np.pi * 23 * time)
     load = T128.load_felt(force, interval=1 / 1600) + T128.mass * STANDARD_GRAVITY * np.sin(np.deg2rad(5.0))
-    columns = np.column_stack([time, load + 0.5 * generator.normal(size=time.size), np.full(time.size, 5.0)])
+    columns = np.column_stack([time, load + 0.5 * rng.normal(size=time.size), np.full(time.size, 5.0)])
     np.savetxt("run.csv", columns, delimiter=",", header="time [s],AF [N],pitch [deg]", comments="", fmt="%.9g")
     Path("map.toml").write_text(MAP)
     relative = {"mass": (T128.mass, 2e-4), "stiffness": (T128.stiffness, 2e-4), "damping": (T128.damping, 1e-2)}

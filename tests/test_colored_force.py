@@ -14,7 +14,6 @@ from aerobalance.estimation.spectra.noise_spectrum import Hump, NoiseSpectrum
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
-from seeds import fresh
 from test_noise_spectrum import RATE, T128, WHITE, noise_of
 
 N = 8000
@@ -40,108 +39,99 @@ def one_over_f(corner: float = 10.0, exponent: float = 1.0) -> NoiseSpectrum:
     return NoiseSpectrum(WHITE, corner, exponent, (), 1 / RATE, np.zeros((2, 2)))
 
 
-def test_white_spectrum_is_the_noise_of_the_channel():
-    generator, seed = fresh()
-    felt, _ = load_of_band(generator, 30, rms=500)
-    values = felt + generator.normal(0, 2, N)
+def test_white_spectrum_is_the_noise_of_the_channel(rng):
+    felt, _ = load_of_band(rng, 30, rms=500)
+    values = felt + rng.normal(0, 2, N)
     white = NoiseSpectrum(WHITE, 0.0, 1.0, (), 1 / RATE, np.zeros((2, 2)))
     given = reconstruct(record_of(values), T128, noise=white)
     plain = reconstruct(record_of(values, noise=white.deviation), T128)
-    assert np.array_equal(given.values, plain.values), seed
-    assert np.array_equal(given.uncertainty, plain.uncertainty), seed
+    assert np.array_equal(given.values, plain.values)
+    assert np.array_equal(given.uncertainty, plain.uncertainty)
 
 
-def test_step_beside_one_over_f():
-    generator, seed = fresh()
-    noise = noise_of_record(record_of(noise_of(generator, one_over_f().density)), T128)
+def test_step_beside_one_over_f(rng):
+    noise = noise_of_record(record_of(noise_of(rng, one_over_f().density)), T128)
     time = np.arange(N) / RATE
-    values = 1020 * T128.step_response(time - 2.5) + noise_of(generator, one_over_f().density, n=N, longer=4)
+    values = 1020 * T128.step_response(time - 2.5) + noise_of(rng, one_over_f().density, n=N, longer=4)
     found = reconstruct(record_of(values), T128, noise=noise)
-    assert len(found.steps) == 1, seed
+    assert len(found.steps) == 1
     away = np.abs(time - 2.5) > 2 / RATE
     # two levels, each known to its uncertainty; six of them, and half as much again as a spectrum from 10 s is known
     # to 20 %
-    assert np.all(np.abs(found.values - 1020 * (time >= 2.5))[away] < 9 * found.uncertainty[away]), seed
+    assert np.all(np.abs(found.values - 1020 * (time >= 2.5))[away] < 9 * found.uncertainty[away])
     assert "1/f" in found.method
     assert found.learned.color is not None
 
 
-def test_uncertainty_is_that_of_the_true_noise():
+def test_uncertainty_is_that_of_the_true_noise(rng):
     """The rms error under a load of a broad band, over the uncertainty that was said."""
-    generator, seed = fresh()
-    felt, force = load_of_band(generator, 120, rms=500)
-    values = felt + noise_of(generator, one_over_f(20).density, n=N, longer=4)
+    felt, force = load_of_band(rng, 120, rms=500)
+    values = felt + noise_of(rng, one_over_f(20).density, n=N, longer=4)
     found = reconstruct(record_of(values), T128, noise=one_over_f(20))
     inner = slice(N // 20, -N // 20)
     error = (found.values - force)[inner]
     # 0.9 * 5 s of a band of 120 Hz hold 1,080 independent errors (2 % of their rms), but the half of their power that
     # is 1/f lies in a few slow ones: its variance of 0.1 N^2 a factor e in frequency, 3 of 5 below 3 Hz; 30 % at worst
     ratio = float(np.sqrt(np.mean(error**2) / np.mean(found.uncertainty[inner] ** 2)))
-    assert 0.7 < ratio < 1.5, seed
+    assert 0.7 < ratio < 1.5
 
 
-def test_faint_slow_force_is_doubted():
-    generator, seed = fresh()
-    values = noise_of(generator, one_over_f(30).density, n=N)
+def test_faint_slow_force_is_doubted(rng):
+    values = noise_of(rng, one_over_f(30).density, n=N)
     with pytest.warns(DataQualityWarning, match=r"rises at low frequency \(1/f\) looks the same"):
         found = reconstruct(record_of(values), T128)
-    assert found.bandwidth > 0, seed
+    assert found.bandwidth > 0
 
 
-def test_color_of_the_floor_is_seen():
-    generator, seed = fresh()
-    felt, force = load_of_band(generator, 30, rms=500)
+def test_color_of_the_floor_is_seen(rng):
+    felt, force = load_of_band(rng, 30, rms=500)
     hump = Hump(300.0, 0.3, 2 * WHITE)
-    values = felt + noise_of(generator, lambda f: WHITE + hump.density(f), n=N)
+    values = felt + noise_of(rng, lambda f: WHITE + hump.density(f), n=N)
     with pytest.warns(DataQualityWarning, match="taken for noise of the electronics"):
         found = reconstruct(record_of(values), T128)
     error = float(np.std((found.values - force)[N // 20 : -N // 20]))
     # 0.37 N with white noise; as a force the hump makes 15 to 40 N
-    assert error < 1.0, seed
-    assert found.learned.color.humps[0].frequency == pytest.approx(300, rel=0.1), seed
+    assert error < 1.0
+    assert found.learned.color.humps[0].frequency == pytest.approx(300, rel=0.1)
     assert "1 hump(s), seen in the run" in found.method
 
 
-def test_floor_that_stays_a_force_is_doubted(monkeypatch):
-    generator, _ = fresh()
+def test_floor_that_stays_a_force_is_doubted(monkeypatch, rng):
     monkeypatch.setattr(noise_floor, "_likelier_color", lambda *_, **__: None)
-    felt, _ = load_of_band(generator, 30, rms=500)
+    felt, _ = load_of_band(rng, 30, rms=500)
     hump = Hump(300.0, 0.3, 2 * WHITE)
-    values = felt + noise_of(generator, lambda f: WHITE + hump.density(f), n=N)
+    values = felt + noise_of(rng, lambda f: WHITE + hump.density(f), n=N)
     with pytest.warns(DataQualityWarning, match="so faint that it may be noise of the electronics"):
         reconstruct(record_of(values), T128)
 
 
-def test_a_burst_is_no_floor():
-    generator, seed = fresh()
+def test_a_burst_is_no_floor(rng):
     count, interval = 4096, 1 / RATE
-    white = generator.normal(0, 2.0, count)
-    high = np.fft.rfft(generator.normal(0, 2.0, count))
+    white = rng.normal(0, 2.0, count)
+    high = np.fft.rfft(rng.normal(0, 2.0, count))
     high[: high.size // 2] = 0  # as strong as the white noise, in the upper half of the band
     steady = white + np.fft.irfft(high, count)
     burst = white.copy()
-    burst[2048:2304] += 8 * generator.normal(size=256)
+    burst[2048:2304] += 8 * rng.normal(size=256)
     first = 0.25 / interval
     # 14 parts of 128 ordinates each: a mean power is right to 1 / sqrt(14 * 128) = 2.4 %, and what is compared differs
     # by half of the power (steady) or by all of it (burst), 20 of these
-    assert lasts(steady, first=first, interval=interval, noise=2.0), seed
-    assert not lasts(burst, first=first, interval=interval, noise=2.0), seed
+    assert lasts(steady, first=first, interval=interval, noise=2.0)
+    assert not lasts(burst, first=first, interval=interval, noise=2.0)
 
 
-def test_another_white_noise_is_told():
-    generator, seed = fresh()
-    felt, force = load_of_band(generator, 30, rms=500)
-    values = felt + generator.normal(0, 4, N)
+def test_another_white_noise_is_told(rng):
+    felt, force = load_of_band(rng, 30, rms=500)
+    values = felt + rng.normal(0, 4, N)
     with pytest.warns(DataQualityWarning, match="times the power that it has in the record of noise"):
         found = reconstruct(record_of(values), T128, noise=one_over_f())
     # judged from 740 Hz of 0.2 Hz ordinates: 1 % of the standard deviation
-    assert found.noise == pytest.approx(4, rel=0.06), seed
-    assert np.std(found.values - force) < 3, seed
+    assert found.noise == pytest.approx(4, rel=0.06)
+    assert np.std(found.values - force) < 3
 
 
-def test_wrong_calls_are_refused():
-    generator, _ = fresh()
-    run = record_of(generator.normal(0, 2, 2000))
+def test_wrong_calls_are_refused(rng):
+    run = record_of(rng.normal(0, 2, 2000))
     with pytest.raises(ValueError, match="only the smoother without a bandwidth can take a spectrum of noise"):
         reconstruct(run, T128, method="paper", noise=one_over_f())
     with pytest.raises(ValueError, match="only the smoother"):
@@ -150,8 +140,7 @@ def test_wrong_calls_are_refused():
         reconstruct(run, T128, noise=replace(one_over_f(), interval=1 / 3200))
 
 
-def test_live_estimator_refuses_color():
-    generator, _ = fresh()
-    found = reconstruct(record_of(noise_of(generator, one_over_f().density, n=2000)), T128, noise=one_over_f())
+def test_live_estimator_refuses_color(rng):
+    found = reconstruct(record_of(noise_of(rng, one_over_f().density, n=2000)), T128, noise=one_over_f())
     with pytest.raises(ValueError, match="takes the noise of a reading as white"):
         LiveForce(T128, interval=1 / RATE, learned=found.learned)

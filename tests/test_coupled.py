@@ -15,7 +15,6 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.recording.gravity import weight_direction
 from aerobalance.simulation import random_balance
-from seeds import fresh
 
 AFT, RIGHT, UP = np.eye(3)
 PLACE = {name: index for index, name in enumerate(COMPONENTS)}
@@ -56,17 +55,16 @@ def turn_vector(turns):
     return turns[0] * RIGHT - turns[1] * UP - turns[2] * AFT
 
 
-def test_mass_matrix_is_that_of_accelerated_points():
-    generator, seed = fresh()
-    masses, places, body = points(generator)
-    acceleration = generator.normal(0, 1, 6)
+def test_mass_matrix_is_that_of_accelerated_points(rng):
+    masses, places, body = points(rng)
+    acceleration = rng.normal(0, 1, 6)
     linear = acceleration[PLACE["AF"]] * AFT + acceleration[PLACE["SF"]] * RIGHT + acceleration[PLACE["NF"]] * UP
     turn = turn_vector([acceleration[PLACE[name]] for name in MOMENTS])
     expected = six_loads(masses, places, linear + np.cross(turn, places))
     # sums of a few terms of size up to 30: rounding only
-    np.testing.assert_allclose(body.matrix @ acceleration, expected, atol=1e-12, err_msg=str(seed))
+    np.testing.assert_allclose(body.matrix @ acceleration, expected, atol=1e-12)
     np.testing.assert_allclose(body.matrix, body.matrix.T, atol=1e-14)
-    assert (np.linalg.eigvalsh(body.matrix) > 0).all(), seed
+    assert (np.linalg.eigvalsh(body.matrix) > 0).all()
 
 
 @pytest.mark.parametrize(
@@ -85,48 +83,44 @@ def test_signs_of_the_mass_matrix(centre, force, turn, sign):
     assert body.matrix[PLACE[force], PLACE[turn]] == sign * 2.0
 
 
-def test_turning_load_is_that_of_points_on_circles():
-    generator, seed = fresh()
-    masses, places, body = points(generator)
-    rates = generator.normal(0, 3, (4, 3))
+def test_turning_load_is_that_of_points_on_circles(rng):
+    masses, places, body = points(rng)
+    rates = rng.normal(0, 3, (4, 3))
     for rate, found in zip(rates, body.turning_load(rates), strict=True):
         w = turn_vector(rate)
         expected = six_loads(masses, places, np.cross(w, np.cross(w, places)))
-        np.testing.assert_allclose(found, expected, atol=1e-11, err_msg=str(seed))
+        np.testing.assert_allclose(found, expected, atol=1e-11)
 
 
-def test_weight_is_what_weighing_expects():
-    generator, seed = fresh()
-    body = points(generator)[2]
-    pitch, roll = generator.uniform(-1, 1, (2, 9))
+def test_weight_is_what_weighing_expects(rng):
+    body = points(rng)[2]
+    pitch, roll = rng.uniform(-1, 1, (2, 9))
     model = WeightModel(COMPONENTS)
     known = {"mass": body.mass} | {
         f"moment.{axis}": body.mass * lever for axis, lever in zip(("aft", "right", "up"), body.centre, strict=True)
     }
     values = np.array([known.get(name, 0.0) for name in model.names])
     expected = model.loads(weight_direction(pitch, roll), values)
-    np.testing.assert_allclose(body.weight(pitch, roll), expected, atol=1e-11, err_msg=str(seed))
+    np.testing.assert_allclose(body.weight(pitch, roll), expected, atol=1e-11)
 
 
-def test_response_is_that_of_mass_damper_and_spring():
-    generator, seed = fresh()
-    balance = random_balance(generator)
-    frequency = generator.uniform(0, 1000, 20)
+def test_response_is_that_of_mass_damper_and_spring(rng):
+    balance = random_balance(rng)
+    frequency = rng.uniform(0, 1000, 20)
     for f, found in zip(frequency, balance.dynamics.response(frequency), strict=True):
         w = 2 * np.pi * f
         dynamic = balance.stiffness + 1j * w * balance.damping - w**2 * balance.mass.matrix
         expected = balance.stiffness @ np.linalg.inv(dynamic)
         scale = np.outer(balance.half_range, 1 / balance.half_range)
         # condition of K and M over half range is about 1e3, of the response at resonance about 1e3: 1e-16 x 1e6
-        assert np.abs((found - expected) / scale).max() < 1e-9 * np.abs(expected / scale).max(), seed
+        assert np.abs((found - expected) / scale).max() < 1e-9 * np.abs(expected / scale).max()
 
 
-def test_load_felt_is_the_exact_integral():
+def test_load_felt_is_the_exact_integral(rng):
     """Against the matrix exponential of scipy in the coordinates of motion, for loads linear between samples."""
-    generator, seed = fresh()
-    balance = random_balance(generator)
+    balance = random_balance(rng)
     n, interval = 400, 1 / 10_000
-    net = np.cumsum(generator.normal(0, 0.05, (n, 6)), axis=0) * balance.half_range + 0.3 * balance.half_range
+    net = np.cumsum(rng.normal(0, 0.05, (n, 6)), axis=0) * balance.half_range + 0.3 * balance.half_range
     M, C, K = balance.mass.matrix, balance.damping, balance.stiffness
     state = np.block([[np.zeros((6, 6)), np.eye(6)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
     drive = np.vstack([np.zeros((6, 6)), np.linalg.inv(M)])
@@ -135,47 +129,44 @@ def test_load_felt_is_the_exact_integral():
     _, expected, _ = lsim((state, drive, output, np.zeros((6, 6))), net, np.arange(n) * interval, start)
     found = balance.dynamics.load_felt(net, interval=interval)
     # 400 steps of an exponential whose state is scaled by 1e7: about 1e-16 x 1e4 x 400
-    assert np.abs((found - expected) / balance.half_range).max() < 1e-8, seed
+    assert np.abs((found - expected) / balance.half_range).max() < 1e-8
 
 
-def test_modal_form_gives_the_response():
-    generator, seed = fresh()
-    dynamics = random_balance(generator).dynamics
+def test_modal_form_gives_the_response(rng):
+    dynamics = random_balance(rng).dynamics
     poles, shapes, weights = dynamics.modal_form
     frequency = np.array([10.0, 150.0, 400.0])
     expected = dynamics.response(frequency)
     for f, response in zip(frequency, expected, strict=True):
         found = shapes @ np.diag(1 / (2j * np.pi * f - poles)) @ weights
-        assert np.abs(found - response).max() < 1e-8 * np.abs(response).max(), seed
+        assert np.abs(found - response).max() < 1e-8 * np.abs(response).max()
 
 
-def test_undamped_frequencies_are_those_of_mass_and_spring():
-    generator, seed = fresh()
-    balance = random_balance(generator)
+def test_undamped_frequencies_are_those_of_mass_and_spring(rng):
+    balance = random_balance(rng)
     # damping in proportion to stiffness leaves |pole| at the undamped frequency exactly
     dynamics = CoupledDynamics.of_rigid_mass(
         balance.mass, stiffness=balance.stiffness, damping=1e-5 * balance.stiffness
     )
     expected = np.sqrt(eigh(balance.stiffness, balance.mass.matrix, eigvals_only=True)) / (2 * np.pi)
     found = [mode.natural_frequency for mode in dynamics.modes]
-    np.testing.assert_allclose(found, expected, rtol=1e-9, err_msg=str(seed))
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
     ratios = [mode.damping_ratio for mode in dynamics.modes]
-    np.testing.assert_allclose(ratios, 0.5e-5 * 2 * np.pi * expected, rtol=1e-6, err_msg=str(seed))
+    np.testing.assert_allclose(ratios, 0.5e-5 * 2 * np.pi * expected, rtol=1e-6)
     assert all(a.natural_frequency <= b.natural_frequency for a, b in pairwise(dynamics.modes))
 
 
-def test_single_components_stay_what_they_are():
-    generator, seed = fresh()
+def test_single_components_stay_what_they_are(rng):
     coupled = CoupledDynamics.of_components(SINGLE[::-1])
     assert coupled.components == ("NF", "PM", "AF")
-    frequency = generator.uniform(0, 500, 10)
+    frequency = rng.uniform(0, 500, 10)
     response = coupled.response(frequency)
-    net = generator.normal(0, 100, (500, 3))
+    net = rng.normal(0, 100, (500, 3))
     felt = coupled.load_felt(net, interval=1e-4)
     for column, part in enumerate(SINGLE):
         np.testing.assert_allclose(response[:, column, column], part.response(frequency), rtol=1e-10)
         expected = part.load_felt(net[:, column], interval=1e-4)
-        np.testing.assert_allclose(felt[:, column], expected, atol=1e-8, err_msg=str(seed))
+        np.testing.assert_allclose(felt[:, column], expected, atol=1e-8)
     np.testing.assert_array_equal(response[:, 0, 1:], 0)
     for mode, part in zip(coupled.modes, sorted(SINGLE, key=lambda d: d.natural_frequency), strict=True):
         assert mode.natural_frequency == pytest.approx(part.natural_frequency, rel=1e-12)
@@ -211,8 +202,7 @@ def numbers_of_modes(dynamics):
     )
 
 
-def test_modes_of_drawn_matrices_have_the_covariance_of_the_modes():
-    rng, seed = fresh()
+def test_modes_of_drawn_matrices_have_the_covariance_of_the_modes(rng):
     known = random_balance(rng).dynamics
     # 1e-7 of every element: what is of second order is below 1e-6 of the deviations unless modes are 1e-3 apart
     values = np.concatenate([known.inertia.ravel(), known.damping.ravel()])
@@ -226,7 +216,7 @@ def test_modes_of_drawn_matrices_have_the_covariance_of_the_modes():
     total = np.sum(z * np.linalg.solve(given.mode_covariance / np.outer(u, u), z.T).T)
     # chi-squares of the draws: all together, and of each number by itself; 1e-7 beyond on either side
     for value, degrees in ((total, 12 * draws), *((part, draws) for part in np.sum(z**2, axis=0))):
-        assert chi2.ppf(1e-7, degrees) < value < chi2.isf(1e-7, degrees), (value, degrees, seed)
+        assert chi2.ppf(1e-7, degrees) < value < chi2.isf(1e-7, degrees), (value, degrees)
 
 
 def test_modes_of_matrices_that_are_known_exactly_have_no_uncertainty():

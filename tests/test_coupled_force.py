@@ -19,16 +19,13 @@ from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import Release, SixSimulation
 from aerobalance.simulation.six_signals import Band, broadband, random_motion
-from seeds import new_seed
 
 DURATION = 0.25
 
 
-def _drawn() -> tuple[CoupledBalance, CoupledDynamics, np.random.Generator, int]:
-    entropy = new_seed()
-    generator = np.random.default_rng(entropy)
-    balance = random_balance(generator)
-    return balance, replace(balance.dynamics, mass=balance.mass), generator, entropy
+def _drawn(rng: np.random.Generator) -> tuple[CoupledBalance, CoupledDynamics]:
+    balance = random_balance(rng)
+    return balance, replace(balance.dynamics, mass=balance.mass)
 
 
 def _inverse_noise(balance: CoupledBalance, rate: float) -> tuple[Array, Array]:
@@ -40,21 +37,21 @@ def _inverse_noise(balance: CoupledBalance, rate: float) -> tuple[Array, Array]:
 
 
 def _broadband(
-    balance: CoupledBalance, generator: np.random.Generator, duration: float = DURATION
+    balance: CoupledBalance, rng: np.random.Generator, duration: float = DURATION
 ) -> tuple[SixSimulation, float]:
     top = 1.2 * max(mode.natural_frequency for mode in balance.dynamics.modes)
-    load = broadband(generator, Band(0, top), rms=0.1 * balance.half_range, period=2 * duration)
+    load = broadband(rng, Band(0, top), rms=0.1 * balance.half_range, period=2 * duration)
     rig = SixComponentRig(balance, applied=load, output="loads")
-    return rig.run(duration, generator), top
+    return rig.run(duration, rng), top
 
 
 def _inner(samples: int) -> slice:
     return slice(samples // 20, -(samples // 20))
 
 
-def test_broadband_loads_through_all_resonances_come_back() -> None:
-    balance, dynamics, generator, entropy = _drawn()
-    simulation, top = _broadband(balance, generator)
+def test_broadband_loads_through_all_resonances_come_back(rng) -> None:
+    balance, dynamics = _drawn(rng)
+    simulation, top = _broadband(balance, rng)
     found = reconstruct_coupled(simulation.recording, dynamics)
     frequency, noise = _inverse_noise(balance, simulation.recording.rate)
     inside = frequency < top
@@ -64,38 +61,38 @@ def test_broadband_loads_through_all_resonances_come_back() -> None:
         error = float(np.sqrt(np.mean((estimate.values - simulation.applied[:, place])[inner] ** 2)))
         # 1.4 is what is promised of six components; 0.225 s of a band hold 0.45 s times its width of independent
         # values, and their rms scatters by 1 / sqrt(2 * 0.45 top): four of these
-        assert error < 1.4 * bound[place] * (1 + 4 / np.sqrt(0.9 * top)), f"{name}, seed {entropy}"
-        assert error > 0, f"{name}, seed {entropy}"
+        assert error < 1.4 * bound[place] * (1 + 4 / np.sqrt(0.9 * top)), name
+        assert error > 0, name
 
 
-def test_a_release_is_a_step_of_the_components_that_it_pulls() -> None:
-    balance, dynamics, generator, entropy = _drawn()
+def test_a_release_is_a_step_of_the_components_that_it_pulls(rng) -> None:
+    balance, dynamics = _drawn(rng)
     pull = balance.half_range * np.array([0.3, 0.2, 0.0, 0.0, 0.1, 0.4])
-    instant = 0.1 + 0.05 * generator.random()
+    instant = 0.1 + 0.05 * rng.random()
     rig = SixComponentRig(balance, releases=(Release(load=pull, instant=instant),), output="loads")
-    simulation = rig.run(DURATION, generator)
+    simulation = rig.run(DURATION, rng)
     found = reconstruct_coupled(simulation.recording, dynamics)
     for place, (name, estimate) in enumerate(found.items()):
         size, steps = pull[place], estimate.steps
         if size == 0:
-            assert not steps, f"{name}, seed {entropy}"
+            assert not steps, name
             continue
-        assert len(steps) == 1, f"{name}, seed {entropy}"
+        assert len(steps) == 1, name
         # a pure step: its instant is known to a small part of a sample (0.1 is what is promised), and the plateaus
         # to 0.05 % of half range
-        assert abs(steps[0].instant - instant) * simulation.recording.rate < 0.1, f"{name}, seed {entropy}"
+        assert abs(steps[0].instant - instant) * simulation.recording.rate < 0.1, name
         error = estimate.values - simulation.applied[:, place]
         error[np.abs(np.arange(error.size) / simulation.recording.rate - instant) < 2 / simulation.recording.rate] = 0
-        assert np.abs(error).max() < 5e-4 * balance.half_range[place], f"{name}, seed {entropy}"
+        assert np.abs(error).max() < 5e-4 * balance.half_range[place], name
 
 
 @pytest.mark.filterwarnings(
     "ignore:.*noise alone"
 )  # what the accelerometers' noise leaves is weaker than the readings'
-def test_motion_and_gravity_are_taken_off_all_components() -> None:
+def test_motion_and_gravity_are_taken_off_all_components(rng) -> None:
     """No load at all on a balance whose ground end shakes and that pitches and rolls."""
-    balance, dynamics, generator, entropy = _drawn()
-    shaking = random_motion(generator, Band(5, 60), rms=np.array([1, 0.5, 1, 0.5, 0.5, 1]), period=2 * DURATION)
+    balance, dynamics = _drawn(rng)
+    shaking = random_motion(rng, Band(5, 60), rms=np.array([1, 0.5, 1, 0.5, 0.5, 1]), period=2 * DURATION)
     rig = SixComponentRig(
         balance,
         base=shaking,
@@ -103,28 +100,26 @@ def test_motion_and_gravity_are_taken_off_all_components() -> None:
         roll=lambda time: np.full(time.shape, -0.2),
         output="loads",
     )
-    simulation = rig.run(DURATION, generator)
+    simulation = rig.run(DURATION, rng)
     found = reconstruct_coupled(simulation.recording, dynamics)
     inner = _inner(simulation.recording.samples)
     felt = simulation.recording
     for name, estimate in found.items():
         left = estimate.values[inner] / estimate.uncertainty[inner]
         # the errors of neighbours go together, so only what no chance of many such records gives is refused
-        assert np.abs(left).max() < 6, f"{name}, seed {entropy}"
+        assert np.abs(left).max() < 6, name
         size = float(np.std(felt.channel(name).values))
-        assert float(np.std(estimate.values[inner])) < 0.2 * size, f"{name}, seed {entropy}"
+        assert float(np.std(estimate.values[inner])) < 0.2 * size, name
 
 
-def test_one_component_is_the_axial_way() -> None:
+def test_one_component_is_the_axial_way(rng) -> None:
     """Diagonal matrices: the same forces to rounding, with steps, noise and gaps."""
-    entropy = new_seed()
-    generator = np.random.default_rng(entropy)
     parts = [Dynamics("NF", 100.0, 1e8, 500.0), Dynamics("AF", 177.87, 3.093e7, 828.21)]
     rate, samples = 1600.0, 2400
     time = np.arange(samples) / rate
     channels = {}
     for part in parts:
-        values = -900 * (1 - part.step_response(time - 0.5003)) + generator.normal(size=samples) * 2
+        values = -900 * (1 - part.step_response(time - 0.5003)) + rng.normal(size=samples) * 2
         values[1000:1010] = np.nan
         channels[part.component] = Channel(name=part.component, values=values, unit="N")
     recording = Recording.from_columns(time, channels)
@@ -136,20 +131,20 @@ def test_one_component_is_the_axial_way() -> None:
         # what is learned may fall to the other of two answers that are as likely, once in a hundred
         same = other.learned.noise == pytest.approx(alone.learned.noise, rel=1e-9)  # type: ignore[union-attr]
         limit = 1e-9 * 900 if same else 0.05 * float(alone.uncertainty.max())
-        np.testing.assert_allclose(other.values, alone.values, atol=limit, err_msg=f"seed {entropy}")
+        np.testing.assert_allclose(other.values, alone.values, atol=limit)
         assert [step.instant for step in other.steps] == pytest.approx([step.instant for step in alone.steps])
 
 
-def test_parameters_are_felt_as_they_are_wrong() -> None:
+def test_parameters_are_felt_as_they_are_wrong(rng) -> None:
     """Matrices that are off by a draw from their covariance: the force is off by what the slopes say."""
-    balance, dynamics, generator, entropy = _drawn()
-    simulation, _ = _broadband(balance, generator, duration=0.1)
+    balance, dynamics = _drawn(rng)
+    simulation, _ = _broadband(balance, rng, duration=0.1)
     size = 1e-4 * np.sqrt(np.outer(np.diag(dynamics.inertia), np.diag(dynamics.inertia)))
     unit = np.outer(balance.half_range, 1 / balance.half_range)
     sizes = np.concatenate([(size * unit).ravel(), np.zeros(36)])
     uncertain = replace(dynamics, covariance=np.diag(sizes**2))
     found = reconstruct_coupled(simulation.recording, uncertain)
-    draw = generator.normal(size=36) * sizes[:36]
+    draw = rng.normal(size=36) * sizes[:36]
     moved = reconstruct_coupled(
         simulation.recording, replace(uncertain, inertia=dynamics.inertia + draw.reshape(6, 6)), hum="keep"
     )
@@ -161,12 +156,12 @@ def test_parameters_are_felt_as_they_are_wrong() -> None:
         predicted = part.slopes @ [drawn[parameter] for parameter in part.quantities]
         rest = float(np.sqrt(np.mean((change - predicted) ** 2)))
         # second order in 1e-4 and the noise that other matrices let through
-        assert rest < 0.05 * float(np.sqrt(np.mean(predicted**2))) + estimate.noise, f"{name}, seed {entropy}"
+        assert rest < 0.05 * float(np.sqrt(np.mean(predicted**2))) + estimate.noise, name
 
 
-def test_a_gap_in_one_channel_is_bridged_by_the_dynamics() -> None:
-    balance, dynamics, generator, entropy = _drawn()
-    simulation, _ = _broadband(balance, generator, duration=0.1)
+def test_a_gap_in_one_channel_is_bridged_by_the_dynamics(rng) -> None:
+    balance, dynamics = _drawn(rng)
+    simulation, _ = _broadband(balance, rng, duration=0.1)
     whole = simulation.recording
     channel = whole.channel("PM")
     values = channel.values.copy()
@@ -176,33 +171,33 @@ def test_a_gap_in_one_channel_is_bridged_by_the_dynamics() -> None:
     inner = _inner(whole.samples)
     for place, (name, estimate) in enumerate(found.items()):
         error = np.abs(estimate.values - simulation.applied[:, place]) / estimate.uncertainty
-        assert error[inner].max() < 6, f"{name}, seed {entropy}"
+        assert error[inner].max() < 6, name
 
 
-def test_a_component_that_is_not_recorded_is_named() -> None:
-    _, dynamics, _, _ = _drawn()
+def test_a_component_that_is_not_recorded_is_named(rng) -> None:
+    _, dynamics = _drawn(rng)
     time = np.arange(100) / 1e3
     recording = Recording.from_columns(time, {"AF": Channel(name="AF", values=np.ones(100), unit="N")})
     with pytest.raises(FitError, match="no NF, PM, SF, YM, RM"):
         reconstruct_coupled(recording, dynamics)
 
 
-def test_motion_without_a_mass_is_refused() -> None:
-    balance, dynamics, generator, _ = _drawn()
+def test_motion_without_a_mass_is_refused(rng) -> None:
+    balance, dynamics = _drawn(rng)
     rig = SixComponentRig(balance, pitch=lambda time: 0.1 + 0.01 * time, output="loads")
-    recording = rig.run(0.1, generator).recording
+    recording = rig.run(0.1, rng).recording
     with pytest.raises(FitError, match="hold no mass"):
         reconstruct_coupled(recording, replace(dynamics, mass=None))
 
 
-def test_a_weight_that_is_not_known_stays_in_the_forces() -> None:
-    balance, dynamics, generator, entropy = _drawn()
+def test_a_weight_that_is_not_known_stays_in_the_forces(rng) -> None:
+    balance, dynamics = _drawn(rng)
     rig = SixComponentRig(balance, pitch=lambda time: np.full(time.shape, 0.1), output="loads")
-    recording = rig.run(0.1, generator).recording
+    recording = rig.run(0.1, rng).recording
     with pytest.warns(DataQualityWarning, match="weight at the steady attitude"):
         found = reconstruct_coupled(recording, replace(dynamics, mass=None))
     weight = balance.mass.weight(0.1)[0]
     for place, estimate in enumerate(found.values()):
         # the mean of 2500 readings of noise 1e-4 of half range, five times its scatter
         limit = 5 * balance.noise * balance.half_range[place] / 50
-        assert abs(estimate.values.mean() - weight[place]) < limit, f"seed {entropy}"
+        assert abs(estimate.values.mean() - weight[place]) < limit

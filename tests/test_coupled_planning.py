@@ -17,7 +17,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.uncertainty.coupled_planning import Sensors, attainable_coupled, usual_bandwidths_of_coupled
 from aerobalance.uncertainty.planning import attainable
-from test_coupled_uncertainty import NOISE, RATE, SIZE, fresh, pair
+from test_coupled_uncertainty import NOISE, RATE, SIZE, pair
 
 NAMES = ("NF", "PM")
 READINGS = dict(zip(NAMES, NOISE.tolist(), strict=True))
@@ -58,9 +58,8 @@ def bound(dynamics: CoupledDynamics, noise: Array, force: Array, *, bandwidth: f
     return np.asarray(np.sqrt(np.trapezoid(error, frequency, axis=0)))
 
 
-def test_the_wiener_bound_of_all_channels() -> None:
-    generator, seed = fresh()
-    balance = random_balance(generator)
+def test_the_wiener_bound_of_all_channels(rng) -> None:
+    balance = random_balance(rng)
     top = 1.5 * balance.dynamics.modes[-1].natural_frequency
     noise, force = 1e-4 * balance.half_range, 1e-3 * balance.half_range
     names = balance.dynamics.components
@@ -68,9 +67,9 @@ def test_the_wiener_bound_of_all_channels() -> None:
     found = attainable_coupled(balance.dynamics, Sensors(given[0]), bandwidth=top, rate=25_000.0, force=given[1])
     expected = bound(balance.dynamics, noise, force, bandwidth=top, rate=25_000.0)
     # trapezia over the resonances' shoulders: the narrowest is 0.4 Hz wide, the steps are 0.015 and 0.2 Hz
-    assert [row.total for row in found] == pytest.approx(expected, rel=0.01), seed
+    assert [row.total for row in found] == pytest.approx(expected, rel=0.01)
     for row in found:
-        assert row.total <= row.apart * 1.01, (row, seed)
+        assert row.total <= row.apart * 1.01, row
 
 
 def test_noise_of_the_ground_comes_through_the_mass() -> None:

@@ -23,7 +23,7 @@ from aerobalance.recording.recording import Recording
 from aerobalance.validation.baselines import THIS
 from aerobalance.validation.coupled_baselines import TUNED, estimates_of_coupled, own_response
 from aerobalance.validation.scores import Truth
-from test_coupled_uncertainty import NOISE, RATE, SIZE, colored, fresh, pair, recording_of, shaken
+from test_coupled_uncertainty import NOISE, RATE, SIZE, colored, pair, recording_of, shaken
 
 EXACT = replace(pair(), covariance=np.zeros((8, 8)))
 
@@ -46,30 +46,28 @@ def test_a_mode_that_does_not_oscillate_is_refused() -> None:
         own_response(dynamics, "NF")
 
 
-def test_every_rival_on_a_component() -> None:
-    generator, seed = fresh()
-    force, felt, pitch = shaken(generator, EXACT)
-    recording = recording_of(felt + NOISE * generator.normal(size=felt.shape), pitch=pitch)
+def test_every_rival_on_a_component(rng) -> None:
+    force, felt, pitch = shaken(rng, EXACT)
+    recording = recording_of(felt + NOISE * rng.normal(size=felt.shape), pitch=pitch)
     truths = {"PM": Truth.of(force[:, 1], rate=RATE, natural_frequency=60.0)}
     found = estimates_of_coupled(recording, EXACT, components=("PM",), truths=truths)
     for name, rows in found.items():
         error = {(row.name, row.oracle): truths[name].score(row.values).rms for row in rows if row.ran}
         missing = {row.name: row.lacking for row in rows if not row.ran}
-        assert list(missing) == ["accelerometer correction"], (missing, seed)
+        assert list(missing) == ["accelerometer correction"], missing
         assert "no meaning for a moment" in missing["accelerometer correction"]
         assert {row for row, oracle in error if oracle} == set(TUNED) - set(missing)
         own = error.pop((THIS, False))
         # the bound is that of the best linear estimate; what ran beside it is worse
-        assert own < 1.05 * min(error.values()), (name, seed)
+        assert own < 1.05 * min(error.values()), name
         # the other component's force, as large as its own, stays in what the diagonals give
-        assert error[f"{THIS}, diagonal", False] > 3 * own, (name, seed)
-        assert error["band-limited inverse, diagonal", True] > 3 * error["band-limited inverse, coupled", True], seed
+        assert error[f"{THIS}, diagonal", False] > 3 * own, name
+        assert error["band-limited inverse, diagonal", True] > 3 * error["band-limited inverse, coupled", True]
 
 
-def test_differences_of_all_readings_undo_the_coupling() -> None:
-    generator, seed = fresh()
-    force, felt, _ = shaken(generator, EXACT, pitching=False)
-    recording = recording_of(felt + 1e-3 * NOISE * generator.normal(size=felt.shape))
+def test_differences_of_all_readings_undo_the_coupling(rng) -> None:
+    force, felt, _ = shaken(rng, EXACT, pitching=False)
+    recording = recording_of(felt + 1e-3 * NOISE * rng.normal(size=felt.shape))
     with warnings.catch_warnings():
         # so little noise lets errors of the simulation be seen, and doubted as a faint floor
         warnings.filterwarnings("ignore", message=".*so faint that", category=DataQualityWarning)
@@ -79,20 +77,19 @@ def test_differences_of_all_readings_undo_the_coupling() -> None:
     # three-point differences lose (w h)^2 / 12 of A X'' and (w h)^2 / 6 of D X', at 250 Hz and 4 kHz 1.3 and 2.6 %,
     # of terms that reach six times the force; a thousandth of the noise is amplified to 1e-4 of the force
     error = np.abs(values["central differences, coupled"] - force[:, 0])[inner]
-    assert np.max(error) < 0.15 * np.max(np.abs(force[:, 0])), seed
+    assert np.max(error) < 0.15 * np.max(np.abs(force[:, 0]))
     apart = np.abs(values["central differences, diagonal"] - force[:, 0])[inner]
-    assert np.max(apart) > 3 * np.max(error), seed
+    assert np.max(apart) > 3 * np.max(error)
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> int:
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rng, seed) -> int:
     """A folder with a run of two components, its truth, a record of noise and the dynamics; the seed."""
     monkeypatch.chdir(tmp_path)
-    generator, seed = fresh()
-    force, felt, _ = shaken(generator, pair(), pitching=False)
+    force, felt, _ = shaken(rng, pair(), pitching=False)
     corners = (20.0, 0.0)
-    write_recording(Path("run.csv"), recording_of(felt + colored(generator, corners, len(felt))))
-    write_recording(Path("calm.csv"), recording_of(colored(generator, corners, 10 * len(felt))))
+    write_recording(Path("run.csv"), recording_of(felt + colored(rng, corners, len(felt))))
+    write_recording(Path("calm.csv"), recording_of(colored(rng, corners, 10 * len(felt))))
     columns = {name: Channel(name, column, si_unit(name)) for name, column in zip(("NF", "PM"), force.T, strict=True)}
     write_recording(Path("truth.csv"), Recording.from_columns(np.arange(len(felt)) / RATE, columns))
     write_coupled(Path("dynamics.json"), pair())

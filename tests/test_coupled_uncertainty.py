@@ -17,7 +17,6 @@ from aerobalance.recording.gravity import Attitudes, PullOnZero
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.monte_carlo import monte_carlo_of_coupled
 from aerobalance.uncertainty.sampling import drawn_coupled
-from seeds import fresh
 
 RATE, COUNT = 4000.0, 2000
 SIZE = np.array([1000.0, 50.0])
@@ -74,35 +73,33 @@ def shaken(
 
 
 @pytest.mark.parametrize("options", [{}, {"bandwidth": 300.0}, {"method": "paper"}])
-def test_monte_carlo_agrees_with_the_first_order(options: dict[str, object]) -> None:
-    generator, seed = fresh()
+def test_monte_carlo_agrees_with_the_first_order(options: dict[str, object], rng, seed) -> None:
     dynamics = pair()
-    _, felt, pitch = shaken(generator, dynamics)
-    recording = recording_of(felt + NOISE * generator.normal(size=felt.shape), pitch=pitch)
+    _, felt, pitch = shaken(rng, dynamics)
+    recording = recording_of(felt + NOISE * rng.normal(size=felt.shape), pitch=pitch)
     found = reconstruct_coupled(recording, dynamics, **options)
     checked = monte_carlo_of_coupled(recording, dynamics, found, draws=25, seed=seed, **options)
     assert list(checked) == ["NF", "PM"]
     for name, result in checked.items():
         rows = {row.name: row for row in result.contributions}
         # the sets drawn have exactly their covariance, but for 24 of 25 in the mean square: what is left is curvature
-        assert rows["inertia, damping and mass"].ratio == pytest.approx(np.sqrt(24 / 25), rel=0.03), (name, seed)
+        assert rows["inertia, damping and mass"].ratio == pytest.approx(np.sqrt(24 / 25), rel=0.03), name
         assert rows["inertia, damping and mass"].drawn > 0
         # ten per cent is what is promised; the scatter of 25 draws of noise is beside that
         whole = result.contributions[-1]
-        assert abs(whole.ratio - 1) < 0.1 + 4 * whole.scatter, (name, seed)
+        assert abs(whole.ratio - 1) < 0.1 + 4 * whole.scatter, name
 
 
 @pytest.mark.parametrize("at_zero", [0.1, -0.3])
-def test_a_wrong_mass_is_wrong_in_the_zero_of_the_loads_too(at_zero: float) -> None:
-    generator, seed = fresh()
+def test_a_wrong_mass_is_wrong_in_the_zero_of_the_loads_too(at_zero: float, rng, seed) -> None:
     dynamics = pair()
     dynamics = replace(dynamics, covariance=np.zeros_like(dynamics.covariance))
     mass, pitch = dynamics.mass, 0.1
     assert mass is not None
     own = [COMPONENTS.index(name) for name in dynamics.components]
-    force = 0.03 * SIZE * band(generator, 250, count=COUNT, rate=RATE, columns=2)
+    force = 0.03 * SIZE * band(rng, 250, count=COUNT, rate=RATE, columns=2)
     felt = dynamics.load_felt(force, interval=1 / RATE) + mass.weight(np.array([pitch]))[:, own]
-    recording = recording_of(felt + NOISE * generator.normal(size=felt.shape), pitch=np.full(COUNT, pitch))
+    recording = recording_of(felt + NOISE * rng.normal(size=felt.shape), pitch=np.full(COUNT, pitch))
     zero = [Attitudes(np.array([at_zero]), np.zeros(1))]
     recording = replace(recording, pull_on_zero=PullOnZero.of(zero, gravity=STANDARD_GRAVITY))
     found = reconstruct_coupled(recording, dynamics)
@@ -120,25 +117,24 @@ def test_a_wrong_mass_is_wrong_in_the_zero_of_the_loads_too(at_zero: float) -> N
     for name, u in zip(dynamics.components, expected, strict=True):
         given = found[name].budget["inertia, damping and mass"]
         # the balance answers a weight that stands still as it is; 1e-4 of the weight's own is left by the inverse
-        assert given == pytest.approx(u, rel=1e-3, abs=1e-4 * 2e-3 * mass.mass * STANDARD_GRAVITY), (name, seed)
+        assert given == pytest.approx(u, rel=1e-3, abs=1e-4 * 2e-3 * mass.mass * STANDARD_GRAVITY), name
         drawn = [row.drawn for row in checked[name].contributions if row.name == "inertia, damping and mass"]
         # a row of nothing is left out
         least = 1e-4 * 2e-3 * mass.mass * STANDARD_GRAVITY
-        assert sum(drawn) == pytest.approx(np.sqrt(24 / 25) * u, rel=0.03, abs=least), (name, seed)
+        assert sum(drawn) == pytest.approx(np.sqrt(24 / 25) * u, rel=0.03, abs=least), name
 
 
-def test_gaps_are_filled_in_the_draws_as_in_the_force() -> None:
-    generator, seed = fresh()
+def test_gaps_are_filled_in_the_draws_as_in_the_force(rng, seed) -> None:
     dynamics = replace(pair(), mass=None)
-    _, felt, _ = shaken(generator, pair(), pitching=False)
-    loads = (felt + NOISE * generator.normal(size=felt.shape))[:1200]
+    _, felt, _ = shaken(rng, pair(), pitching=False)
+    loads = (felt + NOISE * rng.normal(size=felt.shape))[:1200]
     loads[500:520, 1] = np.nan
     recording = recording_of(loads)
     found = reconstruct_coupled(recording, dynamics)
     checked = monte_carlo_of_coupled(recording, dynamics, found, draws=12, seed=seed)
     for name, result in checked.items():
         row = next(row for row in result.contributions if row.name == "inertia, damping and mass")
-        assert row.ratio == pytest.approx(np.sqrt(11 / 12), rel=0.03), (name, seed)
+        assert row.ratio == pytest.approx(np.sqrt(11 / 12), rel=0.03), name
 
 
 def test_drawn_matrices_have_exactly_the_covariance_of_the_row() -> None:
@@ -181,17 +177,16 @@ def colored(generator: np.random.Generator, corners: tuple[float, float], count:
     return np.column_stack(columns)
 
 
-def test_noise_of_a_component_taken_apart_is_what_its_balance_makes_of_all_channels() -> None:
-    generator, seed = fresh()
+def test_noise_of_a_component_taken_apart_is_what_its_balance_makes_of_all_channels(rng) -> None:
     dynamics, corners = pair(), (60.0, 0.0)
-    run = recording_of(0.01 * SIZE * generator.normal(size=(COUNT, 2)))
+    run = recording_of(0.01 * SIZE * rng.normal(size=(COUNT, 2)))
     run = replace(
         run,
         channels={
             name: replace(run.channel(name), noise=float(u)) for name, u in zip(("NF", "PM"), NOISE, strict=True)
         },
     )
-    found = noise_of_coupled(recording_of(colored(generator, corners, 40_000)), dynamics, run=run)
+    found = noise_of_coupled(recording_of(colored(rng, corners, 40_000)), dynamics, run=run)
     frequency = np.array([8.0, 20.0, 400.0, 1000.0])
     lones = CoupledRecord.of(run, dynamics).lones
     for place, (name, spectrum) in enumerate(found.items()):
@@ -200,21 +195,20 @@ def test_noise_of_a_component_taken_apart_is_what_its_balance_makes_of_all_chann
         expected = np.sum(row * density, axis=1) * np.abs(lones[place].dynamics.response(frequency)) ** 2
         # 10 s of noise, its 1/f part from the ordinates below the mode: 30 % at 8 and 20 Hz, 5 % where it is white
         # (thousands of ordinates), the spectrum being no exact 1/f near the mode
-        assert spectrum.density(frequency) == pytest.approx(expected, rel=0.5), (name, seed)
-        assert spectrum.density(frequency)[2:] == pytest.approx(expected[2:], rel=0.2), (name, seed)
+        assert spectrum.density(frequency) == pytest.approx(expected, rel=0.5), name
+        assert spectrum.density(frequency)[2:] == pytest.approx(expected[2:], rel=0.2), name
 
 
-def test_uncertainty_with_a_record_of_noise_is_that_of_the_errors() -> None:
-    generator, seed = fresh()
+def test_uncertainty_with_a_record_of_noise_is_that_of_the_errors(rng) -> None:
     dynamics = replace(pair(), covariance=np.zeros((8, 8)))
-    force, felt, _ = shaken(generator, dynamics, pitching=False)
+    force, felt, _ = shaken(rng, dynamics, pitching=False)
     corners = (40.0, 40.0)
-    run = recording_of(felt + colored(generator, corners, COUNT))
-    spectra = noise_of_coupled(recording_of(colored(generator, corners, 40_000)), dynamics, run=run)
+    run = recording_of(felt + colored(rng, corners, COUNT))
+    spectra = noise_of_coupled(recording_of(colored(rng, corners, 40_000)), dynamics, run=run)
     found = reconstruct_coupled(run, dynamics, noise=spectra)
     inner = slice(COUNT // 20, -COUNT // 20)
     for place, (name, estimate) in enumerate(found.items()):
         error = (estimate.values - force[:, place])[inner]
         ratio = float(np.sqrt(np.mean(error**2) / np.mean(estimate.uncertainty[inner] ** 2)))
-        assert 0.6 < ratio < 1.6, (name, seed)
+        assert 0.6 < ratio < 1.6, name
         assert "record of noise" in estimate.method

@@ -14,23 +14,22 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import finer, later
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_bending import Bending, bending_dynamics
-from seeds import fresh, new_seed
+from seeds import new_seed
 
 RATE = 25_000.0
 
-Drawn = tuple[CoupledBalance, CoupledDynamics, int]
+Drawn = tuple[CoupledBalance, CoupledDynamics]
 
 
 @pytest.fixture(scope="module", params=["rigid", "bending"])
 def drawn(request: pytest.FixtureRequest) -> Drawn:
-    entropy = new_seed()
-    generator = np.random.default_rng(entropy)
-    balance = random_balance(generator)
+    rng = np.random.default_rng(new_seed())
+    balance = random_balance(rng)
     if request.param == "rigid":
-        return balance, balance.dynamics, entropy
+        return balance, balance.dynamics
     highest = max(mode.natural_frequency for mode in balance.dynamics.modes)
-    bending = Bending.random(balance, generator, frequency=generator.uniform(0.5, 1.5) * highest, part=0.3)
-    return balance, bending_dynamics(balance, bending), entropy
+    bending = Bending.random(balance, rng, frequency=rng.uniform(0.5, 1.5) * highest, part=0.3)
+    return balance, bending_dynamics(balance, bending)
 
 
 def _noise(balance: CoupledBalance) -> Array:
@@ -42,7 +41,7 @@ def _noise(balance: CoupledBalance) -> Array:
 def test_the_lone_balance_has_the_noise_of_the_coupled_inverse(
     drawn: Drawn,
 ) -> None:
-    balance, dynamics, entropy = drawn
+    balance, dynamics = drawn
     noise = _noise(balance)
     frequency = np.geomspace(1, RATE / 2, 200)
     inverse = dynamics.inverse_response(frequency)
@@ -52,7 +51,7 @@ def test_the_lone_balance_has_the_noise_of_the_coupled_inverse(
         through_all = np.sqrt(np.real(np.einsum("mi,ij,mj->m", row, noise, row.conj())))
         alone = np.sqrt(noise[place, place]) / np.abs(lone.dynamics.response(frequency))
         # both are the root of a sum of six squares; the powers of frequency reach 1e4 here, so 1e-12 is rounding
-        np.testing.assert_allclose(alone, through_all, rtol=1e-11, err_msg=f"{name}, seed {entropy}")
+        np.testing.assert_allclose(alone, through_all, rtol=1e-11, err_msg=name)
 
 
 def test_a_component_by_itself_is_left_as_it_is() -> None:
@@ -64,15 +63,14 @@ def test_a_component_by_itself_is_left_as_it_is() -> None:
     assert (lone.reading(loads, interval=1e-4) == loads[:, 1]).all()
 
 
-def test_the_lone_reading_knows_its_own_force_only(drawn: Drawn) -> None:
+def test_the_lone_reading_knows_its_own_force_only(drawn: Drawn, rng) -> None:
     """Loads at the frequencies of all modes on all components: what is left is the response to its own."""
-    balance, dynamics, entropy = drawn
+    balance, dynamics = drawn
     half_range = balance.half_range
     count = 10_000  # 0.4 s, so a period of every 2.5 Hz line
     frequency = np.fft.rfftfreq(count, 1 / RATE)
-    generator = np.random.default_rng(entropy + 1)
     inside = (frequency > 0) & (frequency < 700)
-    lines = generator.normal(size=(frequency.size, 6, 2)) @ np.array([1, 1j]) * half_range
+    lines = rng.normal(size=(frequency.size, 6, 2)) @ np.array([1, 1j]) * half_range
     lines[~inside] = 0
     felt = np.fft.irfft(np.einsum("mij,mj->mi", dynamics.response(frequency), lines), count, axis=0)
     for place, name in enumerate(dynamics.components):
@@ -84,16 +82,16 @@ def test_the_lone_reading_knows_its_own_force_only(drawn: Drawn) -> None:
         # straight lines on the finer clock leave (w h / 4)^4 / 240 = 5e-7 of a load at 700 Hz, the band-limited
         # interpolation up to 1e-4 of its rms where the loads of others are much larger than the component's own
         largest = np.abs(felt * (np.abs(dynamics.inertia[place, :6]) * (2 * np.pi * 700) ** 2 + 1)).max()
-        assert np.abs(found - expected).max() < 2e-5 * largest, f"{name}, seed {entropy}"
+        assert np.abs(found - expected).max() < 2e-5 * largest, name
 
 
-def test_slopes_are_those_of_differences(drawn: Drawn) -> None:
+def test_slopes_are_those_of_differences(drawn: Drawn, rng) -> None:
     """Change of a row of the inverse response with each element, times the lone balance's response, line by line."""
-    balance, dynamics, entropy = drawn
+    balance, dynamics = drawn
     count = 2_500
     frequency = np.fft.rfftfreq(count, 1 / RATE)
     inside = (frequency > 0) & (frequency < 700)
-    lines = np.random.default_rng(entropy).normal(size=(frequency.size, 6, 2)) @ np.array([1, 1j]) * balance.half_range
+    lines = rng.normal(size=(frequency.size, 6, 2)) @ np.array([1, 1j]) * balance.half_range
     lines[~inside] = 0
     loads = np.fft.irfft(lines, count, axis=0)
     lone = LoneComponent.of(dynamics, "YM", noise=_noise(balance))
@@ -117,7 +115,7 @@ def test_slopes_are_those_of_differences(drawn: Drawn) -> None:
         expected = np.fft.irfft(change, count)
         # what the interpolation's window leaves (3e-6) each of the two times that something is driven; rounding of a
         # difference over 1e-6, which powers of the frequency raise from 1e-10 to as much; five of these together
-        assert np.abs(own - expected).max() < 3e-5 * np.abs(expected).max(), f"{name} {i}, {j}, {entropy}"
+        assert np.abs(own - expected).max() < 3e-5 * np.abs(expected).max(), f"{name} {i}, {j}"
 
 
 @pytest.mark.parametrize("frequency", [50.0, 600.0, 2000.0])
@@ -134,13 +132,12 @@ def test_straight_lines_do_a_sine_no_harm(frequency: float) -> None:
     assert whole == pytest.approx(1, abs=4 * x**4 / 60 + 3e-6)
 
 
-def test_the_ends_of_a_record_are_as_good_as_its_middle(drawn: Drawn) -> None:
+def test_the_ends_of_a_record_are_as_good_as_its_middle(drawn: Drawn, rng) -> None:
     """Sines of 600 Hz cut off anywhere: what is left at the end is a small part of the noise."""
-    balance, dynamics, entropy = drawn
-    generator = np.random.default_rng(entropy + 2)
+    balance, dynamics = drawn
     time = np.arange(20_000) / RATE
-    size = generator.normal(size=6) * 0.1 * balance.half_range
-    phase = generator.uniform(0, 2 * np.pi, 6)
+    size = rng.normal(size=6) * 0.1 * balance.half_range
+    phase = rng.uniform(0, 2 * np.pi, 6)
     response = dynamics.response(np.array([600.0]))[0]
     turning = np.exp(2j * np.pi * 600 * time)[:, None]
     felt = np.real(turning * (response @ (size * np.exp(1j * phase))))
@@ -153,15 +150,14 @@ def test_the_ends_of_a_record_are_as_good_as_its_middle(drawn: Drawn) -> None:
         # a spline errs by (w h)^4 / 384 = 1e-6 of the sine, at its ends by ten times that (de Boor), and its second
         # difference with it; the loads of the others come in with what A makes of them
         largest = float(np.max(np.abs(felt) @ (np.abs(dynamics.inertia[place, :6]) * (2 * np.pi * 600) ** 2 + 1)))
-        assert np.abs(error[-30:]).max() < 1e-4 * largest, f"{name}, seed {entropy}"
+        assert np.abs(error[-30:]).max() < 1e-4 * largest, name
 
 
-def test_readings_are_brought_to_other_instants_up_to_the_ends() -> None:
+def test_readings_are_brought_to_other_instants_up_to_the_ends(rng) -> None:
     """Of a slow sine the spline at the ends is off by some (w h)^4, the window elsewhere by 3e-6 (`SHARPNESS`)."""
-    rng, seed = fresh()
     interval, by = 1 / 25_000, rng.uniform(-1, 1) / 25_000
     w, phase = 2 * np.pi * rng.uniform(50, 200), rng.uniform(0, 2 * np.pi)
     time = np.arange(500) * interval
     moved = later(np.sin(w * time + phase)[:, None], by, interval=interval)[:, 0]
     expected = np.sin(w * (time + by) + phase)
-    np.testing.assert_allclose(moved, expected, rtol=0, atol=10 * (w * interval) ** 4 + 3e-6, err_msg=f"seed {seed}")
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=10 * (w * interval) ** 4 + 3e-6)

@@ -11,17 +11,11 @@ from aerobalance.estimation.record import ForceEstimate
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 from aerobalance.uncertainty.regression import covariance_of, regress
-from seeds import new_seed
 
 SAMPLES = 1200
 TIME = np.arange(SAMPLES) / SAMPLES
 SWING = {"constant": 1.0, "angle": np.sin(2 * np.pi * 20 * TIME), "rate": np.cos(2 * np.pi * 20 * TIME)}
 TRUTH = np.array([40.0, -7.0, 0.5])
-
-
-def _generator() -> tuple[np.random.Generator, int]:
-    entropy = new_seed()
-    return np.random.default_rng(entropy), entropy
 
 
 def _force(values: Array, *parts: Contribution) -> ForceEstimate:
@@ -57,32 +51,30 @@ def test_a_gain_that_is_not_known_moves_all_coefficients_together() -> None:
     np.testing.assert_allclose(found.measured, 1e-6 * np.outer(TRUTH, TRUTH), atol=1e-15 * 1600)
 
 
-def test_one_sum_has_the_variance_that_a_contribution_gives_it() -> None:
-    generator, entropy = _generator()
+def test_one_sum_has_the_variance_that_a_contribution_gives_it(rng) -> None:
     red = Noise("noise", "PM", 1 + TIME, 1 / np.linspace(1, 30, 601))
-    weights = generator.normal(size=(3, SAMPLES))
+    weights = rng.normal(size=(3, SAMPLES))
     found = covariance_of(red, weights)
     for place in range(3):
-        assert found[place, place] == pytest.approx(red.variance_of(weights[place])), f"seed {entropy}"
+        assert found[place, place] == pytest.approx(red.variance_of(weights[place]))
     both = red.variance_of(weights[0] + weights[1])
-    assert found[:2, :2].sum() == pytest.approx(both), f"seed {entropy}"
+    assert found[:2, :2].sum() == pytest.approx(both)
 
 
-def _buffeting(generator: np.random.Generator, keep: float) -> Array:
+def _buffeting(rng: np.random.Generator, keep: float) -> Array:
     """First-order autoregression of unit variance, in its stationary state: power mostly below a corner."""
     from scipy.signal import lfilter
 
-    white = generator.normal(size=SAMPLES + 400) * np.sqrt(1 - keep**2)
+    white = rng.normal(size=SAMPLES + 400) * np.sqrt(1 - keep**2)
     return np.asarray(lfilter([1.0], [1.0, -keep], white)[400:])
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.8])
-def test_uncertainty_from_what_is_left_is_that_of_many_runs(keep: float) -> None:
-    generator, entropy = _generator()
+def test_uncertainty_from_what_is_left_is_that_of_many_runs(keep: float, rng) -> None:
     runs, columns = 300, _columns()
     scores = []
     for _ in range(runs):
-        found = regress(_force(columns @ TRUTH + 3 * _buffeting(generator, keep)), SWING)
+        found = regress(_force(columns @ TRUTH + 3 * _buffeting(rng, keep)), SWING)
         scores.append((found.values - TRUTH) / found.uncertainty)
         freedom = found.degrees_of_freedom
     # t-distributed with the freedom that is stated; the mean square of 300 of them scatters by the fourth moment, and
@@ -90,7 +82,7 @@ def test_uncertainty_from_what_is_left_is_that_of_many_runs(keep: float) -> None
     for place, name in enumerate(SWING):
         square = float(np.mean(np.array(scores)[:, place] ** 2)) / stats.t(freedom[place]).var()
         spread = 4.5 * np.sqrt((2 + 6 / (freedom[place] - 4)) / runs)
-        assert abs(square - 1) < 0.1 + spread, f"{name}, seed {entropy}: {square}"
+        assert abs(square - 1) < 0.1 + spread, f"{name}: {square}"
 
 
 def test_a_mean_over_a_span_uses_only_the_span() -> None:

@@ -7,7 +7,6 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from aerobalance.dynamics.single import PARAMETERS, Dynamics, Mode, extremum_ratio, stiffness_from_damped_frequency
-from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RIG = Dynamics("AF", 0.68, 11.43e6, 371.98)
@@ -136,10 +135,9 @@ def test_delay_turns_the_phase_back():
 
 
 @pytest.mark.parametrize("dynamics", [T128, HEAVY, CRITICAL], ids=["light", "overdamped", "critical"])
-def test_load_felt_is_the_integrated_one(dynamics):
-    generator = np.random.default_rng(new_seed())
+def test_load_felt_is_the_integrated_one(dynamics, rng):
     interval = 0.1 / dynamics.natural_frequency
-    net = generator.normal(size=40)
+    net = rng.normal(size=40)
     time = np.arange(net.size) * interval
     load, state = [net[0]], (net[0], 0.0)
     w0 = dynamics.angular_frequency

@@ -11,7 +11,6 @@ from aerobalance.dynamics.single import Mode
 from aerobalance.recording.channel import Array
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_bending import Bending, bending_dynamics
-from seeds import new_seed
 
 
 def values(polynomials: Array, s: Array) -> Array:
@@ -20,13 +19,11 @@ def values(polynomials: Array, s: Array) -> Array:
     return np.moveaxis(np.tensordot(polynomials, powers.T, axes=1), -1, 0)
 
 
-def bent() -> tuple[CoupledDynamics, int]:
-    seed = new_seed()
-    generator = np.random.default_rng(seed)
-    balance = random_balance(generator)
+def bent(rng: np.random.Generator) -> CoupledDynamics:
+    balance = random_balance(rng)
     highest = max(mode.natural_frequency for mode in balance.dynamics.modes)
-    bending = Bending.random(balance, generator, frequency=generator.uniform(0.5, 1.5) * highest, part=0.3)
-    return bending_dynamics(balance, bending), seed
+    bending = Bending.random(balance, rng, frequency=rng.uniform(0.5, 1.5) * highest, part=0.3)
+    return bending_dynamics(balance, bending)
 
 
 def test_no_hidden_coordinate_leaves_the_equations_as_they_are() -> None:
@@ -43,23 +40,23 @@ def test_no_hidden_coordinate_leaves_the_equations_as_they_are() -> None:
     assert free.hidden.shape == (0, 2, 1)
 
 
-def test_equations_without_the_hidden_coordinate_are_the_inverse_of_the_response() -> None:
-    dynamics, seed = bent()
+def test_equations_without_the_hidden_coordinate_are_the_inverse_of_the_response(rng) -> None:
+    dynamics = bent(rng)
     frequency = np.geomspace(1, 2000, 100)
     s = 2j * np.pi * frequency
     free = Eliminated.of(dynamics)
     common = values(free.common, s)[:, None, None]
     whole = np.linalg.inv(dynamics.equation(s))
     expected = np.linalg.inv(whole[:, :6, :6])
-    np.testing.assert_allclose(dynamics.inverse_response(frequency), expected, rtol=1e-7, err_msg=str(seed))
+    np.testing.assert_allclose(dynamics.inverse_response(frequency), expected, rtol=1e-7)
     found = values(free.forces, s) / common
     size = np.abs(expected).max(axis=0)
     # five values on a circle, powers up to the fourth at five times its radius and more: 1e-16 of 5^4 and its terms
-    assert (np.abs(found - expected) < 1e-9 * size).all(), seed
+    assert (np.abs(found - expected) < 1e-9 * size).all()
     # the load in the hidden spring when the components have unit loads, from the inverse as well
     inside = np.linalg.solve(whole[:, :6, :6].transpose(0, 2, 1), whole[:, 6:, :6].transpose(0, 2, 1))
     hidden = values(free.hidden, s) / common
-    assert (np.abs(hidden - inside.transpose(0, 2, 1)) < 1e-8 * np.abs(hidden).max(axis=0)).all(), seed
+    assert (np.abs(hidden - inside.transpose(0, 2, 1)) < 1e-8 * np.abs(hidden).max(axis=0)).all()
 
 
 def test_one_hidden_coordinate_by_hand() -> None:
@@ -91,11 +88,9 @@ def test_stable_factor_gives_the_modes_back() -> None:
     assert found[2].damping_ratio == pytest.approx(1.4, rel=1e-10)
 
 
-def test_partial_fractions_add_to_the_whole() -> None:
-    seed = new_seed()
-    generator = np.random.default_rng(seed)
-    modes = [Mode(50 * 3**k * generator.uniform(1, 2), generator.uniform(0.01, 1.5)) for k in range(3)]
-    given = generator.normal(size=(2, 7)) * 2000.0 ** -np.arange(7.0)
+def test_partial_fractions_add_to_the_whole(rng) -> None:
+    modes = [Mode(50 * 3**k * rng.uniform(1, 2), rng.uniform(0.01, 1.5)) for k in range(3)]
+    given = rng.normal(size=(2, 7)) * 2000.0 ** -np.arange(7.0)
     direct, shares, rates = shares_of(given, modes)
     s = 2j * np.pi * np.geomspace(1, 3000, 50)
     product = np.prod([1 / mode.response(s.imag / 2 / np.pi) for mode in modes], axis=0)
@@ -106,7 +101,7 @@ def test_partial_fractions_add_to_the_whole() -> None:
         )
         expected = values(given[row], s) / product
         # 1e-16 of the largest fraction, which may outweigh the sum a thousand times
-        assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max() + 1e-12, seed
+        assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max() + 1e-12
 
 
 def test_roots_that_are_no_decay_are_refused() -> None:

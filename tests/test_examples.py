@@ -16,35 +16,32 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from seeds import new_seed
-
 EXAMPLES = Path(__file__).parents[1] / "examples"
 JUDGED = float(stats.t(20).isf(5e-6))
 
 
-def _ran(name: str) -> tuple[dict[str, Any], dict[str, Any], int]:
-    """Names of the script, its results on a fresh seed, and the seed."""
+def _ran(name: str, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Names of the script, and its results."""
     script = runpy.run_path(str(EXAMPLES / f"{name}.py"))
-    seed = new_seed()
     main: Callable[[int], dict[str, Any]] = script["main"]
-    return script, main(seed), seed
+    return script, main(seed)
 
 
 # in one record of five or so the estimator says that its very end is not explained; the mean leaves the ends out
 @pytest.mark.filterwarnings("ignore:.*depart from what the model:aerobalance.recording.errors.DataQualityWarning")
-def test_mean_loads_of_a_vibrating_test() -> None:
-    script, results, seed = _ran("mean_loads")
+def test_mean_loads_of_a_vibrating_test(seed) -> None:
+    script, results = _ran("mean_loads", seed)
     ratio = []
     for name, (value, u, truth, raw) in results.items():
-        assert abs(value - truth) < 5 * u, f"{name}, seed {seed}"
+        assert abs(value - truth) < 5 * u, name
         ratio.append(abs(raw - truth) / u)
     # ringing leaves its part in the plain means; that six of them are small at once is chance
-    assert max(ratio) > 5, f"seed {seed}: {ratio}"
+    assert max(ratio) > 5, ratio
     assert set(results) == set(script["COMPONENTS"])
 
 
-def test_polar_of_a_continuous_sweep() -> None:
-    script, results, seed = _ran("pitch_sweep")
+def test_polar_of_a_continuous_sweep(seed) -> None:
+    script, results = _ran("pitch_sweep", seed)
     alpha = results.pop("alpha")
     step = float(alpha[1] - alpha[0])
     # straight from knot to knot, a polar of curvature c'' is off by c'' h^2 / 8 at most between knots of distance h
@@ -56,22 +53,22 @@ def test_polar_of_a_continuous_sweep() -> None:
     rate = 15 / 8 * (script["LAST"] - script["FIRST"]) / (script["DURATION"] - 2 * script["HOLD"])
     expected = np.sqrt(density / (2 * 2 / 3 * step / rate))
     for name, (value, u, truth, _) in results.items():
-        assert (np.abs(value - truth) < JUDGED * u + straight[name] * step**2 / 8).all(), f"{name}, seed {seed}"
-        assert expected / 2 < np.median(u) < 2 * expected, f"{name}, seed {seed}"
+        assert (np.abs(value - truth) < JUDGED * u + straight[name] * step**2 / 8).all(), name
+        assert expected / 2 < np.median(u) < 2 * expected, name
 
 
-def test_damping_derivatives_within_a_percent_while_the_sting_shakes() -> None:
-    _, results, seed = _ran("forced_oscillation")
+def test_damping_derivatives_within_a_percent_while_the_sting_shakes(seed) -> None:
+    _, results = _ran("forced_oscillation", seed)
     assert set(results) == {"PM by pitch", "PM by pitch rate", "YM by yaw", "YM by yaw rate"}
     for name, (value, u, truth, _) in results.items():
-        assert abs(value - truth) < JUDGED * u, f"{name}, seed {seed}"
-        assert abs(value / truth - 1) < 0.01, f"{name}, seed {seed}"
+        assert abs(value - truth) < JUDGED * u, name
+        assert abs(value / truth - 1) < 0.01, name
 
 
-def test_derivatives_of_a_free_oscillation() -> None:
-    script, results, seed = _ran("free_oscillation")
+def test_derivatives_of_a_free_oscillation(seed) -> None:
+    script, results = _ran("free_oscillation", seed)
     for name, (value, u, truth, _) in results.items():
-        assert abs(value - truth) < JUDGED * u, f"{name}, seed {seed}"
+        assert abs(value - truth) < JUDGED * u, name
     # closed form: buffeting of one-sided density S on a regressor r leaves the variance S / (2 integral r^2 dt); of a
     # decay r0^2 exp(-2 a t) cos^2 the integral is r0^2 / 4a. Time lost around the release costs exp(2 a t) of it; and
     # the uncertainty, judged with some 60 degrees of freedom, is itself known to 10 %.
@@ -81,32 +78,32 @@ def test_derivatives_of_a_free_oscillation() -> None:
     density = script["BUFFETING"] ** 2 / 60
     left = held**2 / (4 * decay) * np.exp(-2 * decay * lost)
     least = np.sqrt(density / 2 / left / script["RELEASES"])
-    assert 0.6 * least < results["PM_theta"][1] < 1.8 * least, f"seed {seed}"
+    assert 0.6 * least < results["PM_theta"][1] < 1.8 * least
     least /= np.sqrt(stiffness / inertia)
-    assert 0.6 * least < results["PM_q"][1] < 1.8 * least, f"seed {seed}"
+    assert 0.6 * least < results["PM_q"][1] < 1.8 * least
 
 
-def test_peak_of_a_parachute_that_opens() -> None:
-    script, results, seed = _ran("parachute")
+def test_peak_of_a_parachute_that_opens(seed) -> None:
+    script, results = _ran("parachute", seed)
     value, u, truth, raw = results["peak"]
-    assert abs(value - truth) < 5 * u, f"seed {seed}"
+    assert abs(value - truth) < 5 * u
     # closed form: white noise through 1/G of one mode up to the bandwidth B, x = B/f0, has B/f_N (1 - 2/3 x^2 + x^4/5)
     # of its variance; the edge of the band is not sharp
     ratio = script["BANDWIDTH"] / script["BALANCE"].natural_frequency
     share = script["BANDWIDTH"] / (script["RATE"] / 2) * (1 - 2 / 3 * ratio**2 + ratio**4 / 5)
-    assert u == pytest.approx(script["NOISE"] * np.sqrt(share), rel=0.3), f"seed {seed}"
-    assert raw - truth > 10 * u, f"seed {seed}"
+    assert u == pytest.approx(script["NOISE"] * np.sqrt(share), rel=0.3)
+    assert raw - truth > 10 * u
     value, _, truth, raw = results["rms of the steady drag"]
-    assert value == pytest.approx(truth, abs=5 * u), f"seed {seed}"
+    assert value == pytest.approx(truth, abs=5 * u)
 
 
-def test_plateau_of_a_short_run() -> None:
-    script, results, seed = _ran("short_duration")
+def test_plateau_of_a_short_run(seed) -> None:
+    script, results = _ran("short_duration", seed)
     value, u, truth = results["mean"]
-    assert abs(value - truth) < 6 * u, f"seed {seed}"
+    assert abs(value - truth) < 6 * u
     # 0.05 % of the plateau, as for plateaus after a step
-    assert u < 5e-4 * script["PLATEAU"], f"seed {seed}"
-    assert abs(results["low_pass"] - truth) > 10 * u, f"seed {seed}"
+    assert u < 5e-4 * script["PLATEAU"]
+    assert abs(results["low_pass"] - truth) > 10 * u
 
 
 @pytest.mark.parametrize("name", ["parachute", "short_duration"])

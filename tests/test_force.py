@@ -15,7 +15,6 @@ from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
-from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
@@ -64,21 +63,20 @@ def middle(values: np.ndarray, share: float = 0.9) -> np.ndarray:
     return values[cut : values.size - cut]
 
 
-def test_step_comes_out_as_a_step():
-    generator, seed = fresh()
-    rig = CableCut(release=1 + generator.uniform(0, 1) / RATE, sensors={"AF": Sensor(noise=2.0)})
-    simulation = rig.run(4.0, generator)
+def test_step_comes_out_as_a_step(rng):
+    rig = CableCut(release=1 + rng.uniform(0, 1) / RATE, sensors={"AF": Sensor(noise=2.0)})
+    simulation = rig.run(4.0, rng)
     estimate = reconstruct(simulation.recording, T128)
     time = simulation.recording.time - simulation.release
     error = estimate.values - simulation.applied
     # Bounds sought: 0.2 % rms from 50 ms, 1 % largest from 5 ms, 0.02 % mean, of half range.
-    assert rms(error[time > 0.05]) <= 0.002 * HALF_RANGE, seed
-    assert np.max(np.abs(error[time > 0.005])) <= 0.01 * HALF_RANGE, seed
-    assert abs(np.mean(error[time > 0.05])) <= 0.0002 * HALF_RANGE, seed
+    assert rms(error[time > 0.05]) <= 0.002 * HALF_RANGE
+    assert np.max(np.abs(error[time > 0.005])) <= 0.01 * HALF_RANGE
+    assert abs(np.mean(error[time > 0.05])) <= 0.0002 * HALF_RANGE
     # The raw reading errs by the ringing itself, so the bounds above say something.
     raw = simulation.recording.channel("AF").values - simulation.applied
-    assert rms(raw[(time > 0.05) & (time < 0.5)]) > 0.05 * HALF_RANGE, seed
-    assert len(estimate.steps) == 1, seed
+    assert rms(raw[(time > 0.05) & (time < 0.5)]) > 0.05 * HALF_RANGE
+    assert len(estimate.steps) == 1
 
 
 def shaken(generator: np.random.Generator, mass: float) -> tuple[Recording, np.ndarray, float]:
@@ -105,19 +103,18 @@ def shaken(generator: np.random.Generator, mass: float) -> tuple[Recording, np.n
 
 
 @pytest.mark.parametrize("mass", [89.0, 177.87, 267.0])
-def test_smooth_load_through_resonance_nears_the_wiener_bound(mass):
-    generator, seed = fresh()
-    recording, truth, bound = shaken(generator, mass)
-    assert 0.0006 < bound / HALF_RANGE < 0.0035, seed  # METHOD: 0.09-0.26 % of half range at the middle level
+def test_smooth_load_through_resonance_nears_the_wiener_bound(mass, rng):
+    recording, truth, bound = shaken(rng, mass)
+    assert 0.0006 < bound / HALF_RANGE < 0.0035  # METHOD: 0.09-0.26 % of half range at the middle level
     estimate = reconstruct(recording, Dynamics("AF", mass, T128.stiffness, T128.damping))
     error = middle(estimate.values - truth)
     # 1.03 on average; weighted by 1 / |G|^2 there are some 700 independent errors: 2.7 %, 5 of these
-    assert rms(error) <= 1.2 * bound, seed
+    assert rms(error) <= 1.2 * bound
     covered = np.mean(np.abs(error) <= 1.96 * middle(estimate.uncertainty))
     # 120 Hz for 9 s make about 2000 independent errors: 95 % +- 0.5 % if the uncertainty were exact
-    assert 0.90 <= covered <= 0.999, seed
-    assert not estimate.steps, seed
-    assert not estimate.assumptions, seed
+    assert 0.90 <= covered <= 0.999
+    assert not estimate.steps
+    assert not estimate.assumptions
 
 
 def quiet(method: str = "smoother", *, noise: float | None = None) -> tuple[ForceEstimate, np.ndarray]:
@@ -148,13 +145,12 @@ def test_paper_goes_to_the_truth_without_noise():
     assert "Eq. (17)" in estimate.method
 
 
-def test_noise_gain_of_central_differences():
+def test_noise_gain_of_central_differences(rng):
     # METHOD: 2 N at 1600 Hz gives 70.5 N rms.
-    generator, seed = fresh()
-    estimate = reconstruct(record(AF=(generator.normal(0, 2, 20_000), {"noise": 2.0})), T128, method="paper")
-    assert 2 * estimate.noise_gain == pytest.approx(70.5, abs=0.5), seed
-    assert rms(estimate.values) == pytest.approx(2 * estimate.noise_gain, rel=5 * np.sqrt(3 / 40_000)), seed
-    assert rms(estimate.uncertainty[1:-1]) == pytest.approx(2 * estimate.noise_gain, rel=1e-9), seed
+    estimate = reconstruct(record(AF=(rng.normal(0, 2, 20_000), {"noise": 2.0})), T128, method="paper")
+    assert 2 * estimate.noise_gain == pytest.approx(70.5, abs=0.5)
+    assert rms(estimate.values) == pytest.approx(2 * estimate.noise_gain, rel=5 * np.sqrt(3 / 40_000))
+    assert rms(estimate.uncertainty[1:-1]) == pytest.approx(2 * estimate.noise_gain, rel=1e-9)
 
 
 def test_band_limited_inverse_is_exact_on_a_sine_in_band():
@@ -169,35 +165,33 @@ def test_band_limited_inverse_is_exact_on_a_sine_in_band():
 
 
 @pytest.mark.parametrize(("bandwidth", "gain"), [(400.0, 11.0), (200.0, 1.7), (132.0, 0.5)])
-def test_noise_gain_of_the_band_limited_inverse(bandwidth, gain):
-    generator, seed = fresh()
-    estimate = reconstruct(record(AF=(generator.normal(0, 1, 30_000), {"noise": 1.0})), T128, bandwidth=bandwidth)
+def test_noise_gain_of_the_band_limited_inverse(bandwidth, gain, rng):
+    estimate = reconstruct(record(AF=(rng.normal(0, 1, 30_000), {"noise": 1.0})), T128, bandwidth=bandwidth)
     f = np.linspace(0, RATE / 2, 200_001)
     band = 1 / (1 + (f / bandwidth) ** (2 * BAND_ORDER))
     closed = np.sqrt(np.mean(np.abs(band / T128.response(f)) ** 2))  # white noise through |H|^2
-    assert estimate.noise_gain == pytest.approx(closed, rel=1e-3), seed
+    assert estimate.noise_gain == pytest.approx(closed, rel=1e-3)
     # METHOD gives a sharp edge (printed to half a digit); the roll-off of order 16 lies around it
-    assert estimate.noise_gain == pytest.approx(gain, rel=0.15), seed
+    assert estimate.noise_gain == pytest.approx(gain, rel=0.15)
     # about 2 * 10 s * bandwidth independent ordinates, weighted to the upper third: 5 standard deviations
     error = 5 / np.sqrt(2 * 2 * 18 * bandwidth / 3)
-    assert rms(middle(estimate.values)) == pytest.approx(closed, rel=error), seed
+    assert rms(middle(estimate.values)) == pytest.approx(closed, rel=error)
 
 
 @pytest.mark.parametrize("how", ["smoother", "paper", "band"])
 @pytest.mark.parametrize("delay", [0.9e-3, -0.9e-3])
-def test_delay_of_the_load_is_applied_with_the_right_sign(delay, how):
+def test_delay_of_the_load_is_applied_with_the_right_sign(delay, how, rng):
     # No force: the load is all from the ground, and read late by `delay`.
     t = np.arange(6400 * FINE) / (RATE * FINE)
     mass, late = T128.mass, Dynamics("AF", T128.mass, T128.stiffness, T128.damping, delay)
     f = 31.0
     ground = 2.0 * np.cos(2 * np.pi * f * t)
     load = np.real(2.0 * -mass * T128.response(f) * np.exp(2j * np.pi * f * (t - delay)))
-    generator, seed = fresh()
-    reading = load[::FINE] + generator.normal(0, 0.1, load[::FINE].size)
+    reading = load[::FINE] + rng.normal(0, 0.1, load[::FINE].size)
     recording = record(AF=(reading, {"noise": 0.1}), ground_acceleration=(ground[::FINE], {"noise": 1e-4}))
     if how == "smoother":
         # no force is left but the noise: at most what the reading itself has
-        assert rms(middle(reconstruct(recording, late).values, 0.6)) < 0.3, seed
+        assert rms(middle(reconstruct(recording, late).values, 0.6)) < 0.3
         return
     recording = record(AF=load[::FINE], ground_acceleration=(ground[::FINE], {"noise": 1e-4}))
     options = {"paper": {"method": "paper"}, "band": {"bandwidth": 100.0}}[how]
@@ -223,18 +217,17 @@ def test_channel_delay_counts_like_the_dynamics_delay():
         assert rms(middle(reconstruct(recording, T128, bandwidth=100.0).values, 0.6)) < 0.3
 
 
-def test_smoother_bridges_missing_samples():
-    generator, seed = fresh()
+def test_smoother_bridges_missing_samples(rng):
     force = smooth_force(round(4 * RATE) * FINE)
-    load = felt(T128, force) + generator.normal(0, 2, round(4 * RATE))
+    load = felt(T128, force) + rng.normal(0, 2, round(4 * RATE))
     gap = slice(3000, 3004)
     load[gap] = np.nan
-    load[generator.choice(6400, 60, replace=False)] = np.nan
+    load[rng.choice(6400, 60, replace=False)] = np.nan
     estimate = reconstruct(record(AF=load), T128)
     assert np.isfinite(estimate.values).all()
     error = estimate.values - force[::FINE]
-    assert np.max(np.abs(error) / estimate.uncertainty) < 6, seed
-    assert estimate.uncertainty[3001] > np.median(estimate.uncertainty), seed
+    assert np.max(np.abs(error) / estimate.uncertainty) < 6
+    assert estimate.uncertainty[3001] > np.median(estimate.uncertainty)
 
 
 @pytest.mark.parametrize("options", [{"method": "paper"}, {"bandwidth": 200.0}], ids=["paper", "band"])
@@ -245,13 +238,12 @@ def test_others_refuse_missing_samples(options):
         reconstruct(record(AF=load), T128, **options)
 
 
-def test_dc_coupled_accelerometer_is_kinematic_and_pitch():
-    generator, seed = fresh()
+def test_dc_coupled_accelerometer_is_kinematic_and_pitch(rng):
     n = 4000
     t = np.arange(n) / RATE
     ground = np.sin(2 * np.pi * 12 * t)
     pitch = np.deg2rad(4 * np.sin(2 * np.pi * 0.5 * t))
-    load = generator.normal(0, 2, n) + 300 * np.sin(2 * np.pi * 20 * t)
+    load = rng.normal(0, 2, n) + 300 * np.sin(2 * np.pi * 20 * t)
     exact = {"noise": 0.0}
     kinematic = record(AF=load, ground_acceleration=(ground, exact), pitch=(pitch, exact))
     specific = ground - STANDARD_GRAVITY * np.sin(pitch)
@@ -260,7 +252,7 @@ def test_dc_coupled_accelerometer_is_kinematic_and_pitch():
         other = record(AF=load, ground_acceleration=(specific, dc), **others)
         for method in ("smoother", "paper"):
             one, two = (reconstruct(r, T128, method=method).values for r in (kinematic, other))
-            assert two == pytest.approx(one, abs=1e-6), seed
+            assert two == pytest.approx(one, abs=1e-6)
 
 
 def test_ac_coupled_accelerometer_is_warned_about():
@@ -340,55 +332,51 @@ def test_constant_reading_is_a_constant_force():
     assert estimate.values == pytest.approx(np.full(600, -250.0), rel=1e-5)
 
 
-def test_accelerometer_at_rest_does_not_spoil_the_force():
-    generator, seed = fresh()
-    run = CableCut().run(4.0, generator)  # the paper's 5 m/s^2 on a ground end at rest: 890 N as a force
+def test_accelerometer_at_rest_does_not_spoil_the_force(rng):
+    run = CableCut().run(4.0, rng)  # the paper's 5 m/s^2 on a ground end at rest: 890 N as a force
     estimate = reconstruct(run.recording, CableCut().dynamics)
-    assert any("at rest" in text for text in estimate.assumptions), seed
-    assert estimate.uncertainty.mean() < 10, seed  # the noise of one reading of the balance
+    assert any("at rest" in text for text in estimate.assumptions)
+    assert estimate.uncertainty.mean() < 10  # the noise of one reading of the balance
 
 
-def test_a_gap_moves_no_ground_end_that_is_at_rest():
-    generator, seed = fresh()
+def test_a_gap_moves_no_ground_end_that_is_at_rest(rng):
     n, gap = 1600, slice(600, 1100)
-    acceleration = generator.normal(0, 5.0, n)  # 890 N as a force; a line across the gap would be slow motion
-    force = np.full(n, -1000.0) + generator.normal(0, 2.0, n)
+    acceleration = rng.normal(0, 5.0, n)  # 890 N as a force; a line across the gap would be slow motion
+    force = np.full(n, -1000.0) + rng.normal(0, 2.0, n)
     force[gap] = acceleration[gap] = np.nan
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)  # of the gap, and in 1 of 100 of a faint slow force
         estimate = reconstruct(record(AF=force, ground_acceleration=(acceleration, {"noise": 5.0})), T128)
-    assert any("at rest" in text for text in estimate.assumptions), seed
+    assert any("at rest" in text for text in estimate.assumptions)
     # the mean of 1100 readings: 2 N / sqrt(1100) = 0.06 N, here with a factor of four
     for part in (slice(0, 600), slice(1100, n)):
-        assert abs(estimate.values[part].mean() + 1000) < 4 * 2 / np.sqrt(500), seed
+        assert abs(estimate.values[part].mean() + 1000) < 4 * 2 / np.sqrt(500)
 
 
-def test_a_tone_under_the_noise_of_the_accelerometer_is_motion():
-    generator, seed = fresh()
+def test_a_tone_under_the_noise_of_the_accelerometer_is_motion(rng):
     count, rate, amplitude, noise = 20000, 25000.0, 1.64, 5.0
     time = np.arange(count) / rate
-    shaken = amplitude * np.sin(2 * np.pi * 652.5 * time + generator.uniform(0, 6))
-    readings = shaken + generator.normal(0, noise, count)
+    shaken = amplitude * np.sin(2 * np.pi * 652.5 * time + rng.uniform(0, 6))
+    readings = shaken + rng.normal(0, noise, count)
     recording = Recording.from_columns(
         time, {"ground_acceleration": Channel("ground_acceleration", readings, "m/s^2")}, name="rig"
     )
     motion = GroundMotion.of(recording, "AF")
-    assert any("only its tones" in text for text in motion.assumptions), seed
+    assert any("only its tones" in text for text in motion.assumptions)
     # a tone between two ordinates loses 3 % of its amplitude at most; 17 of 10001 ordinates let 4 % of the noise pass
     inner = slice(count // 20, -count // 20)
     error = motion.specific_force[inner] - shaken[inner]
-    assert np.sqrt(np.mean(error**2)) < 2 * np.hypot(0.04 * amplitude, 0.042 * noise), seed
+    assert np.sqrt(np.mean(error**2)) < 2 * np.hypot(0.04 * amplitude, 0.042 * noise)
     assert motion.noise < 0.06 * noise
 
 
-def test_readings_that_rest_on_a_limit_are_taken_for_missing():
-    generator, seed = fresh()
-    run = CableCut(sensors={"AF": Sensor(noise=2.0)}).run(3.0, generator)
+def test_readings_that_rest_on_a_limit_are_taken_for_missing(rng):
+    run = CableCut(sensors={"AF": Sensor(noise=2.0)}).run(3.0, rng)
     clipped = np.clip(run.recording.channel("AF").values, -1100.0, 900.0)
     recording = Recording.from_columns(run.recording.time, {"AF": Channel("AF", clipped, "N")}, name="clipped")
-    assert recording.channel("AF").saturated.sum() >= 6, seed
+    assert recording.channel("AF").saturated.sum() >= 6
     estimate = reconstruct(recording, CableCut().dynamics)
     error = (estimate.values - run.applied)[np.abs(run.recording.time - run.release) > 0.002]
     # as without clipping: five standard uncertainties, which are 0.03 to 0.06 N where nothing is missing
-    assert np.max(np.abs(error / estimate.uncertainty[np.abs(run.recording.time - run.release) > 0.002])) < 5, seed
-    assert np.sqrt(np.mean(error**2)) < 0.2, seed
+    assert np.max(np.abs(error / estimate.uncertainty[np.abs(run.recording.time - run.release) > 0.002])) < 5
+    assert np.sqrt(np.mean(error**2)) < 0.2

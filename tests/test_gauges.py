@@ -8,7 +8,6 @@ from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import is_gauge
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
-from seeds import new_seed
 
 RATE = 1000.0
 
@@ -21,11 +20,6 @@ def recording(*, excitation=None, missing_excitation=False, **volts):
     samples = next(iter(channels.values())).values.size
     stamps = np.arange(samples) / RATE
     return Recording("run", stamps, np.arange(samples), 0.0, RATE, channels)
-
-
-@pytest.fixture
-def seed():
-    return new_seed()
 
 
 def test_names_of_gauges():
@@ -80,41 +74,38 @@ def scatter(values):
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.05])
-def test_noise_of_the_excitation_reading_is_not_added(seed, drift):
-    generator = np.random.default_rng(seed)
+def test_noise_of_the_excitation_reading_is_not_added(drift, rng):
     samples = 20_000
     phase = np.linspace(0, 1, samples)
     true = 10.0 + drift * np.sin(2 * np.pi * phase)
     ratio = 1.5e-3
-    found = gauge_outputs(
-        recording(excitation=true + generator.normal(size=samples) * 0.01, rN1=ratio * true)
-    ).channel("rN1")
+    found = gauge_outputs(recording(excitation=true + rng.normal(size=samples) * 0.01, rN1=ratio * true)).channel(
+        "rN1"
+    )
     # Divided as read, the outputs would have a relative noise of 0.01 / 10. Blocks of 64 samples leave an eighth of
     # that, as slowly varying error; the course of the drift is 1 % a sine over the record, which blocks of 64 follow.
-    assert scatter(found.values) < 1e-3 * ratio * 1e3 / 64, f"seed {seed}"
-    np.testing.assert_allclose(found.values, 1e3 * ratio, rtol=6e-3 / 8, err_msg=f"seed {seed}")
+    assert scatter(found.values) < 1e-3 * ratio * 1e3 / 64
+    np.testing.assert_allclose(found.values, 1e3 * ratio, rtol=6e-3 / 8)
 
 
-def test_a_step_of_the_excitation_is_divided_out(seed):
-    generator = np.random.default_rng(seed)
+def test_a_step_of_the_excitation_is_divided_out(rng):
     true = np.where(np.arange(4000) < 1717, 10.0, 9.0)
-    found = gauge_outputs(recording(excitation=true + generator.normal(size=4000) * 1e-4, rAF=2e-3 * true))
+    found = gauge_outputs(recording(excitation=true + rng.normal(size=4000) * 1e-4, rAF=2e-3 * true))
     # What is left is at most the noise of one reading, 1e-5, within six standard deviations.
-    np.testing.assert_allclose(found.channel("rAF").values, 2.0, rtol=6e-5, err_msg=f"seed {seed}")
+    np.testing.assert_allclose(found.channel("rAF").values, 2.0, rtol=6e-5)
 
 
 @pytest.mark.parametrize("in_supply", [True, False])
-def test_a_tone_is_divided_out_where_it_is_in_the_supply_only(seed, in_supply):
-    generator = np.random.default_rng(seed)
+def test_a_tone_is_divided_out_where_it_is_in_the_supply_only(in_supply, rng):
     samples, noise, size = 8192, 1e-3, 0.01
     tone = size * np.sin(2 * np.pi * 60 * np.arange(samples) / RATE)
-    reading = 10.0 + tone + generator.normal(size=samples) * noise
+    reading = 10.0 + tone + rng.normal(size=samples) * noise
     volts = 2e-3 * (10.0 + in_supply * tone)
     found = gauge_outputs(recording(excitation=reading, rN1=volts, rAF=volts)).channel("rN1").values
     # With the tone in the wrong place the outputs would be off by 2 * 0.01 / 10 / sqrt(2) rms. Left are the noise
     # of one reading, or the noise of block means; a fifth of the tone is twice the former.
     wrong = 2.0 * size / 10 / np.sqrt(2)
-    assert np.std(found - 2.0) < wrong / 5, f"seed {seed}"
+    assert np.std(found - 2.0) < wrong / 5
 
 
 def test_a_single_outlier_of_the_supply_is_divided_out():
@@ -124,12 +115,11 @@ def test_a_single_outlier_of_the_supply_is_divided_out():
     np.testing.assert_allclose(found.channel("rAF").values, 2.0, rtol=1e-12)
 
 
-def test_missing_readings_of_a_steady_excitation_are_bridged(seed):
-    generator = np.random.default_rng(seed)
-    reading = 10.0 + generator.normal(size=2000) * 1e-4
+def test_missing_readings_of_a_steady_excitation_are_bridged(rng):
+    reading = 10.0 + rng.normal(size=2000) * 1e-4
     reading[500:520] = np.nan
     found = gauge_outputs(recording(excitation=reading, rAF=np.full(2000, 0.02))).channel("rAF")
-    np.testing.assert_allclose(found.values, 2.0, rtol=6e-5, err_msg=f"seed {seed}")
+    np.testing.assert_allclose(found.values, 2.0, rtol=6e-5)
 
 
 def test_an_excitation_that_fails_leaves_holes_and_is_told():

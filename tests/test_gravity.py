@@ -11,15 +11,13 @@ from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
 from aerobalance.recording.gravity import Attitudes, Pull, PullOnZero, gravity_share, pull_of_gravity, weight_direction
 from aerobalance.recording.recording import Recording
-from seeds import fresh
 
 U_ZERO, U_GAIN, U_GRAVITY = np.radians(0.05), 0.002, 0.01
 AFT, RIGHT, UP = (COMPONENTS.index(name) for name in ("AF", "SF", "NF"))
 
 
-def test_slopes_are_those_of_the_pull():
-    generator, seed = fresh()
-    pitch, roll = generator.uniform(-3, 3, (2, 50))
+def test_slopes_are_those_of_the_pull(rng):
+    pitch, roll = rng.uniform(-3, 3, (2, 50))
     found, step = Pull.of(pitch, roll, gravity=STANDARD_GRAVITY), 1e-4
     moved = {"pitch": (step, 0.0), "roll": (0.0, step)}
     for name, (up, over) in moved.items():
@@ -27,9 +25,7 @@ def test_slopes_are_those_of_the_pull():
             pull_of_gravity(pitch + sign * up, roll + sign * over, gravity=STANDARD_GRAVITY) for sign in (1, -1)
         )
         # g h^2 / 6 of the third derivative, and rounding of g over h
-        np.testing.assert_allclose(
-            found.slopes[name], (more - less) / (2 * step), atol=2e-8 + 1e-10, err_msg=str(seed)
-        )
+        np.testing.assert_allclose(found.slopes[name], (more - less) / (2 * step), atol=2e-8 + 1e-10)
     assert not found.acceleration[:, [COMPONENTS.index(name) for name in MOMENTS]].any()
     np.testing.assert_allclose(np.linalg.norm(found.acceleration, axis=1), STANDARD_GRAVITY, rtol=1e-14)
 

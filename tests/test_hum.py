@@ -11,7 +11,6 @@ from aerobalance.estimation.spectra.line_noise import columns_of_lines, hum_line
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
-from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
@@ -38,62 +37,56 @@ def record_of(load: np.ndarray) -> Recording:
 
 
 @pytest.mark.parametrize("mains", [49.97, 50.02, 60.03])
-def test_frequency_and_size_of_hum(mains):
-    generator, seed = fresh()
+def test_frequency_and_size_of_hum(mains, rng):
     time = clock(6)
-    values = hum(generator, time, mains, {1: 12.0, 3: 6.0}) + generator.normal(0, NOISE, time.size)
+    values = hum(rng, time, mains, {1: 12.0, 3: 6.0}) + rng.normal(0, NOISE, time.size)
     lines = hum_lines(values, 1 / RATE)
-    assert len(lines) == 2, (lines, seed)
+    assert len(lines) == 2, lines
     for line, (number, size) in zip(lines, ((1, 12.0), (3, 6.0)), strict=True):
         # Cramer-Rao: sqrt(6 / n) noise / (pi amplitude T) for the frequency, noise sqrt(2 / n) for the amplitude;
         # the Hann window sees half as much again and more of the frequency's: 10 of these
         bound = np.sqrt(6 / time.size) * NOISE / (np.pi * size * 6)
-        assert abs(line.frequency - number * mains) < 10 * bound, (line, seed)
-        assert abs(line.amplitude - size) < 6 * NOISE * np.sqrt(2 / time.size), (line, seed)
+        assert abs(line.frequency - number * mains) < 10 * bound, line
+        assert abs(line.amplitude - size) < 6 * NOISE * np.sqrt(2 / time.size), line
 
 
-def test_nothing_is_taken_from_noise():
+def test_nothing_is_taken_from_noise(rng):
     # twice the log-likelihood of one ordinate is chi-square with two degrees of freedom: 40 is exp(-20)
-    generator, seed = fresh()
     for seconds in (1.0, 2.5, 7.0):
-        assert hum_lines(generator.normal(0, NOISE, clock(seconds).size), 1 / RATE) == (), seed
+        assert hum_lines(rng.normal(0, NOISE, clock(seconds).size), 1 / RATE) == ()
 
 
 @pytest.mark.parametrize("frequency", [48.0, 50.5, 66.4, 100.0])
-def test_a_tone_elsewhere_is_not_hum(frequency):
+def test_a_tone_elsewhere_is_not_hum(frequency, rng):
     # a harmonic alone is no hum either
-    generator, seed = fresh()
     time = clock(6)
-    values = hum(generator, time, frequency, {1: 30.0}) + generator.normal(0, NOISE, time.size)
-    assert hum_lines(values, 1 / RATE) == (), seed
+    values = hum(rng, time, frequency, {1: 30.0}) + rng.normal(0, NOISE, time.size)
+    assert hum_lines(values, 1 / RATE) == ()
 
 
-def test_a_line_that_comes_or_fades_is_not_hum():
-    generator, seed = fresh()
+def test_a_line_that_comes_or_fades_is_not_hum(rng):
     time = clock(6)
-    noise, line = generator.normal(0, NOISE, time.size), hum(generator, time, 50.0, {1: 30.0})
-    assert hum_lines(line * (time > 3) + noise, 1 / RATE) == (), seed
-    assert hum_lines(line * np.exp(-time) + noise, 1 / RATE) == (), seed
+    noise, line = rng.normal(0, NOISE, time.size), hum(rng, time, 50.0, {1: 30.0})
+    assert hum_lines(line * (time > 3) + noise, 1 / RATE) == ()
+    assert hum_lines(line * np.exp(-time) + noise, 1 / RATE) == ()
 
 
-def test_a_load_that_is_stronger_is_not_hum():
-    generator, seed = fresh()
+def test_a_load_that_is_stronger_is_not_hum(rng):
     time = clock(6)
     spectrum = np.where(np.fft.rfftfreq(2 * time.size, 1 / RATE) < 120, 1.0, 0.0)
-    phasors = generator.normal(size=(2, spectrum.size)) * spectrum
+    phasors = rng.normal(size=(2, spectrum.size)) * spectrum
     load = np.fft.irfft(phasors[0] + 1j * phasors[1], 2 * time.size)[: time.size]
     load *= 500 / load.std()  # 2100 N^2/Hz of 6 s: a line of 12 N is a twelfth of one ordinate's 37 N, squared
-    values = load + hum(generator, time, 50.0, {1: 12.0}) + generator.normal(0, NOISE, time.size)
-    assert hum_lines(values, 1 / RATE) == (), seed
+    values = load + hum(rng, time, 50.0, {1: 12.0}) + rng.normal(0, NOISE, time.size)
+    assert hum_lines(values, 1 / RATE) == ()
 
 
-def test_given_lines_are_taken_and_none_when_all_are_kept():
-    generator, seed = fresh()
+def test_given_lines_are_taken_and_none_when_all_are_kept(rng):
     time = clock(4)
-    values = hum(generator, time, 83.3, {1: 20.0}) + hum(generator, time, 50.0, {1: 5.0})
-    values += generator.normal(0, NOISE, time.size)
+    values = hum(rng, time, 83.3, {1: 20.0}) + hum(rng, time, 50.0, {1: 5.0})
+    values += rng.normal(0, NOISE, time.size)
     (line,) = hum_lines(values, 1 / RATE, hum=(83.3,))
-    assert line.frequency == pytest.approx(83.3, abs=0.01), seed
+    assert line.frequency == pytest.approx(83.3, abs=0.01)
     assert hum_lines(values, 1 / RATE, hum="keep") == ()
 
 
@@ -118,32 +111,30 @@ def test_lines_and_their_columns_agree():
 
 
 @pytest.mark.parametrize("stepped", [False, pytest.param(True, marks=pytest.mark.long)])
-def test_force_is_what_it_is_without_hum(stepped):
-    generator, seed = fresh()
+def test_force_is_what_it_is_without_hum(stepped, rng):
     time = clock(3)
     force = 300 * (time > 1.2003) if stepped else 200 * np.sin(2 * np.pi * 7.3 * time)
     load = 300 * T128.step_response(time - 1.2003) if stepped else T128.load_felt(force, interval=1 / RATE)
-    load = load + generator.normal(0, NOISE, time.size)
-    lines = hum(generator, time, 50.02, {1: 12.0, 3: 6.0, 5: 3.0})
+    load = load + rng.normal(0, NOISE, time.size)
+    lines = hum(rng, time, 50.02, {1: 12.0, 3: 6.0, 5: 3.0})
     clean = reconstruct(record_of(load), T128)
     with pytest.warns(DataQualityWarning, match=r"50\.0.* Hz .* taken for mains hum and not for force"):
         found = reconstruct(record_of(load + lines), T128)
-    assert clean.hum == (), seed
-    assert len(found.hum) == 3, (found.hum, seed)
-    assert len(found.steps) == len(clean.steps), seed
+    assert clean.hum == ()
+    assert len(found.hum) == 3, found.hum
+    assert len(found.steps) == len(clean.steps)
     inner = slice(time.size // 20, -time.size // 20)
     difference = np.abs(found.values - clean.values)[inner]
     # two parts of three lines are worked out from what the noise leaves: the difference is a part of the uncertainty
     # of either, in which the constant, two edges of a spectrum and the lines have a few of 4800 samples each
-    assert np.sqrt(np.mean(difference**2)) < np.sqrt(np.mean(found.uncertainty[inner] ** 2)), seed
+    assert np.sqrt(np.mean(difference**2)) < np.sqrt(np.mean(found.uncertainty[inner] ** 2))
     quiet = without_hum(record_of(load + lines), found).channel("AF").values
-    assert np.std(quiet - load) < 6 * NOISE * np.sqrt(9 / time.size), seed
+    assert np.std(quiet - load) < 6 * NOISE * np.sqrt(9 / time.size)
 
 
-def test_keeping_hum_leaves_it_in_the_force():
-    generator, seed = fresh()
+def test_keeping_hum_leaves_it_in_the_force(rng):
     time = clock(3)
-    values = hum(generator, time, 50.0, {1: 20.0}) + generator.normal(0, NOISE, time.size)
+    values = hum(rng, time, 50.0, {1: 20.0}) + rng.normal(0, NOISE, time.size)
     with warnings.catch_warnings():
         warnings.simplefilter("error", DataQualityWarning)
         kept = reconstruct(record_of(values), T128, hum="keep").values
@@ -151,20 +142,19 @@ def test_keeping_hum_leaves_it_in_the_force():
     # the balance enlarges 50 Hz by 1 / (1 - (50 / 66.4)^2) = 2.3
     gain = float(np.abs(T128.response(np.array([50.0])))[0])
     inner = slice(480, -480)
-    assert np.std(kept[inner]) == pytest.approx(20 / gain / np.sqrt(2), rel=0.1), seed
-    assert np.std(taken[inner]) < 0.5, seed
+    assert np.std(kept[inner]) == pytest.approx(20 / gain / np.sqrt(2), rel=0.1)
+    assert np.std(taken[inner]) < 0.5
     with pytest.raises(ValueError, match="only the smoother"):
         reconstruct(record_of(values), T128, hum=(50.0,), bandwidth=100.0)
 
 
-def test_a_drive_at_a_frequency_of_the_mains_stays_a_force():
-    generator, seed = fresh()
+def test_a_drive_at_a_frequency_of_the_mains_stays_a_force(rng):
     time = clock(4)
-    wave = 300 * np.exp(2j * np.pi * 60.0 * time + 1j * generator.uniform(0, 2 * np.pi))
-    load = (wave * T128.response(60.0)).real + generator.normal(0, NOISE, time.size)
+    wave = 300 * np.exp(2j * np.pi * 60.0 * time + 1j * rng.uniform(0, 2 * np.pi))
+    load = (wave * T128.response(60.0)).real + rng.normal(0, NOISE, time.size)
     with pytest.warns(DataQualityWarning, match=r"Hz .* lie where the mains do, .* taken for force"):
         found = reconstruct(record_of(load), T128)
-    assert found.hum == (), seed
+    assert found.hum == ()
     inner = slice(640, -640)
     amplitude = 2 * np.mean(found.values[inner] * np.exp(-2j * np.pi * 60.0 * time[inner]))
-    assert abs(abs(amplitude) - 300) < 2.0, seed  # 0.1 % of half range, as for any other tone
+    assert abs(abs(amplitude) - 300) < 2.0  # 0.1 % of half range, as for any other tone

@@ -34,7 +34,6 @@ from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_bending import Bending, bending_dynamics
-from seeds import fresh
 
 RATE = 2500.0
 SECONDS = 0.8
@@ -101,14 +100,13 @@ def quietly(made: list[Recording], **settings):
         return identify_releases(made, components=NAMES, half_range=RANGES, **settings)
 
 
-def test_loads_of_a_bending_structure():
-    rng, seed = fresh()
+def test_loads_of_a_bending_structure(rng):
     balance = random_balance(rng)
     bending = Bending.random(balance, rng, frequency=rng.uniform(60, 900), part=0.3)
     dynamics = bending_dynamics(balance, bending)
     nothing = np.zeros((6, 1))
     M = np.block([[balance.mass.matrix, bending.coupling], [bending.coupling.T, bending.mass]])
-    assert np.linalg.eigvalsh(M / np.sqrt(np.outer(np.diag(M), np.diag(M))))[0] > 0, seed
+    assert np.linalg.eigvalsh(M / np.sqrt(np.outer(np.diag(M), np.diag(M))))[0] > 0
     C = np.block([[balance.damping, nothing], [nothing.T, bending.damping]])
     K = np.block([[balance.stiffness, nothing], [nothing.T, bending.stiffness]])
     into = np.vstack([np.eye(6), bending.driven.T])
@@ -118,12 +116,11 @@ def test_loads_of_a_bending_structure():
         scale = np.outer(balance.half_range, 1 / balance.half_range)
         found = dynamics.response([frequency])[0]
         # rounding of 1e-16 through matrices of a condition of some 1e6
-        assert found / scale == pytest.approx(direct / scale, abs=1e-8 * np.abs(direct / scale).max()), seed
+        assert found / scale == pytest.approx(direct / scale, abs=1e-8 * np.abs(direct / scale).max())
 
 
 @pytest.mark.parametrize("hidden", [1, 2])
-def test_directions_that_change_nothing(hidden):
-    rng, seed = fresh()
+def test_directions_that_change_nothing(hidden, rng):
     n, size = 2, 2 + hidden
     spring = np.eye(size) + 0.3 * rng.normal(size=(size, size))
     brake = 0.1 * np.eye(size) + 0.02 * rng.normal(size=(size, size))
@@ -137,17 +134,17 @@ def test_directions_that_change_nothing(hidden):
 
     rows = invariances(matrices, n, loads=np.eye(n))
     assert len(rows) == 2 * hidden**2
-    assert np.linalg.matrix_rank(rows, tol=1e-9 * np.linalg.norm(rows)) == 2 * hidden**2, seed
+    assert np.linalg.matrix_rank(rows, tol=1e-9 * np.linalg.norm(rows)) == 2 * hidden**2
     for row in rows:
         step = 1e-5 * row / np.linalg.norm(row)
         change = felt_over_applied(matrices + step) - felt_over_applied(matrices - step)
         usual = felt_over_applied(matrices + 1e-5 * np.eye(row.size)[0]) - felt_over_applied(matrices)
         # what is left is of the third order in the step, and rounding
-        assert np.abs(change).max() < 1e-4 * np.abs(usual).max(), seed
+        assert np.abs(change).max() < 1e-4 * np.abs(usual).max()
     other, turn = renewed(matrices, n, let_go=held_states(rng.normal(size=(n, n)), size))
     assert turn[:n] == pytest.approx(np.eye(2 * size)[:n])
     response = felt_over_applied(matrices)
-    assert felt_over_applied(other) == pytest.approx(response, abs=1e-8 * np.abs(response).max()), seed
+    assert felt_over_applied(other) == pytest.approx(response, abs=1e-8 * np.abs(response).max())
 
 
 @pytest.mark.parametrize("kind", ["release", "ramp", "free"])
@@ -211,13 +208,12 @@ def test_force_error_with_hidden_coordinates():
         assert direct == pytest.approx(predicted, rel=1e-3, abs=1e-6 * direct.max())
 
 
-def test_a_bending_mode_is_found():
-    rng, seed = fresh()
+def test_a_bending_mode_is_found(rng):
     true = truth()
     fit = quietly(recordings(true, rng))
-    assert fit.dynamics.hidden == 1, (fit.notes, seed)
+    assert fit.dynamics.hidden == 1, fit.notes
     (place,) = fit.further
-    assert fit.modes[place].natural_frequency == pytest.approx(true.modes[place].natural_frequency, rel=1e-3), seed
+    assert fit.modes[place].natural_frequency == pytest.approx(true.modes[place].natural_frequency, rel=1e-3)
     table = ModeTable.of(fit.dynamics, sizes=HALF_RANGE)
     right = ModeTable.of(true, sizes=HALF_RANGE)
     error = np.array(
@@ -226,19 +222,18 @@ def test_a_bending_mode_is_found():
     )
     u = np.sqrt(np.diag(table.covariance))
     square = float((error / u) @ np.linalg.solve(table.covariance / np.outer(u, u), error / u))
-    assert chi2.ppf(NEVER / 2, 6) < square < chi2.isf(NEVER / 2, 6), seed
+    assert chi2.ppf(NEVER / 2, 6) < square < chi2.isf(NEVER / 2, 6)
     relative = true_force_error(fit.dynamics, true, sizes=fit.applied) / fit.force_error
-    assert relative.max() < norm.isf(NEVER / 4), seed  # at worst one deviate carries it all
+    assert relative.max() < norm.isf(NEVER / 4)  # at worst one deviate carries it all
     forced = quietly(recordings(true, rng), modes=2)
     assert forced.dynamics.hidden == 0
     named = [re.search(r"near (\S+) Hz as the 2 modes found do not", note) for note in forced.notes]
     lacking = [float(match[1]) for match in named if match]
     # the two that ring most are found; four digits are printed of a first guess without noise to speak of
-    assert lacking == [pytest.approx(true.modes[place].natural_frequency, rel=1e-3)], (forced.notes, seed)
+    assert lacking == [pytest.approx(true.modes[place].natural_frequency, rel=1e-3)], forced.notes
 
 
-def test_a_first_guess_that_leads_nowhere_is_replaced(monkeypatch):
-    rng, seed = fresh()
+def test_a_first_guess_that_leads_nowhere_is_replaced(monkeypatch, rng):
     made = recordings(truth(), rng)
     expected = quietly(made, modes=3)
     guess_of, asked = further_coupled.guess_of, []
@@ -254,13 +249,12 @@ def test_a_first_guess_that_leads_nowhere_is_replaced(monkeypatch):
     assert asked == [1, 2]
     # both have come to the same best fit, to the accuracy at which a fit is settled
     for mode, other, u in zip(fit.modes, expected.modes, expected.u_natural_frequency, strict=True):
-        assert mode.natural_frequency == pytest.approx(other.natural_frequency, abs=0.05 * u), seed
+        assert mode.natural_frequency == pytest.approx(other.natural_frequency, abs=0.05 * u)
     assert fit.dynamics.hidden == 1
 
 
-def test_two_modes_of_the_balance_may_be_alike():
+def test_two_modes_of_the_balance_may_be_alike(rng):
     """Modes that are near each other and of one shape, both of the balance, hide no third of bending."""
-    rng, seed = fresh()
     felt, rates = np.array([[1000.0, 1000.0], [50.0, -50.0]]), 2 * np.pi * np.array([100.0, 101.0])
     K = np.diag([1e8, 2.5e5, 1e6])
     size = rates * np.sqrt(np.sum(felt**2 / np.diag(K)[:2, None], axis=0))  # normal to each other over the stiffness
@@ -269,12 +263,11 @@ def test_two_modes_of_the_balance_may_be_alike():
     M = np.block([[M, shared], [shared.T, np.array([[own]])]])
     true = in_loads(M, 6e-5 * K, K, np.eye(3)[:, :2], K[:2])
     fit = quietly(recordings(true, rng))
-    assert fit.dynamics.hidden == 1, (fit.notes, seed)
-    assert np.abs(fit.dynamics.poles) == pytest.approx(np.abs(true.poles), rel=1e-2), seed
+    assert fit.dynamics.hidden == 1, fit.notes
+    assert np.abs(fit.dynamics.poles) == pytest.approx(np.abs(true.poles), rel=1e-2)
 
 
-def test_a_mode_that_is_not_linear_is_no_two():
-    rng, seed = fresh()
+def test_a_mode_that_is_not_linear_is_no_two(rng):
     dynamics = rigid()
     spring = np.linalg.inv(dynamics.inertia)
     brake = spring @ dynamics.damping
@@ -295,20 +288,18 @@ def test_a_mode_that_is_not_linear_is_no_two():
         channels = {name: Channel(name, values[:, i].copy(), si_unit(name)) for i, name in enumerate(NAMES)}
         made.append(Recording.from_columns(time, channels, name=recording.name))
     fit = quietly(made)
-    assert fit.dynamics.hidden == 0, (fit.notes, seed)
-    assert any("or damping is not linear" in note for note in fit.notes), (fit.notes, seed)
+    assert fit.dynamics.hidden == 0, fit.notes
+    assert any("or damping is not linear" in note for note in fit.notes), fit.notes
 
 
-def test_a_rigid_model_has_no_bending_mode():
-    rng, seed = fresh()
+def test_a_rigid_model_has_no_bending_mode(rng):
     fit = quietly(recordings(rigid(), rng))
-    assert fit.dynamics.hidden == 0, seed
-    assert not any("bends" in note for note in fit.notes), (fit.notes, seed)
+    assert fit.dynamics.hidden == 0
+    assert not any("bends" in note for note in fit.notes), fit.notes
     assert fit.further == ()
 
 
-def test_hum_is_no_mode():
-    rng, seed = fresh()
+def test_hum_is_no_mode(rng):
     hummed = []
     for made in recordings(rigid(), rng):
         line = 3e-4 * np.sin(2 * np.pi * 50 * np.arange(made.samples) / RATE + rng.uniform(0, 6))
@@ -318,34 +309,32 @@ def test_hum_is_no_mode():
         }
         hummed.append(replace(made, channels=channels))
     fit = quietly(hummed)
-    assert fit.dynamics.hidden == 0, seed
-    assert not any("bends" in note for note in fit.notes), (fit.notes, seed)
+    assert fit.dynamics.hidden == 0
+    assert not any("bends" in note for note in fit.notes), fit.notes
 
 
-def test_a_bending_mode_needs_all_releases():
-    rng, seed = fresh()
+def test_a_bending_mode_needs_all_releases(rng):
     made = recordings(truth(), rng, along=(0,))
     with pytest.raises(FitError, match=r"along every component, 2 .* there are 1"):
         quietly(made, modes=3)
     fit = quietly(made)
-    assert fit.dynamics.hidden == 0, seed
-    assert any("needs releases of a held load along every component" in note for note in fit.notes), (fit.notes, seed)
+    assert fit.dynamics.hidden == 0
+    assert any("needs releases of a held load along every component" in note for note in fit.notes), fit.notes
     with pytest.raises(ValueError, match="modes must be auto or 2 to 5"):
         quietly(made, modes=1)
 
 
-def test_the_command_tells_of_the_bending_mode(tmp_path):
-    rng, seed = fresh()
+def test_the_command_tells_of_the_bending_mode(tmp_path, rng):
     true = truth()
     paths = []
     for made in recordings(true, rng):
         paths.append(tmp_path / f"{made.name[-2:]}.csv")
         write_recording(paths[-1], made)
     account = identify_decays(paths, tmp_path / "dynamics.json", components=NAMES, modes="auto")
-    assert "mode of the model or sting" in account["summary"], seed
-    assert [mode["of_model_or_sting"] for mode in account["fit"]["modes"]].count(True) == 1, seed
+    assert "mode of the model or sting" in account["summary"]
+    assert [mode["of_model_or_sting"] for mode in account["fit"]["modes"]].count(True) == 1
     found = read_coupled(tmp_path / "dynamics.json")
-    assert found.hidden == 1, seed
-    assert found.poles.imag.max() == pytest.approx(true.poles.imag.max(), rel=1e-3), seed
+    assert found.hidden == 1
+    assert found.poles.imag.max() == pytest.approx(true.poles.imag.max(), rel=1e-3)
     with pytest.raises(ValueError, match="--modes must be auto or a number"):
         identify_decays(paths, None, modes="many")

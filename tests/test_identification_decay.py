@@ -15,7 +15,7 @@ from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
-from seeds import fresh, trials
+from seeds import trials
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
@@ -56,30 +56,28 @@ def bound(dynamics: Dynamics, time: np.ndarray, *, instant: float, noise: float)
     return tuple(float(np.sqrt(slope @ covariance @ slope)) for slope in (stiffness, damping))
 
 
-def test_stiffness_and_damping_of_varied_balances():
-    generator, seed = fresh()
+def test_stiffness_and_damping_of_varied_balances(rng):
     for _ in range(trials(2, 4)):
-        mass, stiffness = (value * generator.uniform(0.5, 1.5) for value in (T128.mass, T128.stiffness))
+        mass, stiffness = (value * rng.uniform(0.5, 1.5) for value in (T128.mass, T128.stiffness))
         truth = Dynamics("AF", mass, stiffness, T128.damping)
-        instant = 1 + generator.uniform(0, 1) / RATE
+        instant = 1 + rng.uniform(0, 1) / RATE
         rig = CableCut(dynamics=truth, release=instant, sensors={"AF": Sensor(noise=10.0)})
-        fit = identify_decay(rig.run(5.0, generator).recording, mass=mass)
+        fit = identify_decay(rig.run(5.0, rng).recording, mass=mass)
         # The bounds sought; the Cramer-Rao bound is about 1e-5 and 1.5e-3 at worst here.
-        assert fit.dynamics.stiffness == pytest.approx(stiffness, rel=1e-4), seed
-        assert fit.dynamics.damping == pytest.approx(truth.damping, rel=5e-3), seed
-        assert fit.residual_deviation == pytest.approx(10.0, rel=5 / np.sqrt(2 * 8000)), seed
+        assert fit.dynamics.stiffness == pytest.approx(stiffness, rel=1e-4)
+        assert fit.dynamics.damping == pytest.approx(truth.damping, rel=5e-3)
+        assert fit.residual_deviation == pytest.approx(10.0, rel=5 / np.sqrt(2 * 8000))
         assert fit.release is not None
-        assert abs(fit.release[0] - instant) < 6 * fit.release[1], seed
+        assert abs(fit.release[0] - instant) < 6 * fit.release[1]
 
 
 @pytest.mark.slow
-def test_scatter_is_the_cramer_rao_bound_and_is_what_is_stated():
-    generator, seed = fresh()
+def test_scatter_is_the_cramer_rao_bound_and_is_what_is_stated(rng):
     draws, noise, exact = trials(25, 200), 10.0, release(2.0)
     found, scores = np.empty((draws, 2)), np.empty((draws, 2))
     truth = np.array([T128.stiffness, T128.damping])
     for draw in range(draws):
-        fit = identify_decay(record(exact + generator.normal(0, noise, exact.size)), mass=T128.mass).dynamics
+        fit = identify_decay(record(exact + rng.normal(0, noise, exact.size)), mass=T128.mass).dynamics
         found[draw] = fit.stiffness, fit.damping
         scores[draw] = (found[draw] - truth) / [fit.uncertainty("stiffness"), fit.uncertainty("damping")]
     least = bound(T128, clock(2.0), instant=RELEASE, noise=noise)
@@ -87,10 +85,10 @@ def test_scatter_is_the_cramer_rao_bound_and_is_what_is_stated():
     # bound sought at 1.1 and for the z-scores.
     scatter, off = 5 / np.sqrt(2 * draws), 5 / np.sqrt(draws)
     ratio = np.sqrt(np.mean((found - truth) ** 2, axis=0)) / least
-    assert (ratio < 1.1 * (1 + scatter)).all(), (ratio, seed)
-    assert (ratio > 1 - scatter).all(), (ratio, seed)  # below that the bound would be wrong
-    assert (np.abs(scores.std(axis=0) - 1) < scatter).all(), (scores.std(axis=0), seed)
-    assert (np.abs(scores.mean(axis=0)) < off).all(), (scores.mean(axis=0), seed)
+    assert (ratio < 1.1 * (1 + scatter)).all(), ratio
+    assert (ratio > 1 - scatter).all(), ratio  # below that the bound would be wrong
+    assert (np.abs(scores.std(axis=0) - 1) < scatter).all(), scores.std(axis=0)
+    assert (np.abs(scores.mean(axis=0)) < off).all(), scores.mean(axis=0)
 
 
 def test_exact_without_noise():
@@ -104,68 +102,66 @@ def test_exact_without_noise():
     assert fit.damped_frequency == pytest.approx(T128.damped_frequency, rel=1e-8)
 
 
-def noisy(load: np.ndarray, noise: float = 10.0) -> tuple[Recording, int]:
-    generator, seed = fresh()
-    return record(load + generator.normal(0, noise, load.size)), seed
+def noisy(rng: np.random.Generator, load: np.ndarray, noise: float = 10.0) -> Recording:
+    return record(load + rng.normal(0, noise, load.size))
 
 
-def meets(found: Dynamics, seed: int, truth: Dynamics = T128) -> None:
+def meets(found: Dynamics, truth: Dynamics = T128) -> None:
     """Within five standard uncertainties, which are themselves small."""
     for name, largest in (("stiffness", 1e-4), ("damping", 2e-2)):
         error, u = getattr(found, name) - getattr(truth, name), found.uncertainty(name)
-        assert abs(error) < 5 * u, (name, error / u, seed)
-        assert u < largest * getattr(truth, name), (name, seed)
+        assert abs(error) < 5 * u, (name, error / u)
+        assert u < largest * getattr(truth, name), name
 
 
-def test_hum_is_found():
+def test_hum_is_found(rng):
     time = clock(3.0)
     hum = 25 * np.sin(2 * np.pi * 50 * time + 0.4) + 12 * np.cos(2 * np.pi * 150.3 * time)
-    recording, seed = noisy(release() + hum)
+    recording = noisy(rng, release() + hum)
     fit = identify_decay(recording, mass=T128.mass)
-    meets(fit.dynamics, seed)
+    meets(fit.dynamics)
     # u of a line: amplitude noise sqrt(2 / n) = 0.2 N; frequency 0.78 noise / (amplitude T sqrt(n/2)) < 5e-3 Hz; six
     for frequency, level in ((50.0, 25.0), (150.3, 12.0)):
         near = [line for line in fit.hum if abs(line[0] - frequency) < 0.03]
-        assert len(near) == 1, (fit.hum, seed)
-        assert near[0][1] == pytest.approx(level, abs=1.2 + 0.02 * level), seed
+        assert len(near) == 1, fit.hum
+        assert near[0][1] == pytest.approx(level, abs=1.2 + 0.02 * level)
 
 
-def test_offset_and_drift_are_found():
-    recording, seed = noisy(release() + 55 - 20 * clock(3.0))
+def test_offset_and_drift_are_found(rng):
+    recording = noisy(rng, release() + 55 - 20 * clock(3.0))
     fit = identify_decay(recording, mass=T128.mass)
-    meets(fit.dynamics, seed)
-    assert fit.residual_deviation == pytest.approx(10.0, rel=5 / np.sqrt(2 * 4800)), seed
+    meets(fit.dynamics)
+    assert fit.residual_deviation == pytest.approx(10.0, rel=5 / np.sqrt(2 * 4800))
 
 
-def test_second_mode_is_found_and_warned_about():
+def test_second_mode_is_found_and_warned_about(rng):
     other = Dynamics("AF", 1.0, (2 * np.pi * 171.0) ** 2, 2 * 0.008 * 2 * np.pi * 171.0)
     load = 0.9 * release() + 0.1 * release(dynamics=other)
-    recording, seed = noisy(load, 5.0)
+    recording = noisy(rng, load, 5.0)
     with pytest.warns(DataQualityWarning, match=r"further mode at 17[01]"):
         fit = identify_decay(recording, mass=T128.mass)
-    meets(fit.dynamics, seed)
+    meets(fit.dynamics)
     (mode,) = fit.further_modes
     # its amplitude is 20 times the noise over 1 / (0.008 * 2 pi 171) = 0.12 s: frequency to 0.02 Hz, damping 2 %
-    assert mode[0] == pytest.approx(other.damped_frequency, abs=0.15), seed
-    assert mode[1] == pytest.approx(0.008, rel=0.15), seed
+    assert mode[0] == pytest.approx(other.damped_frequency, abs=0.15)
+    assert mode[1] == pytest.approx(0.008, rel=0.15)
 
 
 @pytest.mark.parametrize("share", [0.08, 0.03, -0.03, -0.08])
-def test_modes_are_identified_with_shares_of_either_sign(share):
-    generator, seed = fresh()
-    frequency, ratio = generator.uniform(120, 400), generator.uniform(0.004, 0.015)
+def test_modes_are_identified_with_shares_of_either_sign(share, rng):
+    frequency, ratio = rng.uniform(120, 400), rng.uniform(0.004, 0.015)
     truth = T128.with_modes(Mode(frequency, ratio, share))
     rig = CableCut(dynamics=truth, release=RELEASE, sensors={"AF": Sensor(noise=2.0)})
-    found = identify_decay(rig.run(3.0, generator).recording, mass=T128.mass, modes="auto").dynamics
-    assert len(found.further_modes) == 1, (found, seed)
+    found = identify_decay(rig.run(3.0, rng).recording, mass=T128.mass, modes="auto").dynamics
+    assert len(found.further_modes) == 1, found
     error = (found.values - truth.values)[[1, 2, 4, 5, 6]]
     covariance = found.covariance[np.ix_([1, 2, 4, 5, 6], [1, 2, 4, 5, 6])]
     # chi2 of five, exceeded by chance once in a million
-    assert error @ np.linalg.solve(covariance, error) < chi2.isf(1e-6, 5), (found, truth, seed)
+    assert error @ np.linalg.solve(covariance, error) < chi2.isf(1e-6, 5), (found, truth)
 
 
-def test_modes_asked_for_have_to_be_there():
-    recording, _ = noisy(release())
+def test_modes_asked_for_have_to_be_there(rng):
+    recording = noisy(rng, release())
     with pytest.raises(FitError, match="2 modes are asked for, and the record shows 1"):
         identify_decay(recording, mass=T128.mass, modes=2)
     with pytest.raises(ValueError, match="modes must be auto or a number from 1 to 7"):
@@ -173,23 +169,22 @@ def test_modes_asked_for_have_to_be_there():
     assert identify_decay(recording, mass=T128.mass, modes="auto").dynamics.further_modes == ()
 
 
-def test_shares_need_a_clean_release():
+def test_shares_need_a_clean_release(rng):
     time = clock(3.0)
     swing = sum(
         size * np.exp(-mode.damping_ratio * mode.angular_frequency * time) * np.sin(mode.angular_frequency * time + 1)
         for size, mode in ((500.0, T128.modes[0]), (80.0, Mode(171.0, 0.008)))
     )
-    recording, _ = noisy(swing, 2.0)
+    recording = noisy(rng, swing, 2.0)
     with pytest.raises(FitError, match="clean release from rest"):
         identify_decay(recording, mass=T128.mass, modes="auto")
 
 
-def test_release_duration_is_found():
-    generator, seed = fresh()
+def test_release_duration_is_found(rng):
     rig = CableCut(release=0.5, release_duration=0.004, sensors={"AF": Sensor(noise=5.0)})
-    fit = identify_decay(rig.run(3.0, generator).recording, mass=T128.mass)
-    meets(fit.dynamics, seed)
-    assert abs(fit.release_duration - 0.004) < 5 * least_deviation_of_the_duration(rig, 3.0), seed
+    fit = identify_decay(rig.run(3.0, rng).recording, mass=T128.mass)
+    meets(fit.dynamics)
+    assert abs(fit.release_duration - 0.004) < 5 * least_deviation_of_the_duration(rig, 3.0)
 
 
 def least_deviation_of_the_duration(rig: CableCut, seconds: float) -> float:
@@ -213,83 +208,81 @@ def least_deviation_of_the_duration(rig: CableCut, seconds: float) -> float:
     return float(np.sqrt(np.linalg.inv(information)[0, 0])) * steps["release_duration"]
 
 
-def test_tap_is_fitted_freely():
+def test_tap_is_fitted_freely(rng):
     since = np.maximum(clock(3.0) - RELEASE, 0.0)
     load = 900 * np.exp(-T128.decay_rate * since) * np.sin(T128.damped_angular_frequency * since)  # from an impulse
-    recording, seed = noisy(load)
+    recording = noisy(rng, load)
     with pytest.warns(DataQualityWarning, match="not that of a clean release"):
         fit = identify_decay(recording, mass=T128.mass)
-    meets(fit.dynamics, seed)
+    meets(fit.dynamics)
     assert fit.release is None
     assert fit.height == 0.0
 
 
-def test_record_may_start_after_the_release():
-    recording, seed = noisy(release()[round(0.55 * RATE) :])
+def test_record_may_start_after_the_release(rng):
+    recording = noisy(rng, release()[round(0.55 * RATE) :])
     fit = identify_decay(recording, mass=T128.mass)
-    meets(fit.dynamics, seed)
+    meets(fit.dynamics)
     assert fit.release is None
 
 
-def test_second_event_is_cut_from_the_window():
+def test_second_event_is_cut_from_the_window(rng):
     load = release(5.0)
     time = clock(5.0)
     load = load + 400 * T128.step_response(time - 3.5003)
-    recording, seed = noisy(load)
+    recording = noisy(rng, load)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
         fit = identify_decay(recording, mass=T128.mass)
-    meets(fit.dynamics, seed)
+    meets(fit.dynamics)
     # It ends with the block of three periods (0.045 s) that holds the event at the latest, and keeps most of the 3 s
     # of ringing: the first fit, which still holds the event, may call blocks shortly before it strange.
-    assert 1.5 < fit.window[1] < 3.56, seed
+    assert 1.5 < fit.window[1] < 3.56
 
 
-def test_saturated_samples_are_left_out():
-    generator, seed = fresh()
-    load = np.clip(release() + generator.normal(0, 2.0, 4800), None, 700.0)
+def test_saturated_samples_are_left_out(rng):
+    load = np.clip(release() + rng.normal(0, 2.0, 4800), None, 700.0)
     with pytest.warns(DataQualityWarning, match="rest on a limit"):
         fit = identify_decay(record(load), mass=T128.mass)
     # near the limit lie readings that noise kept below it: a bias of 2 N there, 2e-3 of the height, at a few extrema
-    assert fit.dynamics.stiffness == pytest.approx(T128.stiffness, rel=1e-4), seed
-    assert fit.dynamics.damping == pytest.approx(T128.damping, rel=1e-2), seed
+    assert fit.dynamics.stiffness == pytest.approx(T128.stiffness, rel=1e-4)
+    assert fit.dynamics.damping == pytest.approx(T128.damping, rel=1e-2)
 
 
-def test_missing_samples_are_left_out():
-    recording, seed = noisy(release())
+def test_missing_samples_are_left_out(rng):
+    recording = noisy(rng, release())
     load = recording.channel("AF").values.copy()
-    load[np.random.default_rng(seed).choice(load.size, 300, replace=False)] = np.nan
-    meets(identify_decay(record(load), mass=T128.mass).dynamics, seed)
+    load[rng.choice(load.size, 300, replace=False)] = np.nan
+    meets(identify_decay(record(load), mass=T128.mass).dynamics)
 
 
-def test_uncertain_mass_is_carried():
-    recording, seed = noisy(release())
+def test_uncertain_mass_is_carried(rng):
+    recording = noisy(rng, release())
     exact = identify_decay(recording, mass=T128.mass).dynamics
     unsure = identify_decay(recording, mass=(T128.mass, 0.5)).dynamics
     relative = 0.5 / T128.mass
     assert unsure.uncertainty("mass") == pytest.approx(0.5)
     for name in ("stiffness", "damping"):  # both are the mass times what the ringing tells
         expected = np.hypot(exact.uncertainty(name), relative * getattr(exact, name))
-        assert unsure.uncertainty(name) == pytest.approx(expected, rel=1e-6), seed
+        assert unsure.uncertainty(name) == pytest.approx(expected, rel=1e-6)
     # and the frequency does not depend on the mass
     assert unsure.uncertainty("natural_frequency") == pytest.approx(exact.uncertainty("natural_frequency"), rel=1e-3)
 
 
 @pytest.mark.parametrize("kind", ["noise", "constant", "sine", "short"])
-def test_records_without_a_decay_are_refused(kind):
-    generator, seed = fresh()
+def test_records_without_a_decay_are_refused(kind, rng):
     time = clock(2.0)
     load = {
-        "noise": generator.normal(0, 10, time.size),
+        "noise": rng.normal(0, 10, time.size),
         "constant": np.full(time.size, 42.0),
-        "sine": 500 * np.sin(2 * np.pi * 66.4 * time) + generator.normal(0, 10, time.size),
-        "short": generator.normal(0, 10, 12),
+        "sine": 500 * np.sin(2 * np.pi * 66.4 * time) + rng.normal(0, 10, time.size),
+        "short": rng.normal(0, 10, 12),
     }[kind]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
         with pytest.raises(FitError) as caught:
             identify_decay(record(load), mass=T128.mass)
-    assert "decay" in str(caught.value), seed  # the name of the record
+    assert "decay" in str(caught.value)  # the name of the record
 
 
 @pytest.mark.parametrize("mass", [0.0, -1.0, float("nan"), (5.0, -1.0)])
@@ -308,22 +301,21 @@ def test_extrema_are_exact_without_noise():
     assert found.stiffness == pytest.approx(T128.stiffness, rel=2e-4)
 
 
-def test_noise_makes_extrema_too_large_and_the_damping_low():
-    generator, seed = fresh()
+def test_noise_makes_extrema_too_large_and_the_damping_low(rng):
     errors = []
     for _ in range(6):
-        recording = record(release() + generator.normal(0, 20, 4800))
+        recording = record(release() + rng.normal(0, 20, 4800))
         errors.append(extrema_fit(recording, identify_decay(recording, mass=T128.mass)).damping / T128.damping - 1)
     # noise is picked at the extrema: late, small ones are raised by more than early ones
-    assert np.mean(errors) < 0, (errors, seed)
+    assert np.mean(errors) < 0, errors
 
 
-def test_clean_result_says_nothing_of_doubt():
-    recording, seed = noisy(release())
+def test_clean_result_says_nothing_of_doubt(rng):
+    recording = noisy(rng, release())
     fit = identify_decay(recording, mass=T128.mass)
-    assert fit.notes == (), seed
-    assert fit.hum == (), seed
-    assert fit.further_modes == (), seed
+    assert fit.notes == ()
+    assert fit.hum == ()
+    assert fit.further_modes == ()
     assert fit.residuals.shape == fit.residual_time.shape
     assert replace(fit.dynamics, delay=0.0).covariance.shape == (4, 4)
 
@@ -346,22 +338,21 @@ def bent_release(generator: np.random.Generator, *, damping: float = 0.0, freque
 
 
 @pytest.mark.parametrize(("damping", "frequency"), [(0.1, 0.0), (-0.1, 0.0), (0.0, 3e-4)])
-def test_amplitude_dependence_is_found_and_warned_about(damping, frequency):
-    generator, seed = fresh()
+def test_amplitude_dependence_is_found_and_warned_about(damping, frequency, rng):
     said = "damping of AF depends" if damping else "frequency of AF depends"
     with pytest.warns(DataQualityWarning, match=said):
-        fit = identify_decay(bent_release(generator, damping=damping, frequency=frequency), mass=T128.mass)
+        fit = identify_decay(bent_release(rng, damping=damping, frequency=frequency), mass=T128.mass)
     found = fit.amplitude_dependence
     # first order in the dependence: its square is what may be missed, beside five standard uncertainties
-    assert found.damping == pytest.approx(damping, abs=damping**2 + 5 * found.u_damping + 1e-3), seed
-    assert found.frequency == pytest.approx(frequency, abs=3 * damping**2 * 0.01 + 5 * found.u_frequency), seed
+    assert found.damping == pytest.approx(damping, abs=damping**2 + 5 * found.u_damping + 1e-3)
+    assert found.frequency == pytest.approx(frequency, abs=3 * damping**2 * 0.01 + 5 * found.u_frequency)
 
 
-def test_linear_ringing_shows_no_amplitude_dependence():
-    recording, seed = noisy(release(), 2.0)
+def test_linear_ringing_shows_no_amplitude_dependence(rng):
+    recording = noisy(rng, release(), 2.0)
     found = identify_decay(recording, mass=T128.mass).amplitude_dependence
-    assert not found.damping_depends, seed
-    assert not found.frequency_depends, seed
+    assert not found.damping_depends
+    assert not found.frequency_depends
     # the last, of 2 N noise: about 1.4e-3 and 1e-5
     assert found.u_damping < 5e-3
     assert found.u_frequency < 5e-5

@@ -8,7 +8,6 @@ from aerobalance.identification.base_excitation.sine_dwell import amplitudes
 from aerobalance.recording.errors import FitError
 from aerobalance.simulation import Sensor, SteppedSine, Sweep, Unsteadiness, VibrationRig
 from aerobalance.simulation.published import VIBRATION_RIG
-from seeds import fresh
 
 TRUE = VIBRATION_RIG.dynamics
 STEPS = (*np.arange(20.0, 600.0, 40.0), *np.arange(600.0, 651.0, 10.0), 652.5, *np.arange(660.0, 751.0, 10.0), 752.0,
@@ -22,45 +21,41 @@ def shake(drive, generator, *, load=0.05, acceleration=0.05):
 
 
 @pytest.mark.parametrize("hold", [0.4, 0.9])
-def test_dwells_are_found_and_fitted(hold: float):
-    generator, seed = fresh()
-    dwells = find_dwells(shake(SteppedSine(STEPS, settle=0.1, hold=hold), generator))
+def test_dwells_are_found_and_fitted(hold: float, rng):
+    dwells = find_dwells(shake(SteppedSine(STEPS, settle=0.1, hold=hold), rng))
     frequency, load, ground, live = amplitudes(dwells)
-    assert len(dwells) == len(STEPS), seed
-    assert np.all(np.abs(frequency - STEPS) < 5 * np.array([d.u_frequency for d in dwells])), seed
-    assert all(dwell.steady for dwell in dwells), seed
+    assert len(dwells) == len(STEPS)
+    assert np.all(np.abs(frequency - STEPS) < 5 * np.array([d.u_frequency for d in dwells]))
+    assert all(dwell.steady for dwell in dwells)
     # Newton for the chain (momentum): m1 x1'' + M x2'' is the 10 N drive.
     force = np.abs(2.07 * ground + TRUE.mass * live)
     u = np.hypot(2.07, TRUE.mass) * np.array([d.u_ground for d in dwells])
-    assert np.all(np.abs(force - 10) < 5 * u + 1e-3), seed
-    assert np.all(np.abs(np.abs(load) - TRUE.amplitude(frequency, np.abs(ground))) < 0.1), seed
+    assert np.all(np.abs(force - 10) < 5 * u + 1e-3)
+    assert np.all(np.abs(np.abs(load) - TRUE.amplitude(frequency, np.abs(ground))) < 0.1)
 
 
-def test_harmonic_deviation_of_steady_dwells_is_a_tenth_of_a_newton_at_most():
-    generator, seed = fresh()
-    recording = shake(SteppedSine(STEPS, settle=0.05, hold=0.35), generator)
+def test_harmonic_deviation_of_steady_dwells_is_a_tenth_of_a_newton_at_most(rng):
+    recording = shake(SteppedSine(STEPS, settle=0.05, hold=0.35), rng)
     dwells = find_dwells(recording)
     checks = harmonic_check(recording, dwells, dynamics=TRUE)
-    assert {652.5, 752.0} <= {round(check.frequency, 1) for check in checks}, seed
-    assert max(abs(check.deviation) for check in checks) <= 0.1, seed
+    assert {652.5, 752.0} <= {round(check.frequency, 1) for check in checks}
+    assert max(abs(check.deviation) for check in checks) <= 0.1
     for check in checks:
         assert check.deviation == pytest.approx(check.unsteadiness + check.model, abs=1e-12)
         noise = np.hypot(check.accelerometer_noise, check.balance_noise)
         # The deviation is noise and nothing else: five standard deviations, and a settling error of 1e-4 of 16 N.
-        assert abs(check.deviation) < 5 * noise + 2e-3, seed
+        assert abs(check.deviation) < 5 * noise + 2e-3
 
 
-def test_accelerometer_noise_explains_the_deviation_of_steady_dwells():
-    generator, seed = fresh()
-    recording = shake(SteppedSine(STEPS[5:], settle=0.05, hold=0.25), generator, load=0.32, acceleration=5.0)
+def test_accelerometer_noise_explains_the_deviation_of_steady_dwells(rng):
+    recording = shake(SteppedSine(STEPS[5:], settle=0.05, hold=0.25), rng, load=0.32, acceleration=5.0)
     checks = harmonic_check(recording, find_dwells(recording), dynamics=TRUE)
     scores = np.array([c.deviation / np.hypot(c.accelerometer_noise, c.balance_noise) for c in checks])
     # Mean square of 40 normal numbers within chi2 / n at 1e-6: 0.22 to 2.4.
-    assert 0.22 < np.mean(scores**2) < 2.4, seed
+    assert 0.22 < np.mean(scores**2) < 2.4
 
 
-def test_unsteady_dwells_are_flagged_and_their_deviation_is_split():
-    generator, seed = fresh()
+def test_unsteady_dwells_are_flagged_and_their_deviation_is_split(rng):
     steps = (
         *np.arange(540.0, 640.0, 20.0),
         652.5,
@@ -69,42 +64,39 @@ def test_unsteady_dwells_are_flagged_and_their_deviation_is_split():
         *np.arange(780.0, 880.0, 20.0),
     )
     drive = SteppedSine(steps, settle=0.0, hold=0.3, unsteadiness=Unsteadiness())
-    recording = shake(drive, generator)
+    recording = shake(drive, rng)
     checks = harmonic_check(recording, find_dwells(recording), dynamics=TRUE)
     flagged = [check.frequency for check in checks if not check.steady]
     for frequency in (652.5, 752.0):
-        assert any(abs(f - frequency) < 5 for f in flagged), seed
+        assert any(abs(f - frequency) < 5 for f in flagged)
     worst = max(checks, key=lambda check: abs(check.deviation))
-    assert not worst.steady, seed
+    assert not worst.steady
     # With quiet sensors nothing but non-steadiness is left to explain it.
-    assert abs(worst.model) < 0.2 * abs(worst.deviation) + 5 * np.hypot(worst.accelerometer_noise, 0.01), seed
+    assert abs(worst.model) < 0.2 * abs(worst.deviation) + 5 * np.hypot(worst.accelerometer_noise, 0.01)
 
 
-def test_lines_of_the_paper_find_the_true_values():
-    generator, seed = fresh()
-    dwells = find_dwells(shake(SteppedSine(STEPS[5:], settle=0.05, hold=0.25), generator))
+def test_lines_of_the_paper_find_the_true_values(rng):
+    dwells = find_dwells(shake(SteppedSine(STEPS[5:], settle=0.05, hold=0.25), rng))
     fit = reference_fit(dwells, mass=TRUE.mass)
-    assert fit.natural_frequency == pytest.approx(TRUE.natural_frequency, rel=3e-4), seed
-    assert fit.damping == pytest.approx(TRUE.damping, rel=5e-3), seed
+    assert fit.natural_frequency == pytest.approx(TRUE.natural_frequency, rel=3e-4)
+    assert fit.damping == pytest.approx(TRUE.damping, rel=5e-3)
     assert fit.stiffness == pytest.approx(TRUE.mass * (2 * np.pi * fit.natural_frequency) ** 2)
     near = (fit.frequency > 600) & (fit.frequency < 700)
     # Dwell by dwell, near resonance, noise of 0.05 m/s^2 is 0.1 % of the amplitude and less.
-    assert np.allclose(fit.natural_frequencies[near], TRUE.natural_frequency, rtol=2e-3), seed
-    assert np.allclose(fit.dampings[near], TRUE.damping, rtol=2e-2), seed
+    assert np.allclose(fit.natural_frequencies[near], TRUE.natural_frequency, rtol=2e-3)
+    assert np.allclose(fit.dampings[near], TRUE.damping, rtol=2e-2)
 
 
-def test_phase_between_the_accelerometers_is_the_wrong_one():
-    generator, seed = fresh()
-    dwells = find_dwells(shake(SteppedSine(STEPS[5:], settle=0.05, hold=0.25), generator))
+def test_phase_between_the_accelerometers_is_the_wrong_one(rng):
+    dwells = find_dwells(shake(SteppedSine(STEPS[5:], settle=0.05, hold=0.25), rng))
     wrong = reference_fit(dwells, mass=TRUE.mass, phase="absolute")
     # METHOD: 659.8 Hz; which frequencies are held moves it between 659.4 and 660.3 Hz (closed forms, no noise).
-    assert 659.0 < wrong.natural_frequency < 660.7, seed
-    assert wrong.damping > 1.03 * TRUE.damping, seed
+    assert 659.0 < wrong.natural_frequency < 660.7
+    assert wrong.damping > 1.03 * TRUE.damping
 
 
-def test_no_dwells_in_a_record_without():
-    generator, _ = fresh()
-    recording = shake(Sweep(100.0, 1000.0, 1.0), generator)
+def test_no_dwells_in_a_record_without(rng):
+    recording = shake(Sweep(100.0, 1000.0, 1.0), rng)
     with pytest.raises(FitError, match="no frequency is held"):
         find_dwells(recording)
     with pytest.raises(FitError, match="too few for a line"):

@@ -9,7 +9,6 @@ from scipy.stats import chi2
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification import ResponseTable, identify_frf
 from aerobalance.recording.errors import DataQualityWarning, FitError
-from seeds import fresh
 
 TRUE = Dynamics("AF", mass=2.0, stiffness=2.0 * (2 * np.pi * 900.0) ** 2, damping=2 * 0.02 * 2.0 * 2 * np.pi * 900.0)
 FREQUENCIES = np.array([20.0, 50, 100, 200, 300, 400, 500, 600, 700, 800, 850, 880, 900, 920, 950, 1000, 1200])
@@ -36,29 +35,27 @@ def test_exact_table_gives_exact_dynamics():
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
-def test_scores_of_many_tables():
-    generator, seed = fresh()
+def test_scores_of_many_tables(rng):
     draws, scores, sums = 200, [], []
     for _ in range(draws):
-        fit = identify_frf(table(FREQUENCIES, generator), mass=2.0)
+        fit = identify_frf(table(FREQUENCIES, rng), mass=2.0)
         d = fit.dynamics
         scores.append([(getattr(d, n) - getattr(TRUE, n)) / d.uncertainty(n) for n in ("stiffness", "damping")])
         sums.append(fit.chi2 / fit.degrees_of_freedom)
     low, high = np.sqrt(chi2.ppf([1e-5, 1 - 1e-5], draws) / draws)
     # By chance a delay is taken up in 6 % of the tables (BIC of 34 numbers), which widens the scatter a little.
     rms = np.sqrt(np.mean(np.square(scores), axis=0))
-    assert np.all((rms > 0.95 * low) & (rms < 1.1 * high)), (seed, rms)
-    assert np.mean(sums) == pytest.approx(1.0, abs=5 * np.sqrt(2 / 31 / draws) + 0.05), seed
+    assert np.all((rms > 0.95 * low) & (rms < 1.1 * high)), rms
+    assert np.mean(sums) == pytest.approx(1.0, abs=5 * np.sqrt(2 / 31 / draws) + 0.05)
 
 
 # The scatter of one table in a hundred is doubted by chance; the delay is found all the same.
 @pytest.mark.filterwarnings("ignore:.*scatter more than their:aerobalance.recording.errors.DataQualityWarning")
-def test_delay_is_found_where_there_is_one():
-    generator, seed = fresh()
-    fit = identify_frf(table(FREQUENCIES, generator, delay=-4e-5, u=(0.002, 0.003)), mass=2.0)
-    assert fit.delay_found, seed
-    assert abs(fit.dynamics.delay + 4e-5) < 5 * fit.dynamics.uncertainty("delay"), seed
-    assert abs(fit.dynamics.damping - TRUE.damping) < 5 * fit.dynamics.uncertainty("damping"), seed
+def test_delay_is_found_where_there_is_one(rng):
+    fit = identify_frf(table(FREQUENCIES, rng, delay=-4e-5, u=(0.002, 0.003)), mass=2.0)
+    assert fit.delay_found
+    assert abs(fit.dynamics.delay + 4e-5) < 5 * fit.dynamics.uncertainty("delay")
+    assert abs(fit.dynamics.damping - TRUE.damping) < 5 * fit.dynamics.uncertainty("damping")
 
 
 def test_uncertain_mass_scales_stiffness_and_damping():
@@ -68,15 +65,14 @@ def test_uncertain_mass_scales_stiffness_and_damping():
     assert fit.uncertainty("damping") == pytest.approx(0.01 * fit.damping, rel=1e-2)
 
 
-def test_too_much_scatter_enlarges_the_covariance_and_warns():
-    generator, seed = fresh()
-    noisy = table(FREQUENCIES, generator, scatter=3.0)
+def test_too_much_scatter_enlarges_the_covariance_and_warns(rng):
+    noisy = table(FREQUENCIES, rng, scatter=3.0)
     with pytest.warns(DataQualityWarning, match="scatter more than their uncertainties"):
         fit = identify_frf(noisy, mass=2.0)
     assert fit.probability < 0.01
     assert fit.scale == pytest.approx(fit.chi2 / fit.degrees_of_freedom)
     # 31 or 32 degrees of freedom, nine times the variance: 3.3 to 19 at one in 1e5.
-    assert 3.3 < fit.scale < 20, seed
+    assert 3.3 < fit.scale < 20
 
 
 def test_points_short_of_resonance_are_called_extrapolation():
@@ -94,10 +90,9 @@ def test_damping_that_the_table_does_not_carry_is_called_so():
     assert all(issubclass(warning.category, DataQualityWarning) for warning in caught)
 
 
-def test_tables_that_cannot_carry_a_result():
-    generator, _ = fresh()
+def test_tables_that_cannot_carry_a_result(rng):
     with pytest.raises(FitError, match="do not carry the stiffness"):
-        identify_frf(table(np.arange(1.0, 10.0), generator), mass=2.0)
+        identify_frf(table(np.arange(1.0, 10.0), rng), mass=2.0)
     with pytest.raises(FitError, match="too few"):
         identify_frf(table([900.0]), mass=2.0)
 

@@ -27,7 +27,6 @@ from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from rigid_balance import HALF_RANGE, RANGES, balance, truth
-from seeds import fresh
 
 RATE = 2500.0
 SECONDS = 0.6
@@ -133,8 +132,7 @@ def test_derivatives_are_those_of_the_readings(kind):
     assert block[:, :-1].T @ block[:, -1] == pytest.approx(J.T @ residuals(vector), abs=1e-7 * np.max(np.abs(J.T @ J)))
 
 
-def test_exact_without_noise():
-    rng, seed = fresh()
+def test_exact_without_noise(rng):
     true = truth()
     fit = quietly(releases(true, rng, along=("NF", "RM", "AF"), noise=0.0))
     error = errors(fit.dynamics, true)
@@ -142,37 +140,34 @@ def test_exact_without_noise():
     # however arranged, moves an element by at most e sqrt(m) u / sigma, u its uncertainty under white noise sigma.
     rounding = round(SECONDS * RATE) * np.finfo(float).eps
     allowed = np.sqrt(np.diag(fit.dynamics.covariance)) / ROUNDING * rounding * np.sqrt(fit.degrees_of_freedom)
-    assert (np.abs(error) < allowed).all(), seed
+    assert (np.abs(error) < allowed).all()
     assert allowed[:36].max() < 1e-6 * np.abs(true.inertia).max()
-    assert [release.kind for release in fit.releases] == ["release"] * 3, seed
+    assert [release.kind for release in fit.releases] == ["release"] * 3
 
 
-def test_error_is_that_of_the_covariance():
-    rng, seed = fresh()
+def test_error_is_that_of_the_covariance(rng):
     true = truth()
     fit = quietly(releases(true, rng))
-    assert between(departure(fit.dynamics, true), 72), seed
+    assert between(departure(fit.dynamics, true), 72)
     # the variance of a residual that has m degrees of freedom is known to sqrt(2 / m)
     spread = norm.isf(NEVER) * np.sqrt(2 / (fit.degrees_of_freedom / 6))
-    assert fit.residual_deviation / (1e-4 * HALF_RANGE) == pytest.approx(np.ones(6), abs=spread), seed
+    assert fit.residual_deviation / (1e-4 * HALF_RANGE) == pytest.approx(np.ones(6), abs=spread)
     square = (true_force_error(fit.dynamics, true, sizes=fit.applied) / fit.force_error) ** 2
     # at worst one direction in twelve carries it all: the square of one normal deviate
-    assert square.max() < chi2.isf(NEVER / 6, 1), seed
+    assert square.max() < chi2.isf(NEVER / 6, 1)
 
 
-def test_a_release_that_takes_time():
-    rng, seed = fresh()
+def test_a_release_that_takes_time(rng):
     true = truth()
     fit = quietly(releases(true, rng, along=("NF", "RM", "AF"), duration=0.003))
-    assert between(departure(fit.dynamics, true), 72), seed
+    assert between(departure(fit.dynamics, true), 72)
     for release in fit.releases:
         if release.kind == "ramp":
-            assert release.duration == pytest.approx(0.003, abs=2e-4), seed
-    assert any(release.kind == "ramp" for release in fit.releases), seed
+            assert release.duration == pytest.approx(0.003, abs=2e-4)
+    assert any(release.kind == "ramp" for release in fit.releases)
 
 
-def test_a_blow_is_used_from_where_it_decays_freely():
-    rng, seed = fresh()
+def test_a_blow_is_used_from_where_it_decays_freely(rng):
     true = truth()
     time = np.arange(round(SECONDS * RATE)) / RATE
     made = []
@@ -182,14 +177,13 @@ def test_a_blow_is_used_from_where_it_decays_freely():
         values = true.load_felt(net, interval=1 / RATE) + 1e-4 * HALF_RANGE * rng.normal(size=net.shape)
         made.append(recording(values, name))
     fit = quietly(made)
-    assert any("not that of a clean release" in note for note in fit.notes), (fit.notes, seed)
-    assert [release.kind for release in fit.releases] == ["free"] * 3, seed
-    assert all(release.instant > 0.052 - 1 / RATE for release in fit.releases), seed
-    assert between(departure(fit.dynamics, true), 72), seed
+    assert any("not that of a clean release" in note for note in fit.notes), fit.notes
+    assert [release.kind for release in fit.releases] == ["free"] * 3
+    assert all(release.instant > 0.052 - 1 / RATE for release in fit.releases)
+    assert between(departure(fit.dynamics, true), 72)
 
 
-def test_one_component_is_the_fit_of_a_decay():
-    rng, seed = fresh()
+def test_one_component_is_the_fit_of_a_decay(rng):
     one = Dynamics("AF", 20.0, 20.0 * (2 * np.pi * 90) ** 2, 2 * 0.02 * 20.0 * 2 * np.pi * 90)
     values = felt(CoupledDynamics.of_components([one]), np.array([250.0]), instant=0.0523)
     values += 0.05 * rng.normal(size=values.shape)
@@ -198,12 +192,11 @@ def test_one_component_is_the_fit_of_a_decay():
     single = identify_decay(record, mass=20.0).dynamics
     u = np.sqrt(np.diag(many.dynamics.covariance))
     # two fits of one model to the same readings, which alone differ by the drift that the decay's fit has beside it
-    assert many.dynamics.inertia[0, 0] == pytest.approx(single.mass / single.stiffness, abs=u[0]), seed
-    assert many.dynamics.damping[0, 0] == pytest.approx(single.damping / single.stiffness, abs=u[1]), seed
+    assert many.dynamics.inertia[0, 0] == pytest.approx(single.mass / single.stiffness, abs=u[0])
+    assert many.dynamics.damping[0, 0] == pytest.approx(single.damping / single.stiffness, abs=u[1])
 
 
-def test_a_release_that_leaves_components_at_rest_is_refused():
-    rng, _ = fresh()
+def test_a_release_that_leaves_components_at_rest_is_refused(rng):
     parts = [
         Dynamics(name, 20.0, 20.0 * (2 * np.pi * f) ** 2, 0.02 * 20.0 * 2 * np.pi * f)
         for name, f in (("NF", 80.0), ("SF", 120.0), ("AF", 210.0))
@@ -215,8 +208,7 @@ def test_a_release_that_leaves_components_at_rest_is_refused():
         identify_releases([recording(values, "NF", ("NF", "SF", "AF"))], components=("NF", "SF", "AF"))
 
 
-def test_the_mode_that_is_not_excited_is_named():
-    rng, seed = fresh()
+def test_the_mode_that_is_not_excited_is_named(rng):
     true = truth()
     vectors = np.linalg.eig(true.inertia)[1] / HALF_RANGE[:, None]  # undamped modes in loads over half of range
     others = np.delete(vectors, int(np.argmax(np.abs(vectors[2]))), axis=1)
@@ -236,20 +228,19 @@ def test_the_mode_that_is_not_excited_is_named():
     with pytest.warns(DataQualityWarning) as caught:
         fit = identify_releases(made, half_range=RANGES)
     told = [str(warning.message).partition(": ")[2] for warning in caught]
-    assert told == list(fit.notes), seed
+    assert told == list(fit.notes)
     best = fit.advice.best
-    assert any(re.search(rf"least excited.*by SF.*a release along {best} of", text) for text in told), (told, seed)
+    assert any(re.search(rf"least excited.*by SF.*a release along {best} of", text) for text in told), told
     better = quietly([*made, *releases(true, rng, along=(best,))])
     # the same information but for the instant and the noise drawn, and for errors of a weak mode of some 5 %
-    assert better.force_error == pytest.approx(fit.advice.errors[COMPONENTS.index(best)], rel=0.3), seed
+    assert better.force_error == pytest.approx(fit.advice.errors[COMPONENTS.index(best)], rel=0.3)
 
 
-def test_rigid_mass_from_the_inertia_matrix():
-    rng, seed = fresh()
+def test_rigid_mass_from_the_inertia_matrix(rng):
     true = truth()
     fit = quietly(releases(true, rng, along=("NF", "SF", "RM", "AF")), mass=(20.02, 0.02))
-    assert fit.rigid is not None, seed
-    assert fit.dynamics.mass is fit.rigid.mass, seed
+    assert fit.rigid is not None
+    assert fit.dynamics.mass is fit.rigid.mass
     found, right = fit.rigid.mass, true.mass
     error = np.concatenate([[20.02 - 20.0], found.centre - right.centre, (found.values - right.values)[4:]])
     # the nine that are identified; the mass itself is given and its error is known
@@ -257,13 +248,13 @@ def test_rigid_mass_from_the_inertia_matrix():
     error -= found.covariance[:, 0] / found.covariance[0, 0] * 0.02
     rest = found.covariance - np.outer(found.covariance[0], found.covariance[0]) / found.covariance[0, 0]
     scaled = (rest / np.outer(u, u))[1:, 1:]
-    assert between(float((error / u)[1:] @ np.linalg.solve(scaled, (error / u)[1:])), 9), seed
-    assert fit.rigid.rigidity.p_value > NEVER, seed
-    assert fit.rigid.reciprocity.p_value > NEVER, seed
+    assert between(float((error / u)[1:] @ np.linalg.solve(scaled, (error / u)[1:])), 9)
+    assert fit.rigid.rigidity.p_value > NEVER
+    assert fit.rigid.reciprocity.p_value > NEVER
     agreement = centre_agreement(found, right.centre, covariance=np.zeros((3, 3)))
-    assert agreement.p_value > NEVER, seed
+    assert agreement.p_value > NEVER
     off = centre_agreement(found, right.centre + 0.01, covariance=np.diag([1e-4] * 3) ** 2)
-    assert not off.chance, seed
+    assert not off.chance
     # what is constrained is symmetric, and no less certain
     K = np.linalg.solve(fit.rigid.constrained.inertia, fit.rigid.constrained.mass.matrix)
     assert pytest.approx(K.T, rel=1e-6, abs=1e-9 * np.abs(K).max()) == K
@@ -272,19 +263,18 @@ def test_rigid_mass_from_the_inertia_matrix():
     assert less.min() < 0.9
 
 
-def test_what_is_not_rigid_or_not_reciprocal_is_told():
-    rng, seed = fresh()
+def test_what_is_not_rigid_or_not_reciprocal_is_told(rng):
     true = truth()
     bent = true.inertia.copy()
     bent[0] *= 1.01  # NF moves a live end 1 % heavier: no rigid mass
     along = ("NF", "RM", "AF")
     fit = quietly(releases(CoupledDynamics(COMPONENTS, bent, true.damping), rng, along=along), mass=20.0)
-    assert not fit.rigid.rigidity.chance, seed
+    assert not fit.rigid.rigidity.chance
     gyroscopic = true.damping.copy()
     gyroscopic[0, 1] += 0.5 * true.damping[0, 0] * HALF_RANGE[0] / HALF_RANGE[1]
     fit = quietly(releases(CoupledDynamics(COMPONENTS, true.inertia, gyroscopic), rng, along=along), mass=20.0)
-    assert not fit.rigid.reciprocity.chance, seed
-    assert any("the damping is not symmetric" in note for note in fit.notes), (fit.notes, seed)
+    assert not fit.rigid.reciprocity.chance
+    assert any("the damping is not symmetric" in note for note in fit.notes), fit.notes
 
 
 def test_exact_dynamics_give_the_exact_mass():
@@ -297,8 +287,7 @@ def test_exact_dynamics_give_the_exact_mass():
     assert fit.rigidity is None
 
 
-def test_dynamics_from_stiffness_agree_with_those_from_releases():
-    rng, seed = fresh()
+def test_dynamics_from_stiffness_agree_with_those_from_releases(rng):
     mass, stiffness, _ = balance()
     ratios = [0.004, 0.01, 0.02, 0.006, 0.03, 0.015]
     known = coupled_from_stiffness(stiffness, mass, damping_ratios=ratios, u_stiffness=1e-4 * np.abs(stiffness))
@@ -316,7 +305,7 @@ def test_dynamics_from_stiffness_agree_with_those_from_releases():
     assert np.sqrt(np.diag(known.covariance))[:36] == pytest.approx(np.sqrt(square).ravel(), rel=1e-4)
     rows = compare_coupled(quietly(releases(true, rng)).dynamics, known)
     assert len(rows) == 72
-    assert max(abs(row.ratio) for row in rows) < norm.isf(NEVER / 144), seed
+    assert max(abs(row.ratio) for row in rows) < norm.isf(NEVER / 144)
     with pytest.raises(ValueError, match="symmetric"):
         coupled_from_stiffness(np.triu(stiffness), mass, damping_ratios=0.01)
 
@@ -340,8 +329,7 @@ def test_force_error_is_the_mean_over_the_covariance():
         predicted_force_error(true, sizes=[1.0])
 
 
-def test_the_command_writes_what_it_found(tmp_path):
-    rng, seed = fresh()
+def test_the_command_writes_what_it_found(tmp_path, rng):
     parts = [
         Dynamics(name, 20.0, 20.0 * (2 * np.pi * f) ** 2, 0.02 * 20.0 * 2 * np.pi * f)
         for name, f in (("NF", 80.0), ("AF", 210.0))
@@ -355,7 +343,7 @@ def test_the_command_writes_what_it_found(tmp_path):
         write_recording(paths[-1], recording(values, name, ("NF", "AF")))
     account = identify_decays(paths, tmp_path / "dynamics.json", components=("NF", "AF"))
     found = read_coupled(tmp_path / "dynamics.json")
-    assert between(departure(found, true), 8), seed
+    assert between(departure(found, true), 8)
     assert account["components"] == ["NF", "AF"]
     assert account["fit"]["degrees_of_freedom"] > 1000
     for mode, fitted in zip(account["modes"], account["fit"]["modes"], strict=True):
@@ -369,8 +357,7 @@ def test_the_command_writes_what_it_found(tmp_path):
         identify_decays(paths, None, mass="-1")
 
 
-def test_noise_alone_and_too_few_readings_are_refused():
-    rng, _ = fresh()
+def test_noise_alone_and_too_few_readings_are_refused(rng):
     nothing = recording(rng.normal(size=(1000, 6)), "calm")
     with pytest.raises(FitError, match="nothing rings"):
         identify_releases([nothing])
@@ -384,8 +371,7 @@ def test_noise_alone_and_too_few_readings_are_refused():
         identify_releases([recording(still, "still", ("NF", "AF"))], components=("NF", "AF"))
 
 
-def test_wrong_calls():
-    rng, _ = fresh()
+def test_wrong_calls(rng):
     record = recording(rng.normal(size=(1000, 6)), "calm")
     with pytest.raises(ValueError, match="at least one"):
         identify_releases([])

@@ -20,7 +20,7 @@ from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, RandomDrive, Sensor, SteppedSine, Sweep, VibrationRig
 from aerobalance.simulation.drives import band_noise
 from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
-from seeds import fresh, trials
+from seeds import trials
 
 TRUE = VIBRATION_RIG.dynamics
 MASS = VIBRATION_RIG.mass
@@ -96,56 +96,52 @@ def found(fit) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("drive", DRIVES)
 @pytest.mark.parametrize("mass", [MASS, None])
-def test_rig_is_identified(drive: str, mass: float | None):
-    generator, seed = fresh()
-    fit = identify_rig(shake(DRIVES[drive], generator).recording, mass=mass)
+def test_rig_is_identified(drive: str, mass: float | None, rng):
+    fit = identify_rig(shake(DRIVES[drive], rng).recording, mass=mass)
     errors, uncertainties = found(fit)
-    assert abs(errors[0]) < 3e-4, seed
-    assert abs(errors[1]) < 5e-3, seed
+    assert abs(errors[0]) < 3e-4
+    assert abs(errors[1]) < 5e-3
     # Five standard deviations: less than one chance in 1e6 for each.
-    assert np.all(np.abs(errors) < 5 * uncertainties), seed
+    assert np.all(np.abs(errors) < 5 * uncertainties)
     assert fit.mass_identified == (mass is None)
-    assert abs(fit.dynamics.mass - MASS) <= 5 * fit.dynamics.uncertainty("mass"), seed
+    assert abs(fit.dynamics.mass - MASS) <= 5 * fit.dynamics.uncertainty("mass")
 
 
 @pytest.mark.parametrize("drive", DRIVES)
-def test_accelerometers_of_the_paper_leave_what_the_bound_says(drive: str):
-    generator, seed = fresh()
-    simulation = shake(DRIVES[drive], generator, load=0.32, acceleration=5.0)
+def test_accelerometers_of_the_paper_leave_what_the_bound_says(drive: str, rng):
+    simulation = shake(DRIVES[drive], rng, load=0.32, acceleration=5.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)  # poor coherence, said or not depending on the draw
         fit = identify_rig(simulation.recording, mass=MASS)
     errors, uncertainties = found(fit)
-    assert np.all(np.abs(errors) < 5 * uncertainties), seed
+    assert np.all(np.abs(errors) < 5 * uncertainties)
     # The uncertainty stated contains the noise of the spectra it is computed from: a few percent.
     ratio = uncertainties / least_deviation(simulation, load=0.32, acceleration=5.0)
-    assert np.all((ratio > 0.9) & (ratio < 1.1)), seed
+    assert np.all((ratio > 0.9) & (ratio < 1.1))
     # 2500 degrees of freedom and more scatter by 3 %, the noise floors by a few percent.
-    assert 0.83 < fit.chi2 / fit.degrees_of_freedom < 1.17, seed
+    assert 0.83 < fit.chi2 / fit.degrees_of_freedom < 1.17
 
 
 @pytest.mark.parametrize("noise", [(0.32, 5.0), (0.05, 0.05)])
-def test_scatter_reaches_the_bound_and_is_stated(noise: tuple[float, float]):
-    generator, seed = fresh()
+def test_scatter_reaches_the_bound_and_is_stated(noise: tuple[float, float], rng):
     draws = 40
     drive = Sweep(550.0, 850.0, 1.0)
     errors, uncertainties = np.empty((2, draws, 3))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
         for i in range(draws):
-            simulation = shake(drive, generator, load=noise[0], acceleration=noise[1])
+            simulation = shake(drive, rng, load=noise[0], acceleration=noise[1])
             errors[i], uncertainties[i] = found(identify_rig(simulation.recording, mass=MASS))
     bound = least_deviation(simulation, load=noise[0], acceleration=noise[1])
     # Mean squares of n normal numbers follow chi2 / n; six of them are tested, each at 1e-5 on either side.
     low, high = np.sqrt(chi2.ppf([1e-5, 1 - 1e-5], draws) / draws)
     scores = np.sqrt(np.mean((errors / uncertainties) ** 2, axis=0))
-    assert np.all((scores > 0.95 * low) & (scores < 1.05 * high)), (seed, scores)
-    assert np.all(np.sqrt(np.mean(errors**2, axis=0)) < 1.1 * high * bound), seed
+    assert np.all((scores > 0.95 * low) & (scores < 1.05 * high)), scores
+    assert np.all(np.sqrt(np.mean(errors**2, axis=0)) < 1.1 * high * bound)
 
 
-def test_uncertain_mass_flows_into_stiffness_and_damping():
-    generator, seed = fresh()
-    recording = shake(DRIVES["swept"], generator, load=0.32, acceleration=5.0).recording
+def test_uncertain_mass_flows_into_stiffness_and_damping(rng):
+    recording = shake(DRIVES["swept"], rng, load=0.32, acceleration=5.0).recording
     u = 0.0005
     exact, uncertain = (said(recording, mass=mass)[0].dynamics for mass in (MASS, (MASS, u)))
     lighter, heavier = (said(recording, mass=MASS + sign * u)[0].dynamics for sign in (-1, 1))
@@ -154,44 +150,40 @@ def test_uncertain_mass_flows_into_stiffness_and_damping():
     for name in ("stiffness", "damping"):
         shift = (getattr(heavier, name) - getattr(lighter, name)) / 2
         expected = np.hypot(exact.uncertainty(name), shift)
-        assert uncertain.uncertainty(name) == pytest.approx(expected, rel=0.02), seed
+        assert uncertain.uncertainty(name) == pytest.approx(expected, rel=0.02)
 
 
-def test_mass_more_uncertain_than_the_record_scales_stiffness_and_damping():
-    generator, seed = fresh()
-    fit, _ = said(shake(DRIVES["swept"], generator).recording, mass=(MASS, 0.01 * MASS))
+def test_mass_more_uncertain_than_the_record_scales_stiffness_and_damping(rng):
+    fit, _ = said(shake(DRIVES["swept"], rng).recording, mass=(MASS, 0.01 * MASS))
     d = fit.dynamics
     # The shape fixes w0 and b w0 / k to 1e-4 and better; k = M w0^2 and b = M w0 (b w0 / k) then go with the mass.
-    assert d.uncertainty("stiffness") == pytest.approx(0.01 * d.stiffness, rel=0.01), seed
-    assert d.uncertainty("damping") == pytest.approx(0.01 * d.damping, rel=0.01), seed
-    assert d.uncertainty("natural_frequency") < 1e-4 * d.natural_frequency, seed
-    assert abs(d.damping / TRUE.damping - 1) < 5e-3, seed
+    assert d.uncertainty("stiffness") == pytest.approx(0.01 * d.stiffness, rel=0.01)
+    assert d.uncertainty("damping") == pytest.approx(0.01 * d.damping, rel=0.01)
+    assert d.uncertainty("natural_frequency") < 1e-4 * d.natural_frequency
+    assert abs(d.damping / TRUE.damping - 1) < 5e-3
 
 
-def test_accelerometer_gain_that_is_off_does_not_bend_the_shape():
-    generator, seed = fresh()
-    recording = shake(DRIVES["swept"], generator).recording
+def test_accelerometer_gain_that_is_off_does_not_bend_the_shape(rng):
+    recording = shake(DRIVES["swept"], rng).recording
     ground = 1.05 * recording.channel("ground_acceleration").values
     fit, texts = said(with_channel(recording, "ground_acceleration", values=ground), mass=MASS)
-    assert any("implies a moving mass of 0.647" in text for text in texts), (seed, texts)
+    assert any("implies a moving mass of 0.647" in text for text in texts), texts
     errors, uncertainties = found(fit)
-    assert np.all(np.abs(errors) < 5 * uncertainties), seed
+    assert np.all(np.abs(errors) < 5 * uncertainties)
 
 
-def test_gain_uncertainty_of_the_accelerometer_counts():
-    generator, seed = fresh()
-    recording = shake(DRIVES["swept"], generator).recording
+def test_gain_uncertainty_of_the_accelerometer_counts(rng):
+    recording = shake(DRIVES["swept"], rng).recording
     doubtful = with_channel(recording, "ground_acceleration", relative_uncertainty=0.01)
     fit = identify_rig(doubtful).dynamics
-    assert fit.uncertainty("mass") == pytest.approx(0.01 * fit.mass, rel=0.01), seed
+    assert fit.uncertainty("mass") == pytest.approx(0.01 * fit.mass, rel=0.01)
 
 
-def test_delay_known_from_the_channel_settings_is_removed():
-    generator, seed = fresh()
-    recording = shake(DRIVES["stepped"], generator).recording
+def test_delay_known_from_the_channel_settings_is_removed(rng):
+    recording = shake(DRIVES["stepped"], rng).recording
     settled = with_channel(recording, "AF", delay=DELAY)
     left = identify_rig(settled, mass=MASS).dynamics
-    assert abs(left.delay) < 5 * left.uncertainty("delay"), seed
+    assert abs(left.delay) < 5 * left.uncertainty("delay")
     given = identify_rig(settled, mass=MASS, delay=0.0).dynamics
     assert given.delay == 0.0
     assert given.uncertainty("delay") == 0.0
@@ -199,10 +191,9 @@ def test_delay_known_from_the_channel_settings_is_removed():
 
 
 @pytest.mark.parametrize("coupling", ["kinematic", "dc"])
-def test_pitching_ground_end(coupling: str):
+def test_pitching_ground_end(coupling: str, rng):
     # A balance that pitches while it is shaken feels x1'' - g sin(pitch); a dc accelerometer reads just that.
-    generator, seed = fresh()
-    simulation = shake(DRIVES["random"], generator, delay=0.0)
+    simulation = shake(DRIVES["random"], rng, delay=0.0)
     samples = simulation.pitch.size
     pitch = 0.1 * np.sin(2 * np.pi * 1.5 * np.arange(samples) / 25e3)
     weight = TRUE.mass * STANDARD_GRAVITY * np.sin(pitch)  # slow, so the load follows it as at rest
@@ -214,80 +205,75 @@ def test_pitching_ground_end(coupling: str):
     recording = with_channel(recording, "ground_acceleration", values=ground, coupling=coupling)
     fit = identify_rig(recording, mass=MASS, delay=0.0)
     error = fit.dynamics.natural_frequency - TRUE.natural_frequency
-    assert abs(error) < 5 * fit.dynamics.uncertainty("natural_frequency"), seed
+    assert abs(error) < 5 * fit.dynamics.uncertainty("natural_frequency")
 
 
-def test_live_accelerometer_agrees_or_is_called_off():
-    generator, seed = fresh()
-    recording = shake(DRIVES["swept"], generator, live=True).recording
+def test_live_accelerometer_agrees_or_is_called_off(rng):
+    recording = shake(DRIVES["swept"], rng, live=True).recording
     check = identify_rig(recording, mass=MASS).live
-    assert abs(check.gain - 1) < 5 * check.u_gain + 1e-3, seed
+    assert abs(check.gain - 1) < 5 * check.u_gain + 1e-3
     wrong = with_channel(recording, "live_acceleration", values=1.1 * recording.channel("live_acceleration").values)
-    assert any("live accelerometer reads 1.1" in text for text in said(wrong, mass=MASS)[1]), seed
+    assert any("live accelerometer reads 1.1" in text for text in said(wrong, mass=MASS)[1])
 
 
-def test_a_mode_above_does_not_bend_the_one_sought():
-    generator, seed = fresh()
-    simulation = shake(RandomDrive(100.0, 3000.0, 1.5, rms=30.0), generator, load=0.32, acceleration=0.5, delay=0.0)
+def test_a_mode_above_does_not_bend_the_one_sought(rng):
+    simulation = shake(RandomDrive(100.0, 3000.0, 1.5, rms=30.0), rng, load=0.32, acceleration=0.5, delay=0.0)
     spectrum = np.fft.rfft(simulation.ground_acceleration)
     ratio = np.fft.rfftfreq(simulation.load.size, 1 / 25e3) / 2500
     extra = np.fft.irfft(-0.005 * ratio**2 / (1 - ratio**2 + 0.02j * ratio) * spectrum, simulation.load.size)
     recording = with_channel(simulation.recording, "AF", values=simulation.recording.channel("AF").values + extra)
     fit, _ = said(recording, mass=MASS)
-    assert TRUE.natural_frequency < fit.band[1] < 2500, seed
+    assert TRUE.natural_frequency < fit.band[1] < 2500
     # What the second mode adds at the first is 0.005 (652 / 2500)^2 kg of 5.1 kg, 7e-5.
     error = fit.dynamics.natural_frequency / TRUE.natural_frequency - 1
     u = fit.dynamics.uncertainty("natural_frequency") / TRUE.natural_frequency
-    assert abs(error) < 7e-5 + 5 * u, seed
+    assert abs(error) < 7e-5 + 5 * u
     wide, texts = said(recording, mass=MASS, band=(100.0, 3000.0))
-    assert any("one mode does not describe" in text for text in texts), (seed, texts)
-    assert any("a further mode at" in text for text in texts), (seed, texts)
-    assert wide.left_out.natural_frequency == pytest.approx(2500.0, rel=0.01), seed
+    assert any("one mode does not describe" in text for text in texts), texts
+    assert any("a further mode at" in text for text in texts), texts
+    assert wide.left_out.natural_frequency == pytest.approx(2500.0, rel=0.01)
 
 
-def test_far_below_resonance_is_refused_or_called_extrapolated():
-    generator, seed = fresh()
-    recording = shake(RandomDrive(5.0, 20.0, 4.0), generator, load=0.32, acceleration=0.5).recording
+def test_far_below_resonance_is_refused_or_called_extrapolated(rng):
+    recording = shake(RandomDrive(5.0, 20.0, 4.0), rng, load=0.32, acceleration=0.5).recording
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
         # The load departs by (20 / 652)^2 = 1e-3 from that of a rigid balance; sixty lines of 1 % noise do not tell.
         try:
             fit = identify_rig(recording, mass=MASS, band=(5.0, 20.0))
         except FitError as refused:
-            assert "does not carry the stiffness" in str(refused), seed
+            assert "does not carry the stiffness" in str(refused)
         else:
             f0, u = (fit.dynamics.natural_frequency, fit.dynamics.uncertainty("natural_frequency"))
-            assert abs(f0 - TRUE.natural_frequency) < 5 * u, seed
+            assert abs(f0 - TRUE.natural_frequency) < 5 * u
     with pytest.raises(FitError, match="does not carry the stiffness"), warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
-        quiet = shake(RandomDrive(2.0, 8.0, 6.0), generator, load=0.32, acceleration=0.5).recording
+        quiet = shake(RandomDrive(2.0, 8.0, 6.0), rng, load=0.32, acceleration=0.5).recording
         identify_rig(quiet, mass=MASS, band=(2.0, 8.0))
-    recording = shake(RandomDrive(100.0, 500.0, 3.0), generator).recording
+    recording = shake(RandomDrive(100.0, 500.0, 3.0), rng).recording
     _, texts = said(recording, mass=MASS, band=(100.0, 500.0))
-    assert any("no excitation reaches the natural frequency" in text for text in texts), seed
+    assert any("no excitation reaches the natural frequency" in text for text in texts)
 
 
-def test_missing_and_saturated_samples_are_called_out():
-    generator, seed = fresh()
-    recording = shake(DRIVES["swept"], generator).recording
+def test_missing_and_saturated_samples_are_called_out(rng):
+    recording = shake(DRIVES["swept"], rng).recording
     values = recording.channel("AF").values.copy()
     values[1000] = np.nan
     values[60000:60050] = np.nan
     fit, texts = said(with_channel(recording, "AF", values=values), mass=MASS)
-    assert any("51 missing sample(s); 60000 of 75000" in text for text in texts), seed
-    assert abs(fit.dynamics.damping / TRUE.damping - 1) < 5e-3, seed
+    assert any("51 missing sample(s); 60000 of 75000" in text for text in texts)
+    assert abs(fit.dynamics.damping / TRUE.damping - 1) < 5e-3
     ground = np.clip(recording.channel("ground_acceleration").values, -9.0, 9.0)
     _, texts = said(with_channel(recording, "ground_acceleration", values=ground), mass=MASS)
-    assert any("saturated" in text for text in texts), seed
+    assert any("saturated" in text for text in texts)
 
 
-def test_records_that_cannot_carry_a_result_are_refused():
-    generator, _ = fresh()
-    recording = shake(DRIVES["swept"], generator).recording
+def test_records_that_cannot_carry_a_result_are_refused(rng):
+    recording = shake(DRIVES["swept"], rng).recording
     still = with_channel(recording, "ground_acceleration", values=np.zeros(recording.samples))
     with pytest.raises(FitError, match="ground_acceleration does not change"):
         identify_rig(still, mass=MASS)
-    noise = with_channel(recording, "ground_acceleration", values=generator.standard_normal(recording.samples))
+    noise = with_channel(recording, "ground_acceleration", values=rng.standard_normal(recording.samples))
     with pytest.raises(FitError, match="does not answer the ground acceleration"):
         identify_rig(noise, mass=MASS)
     with pytest.raises(FitError, match="no channel PM"):
@@ -303,9 +289,8 @@ def test_records_that_cannot_carry_a_result_are_refused():
         identify_rig(short, mass=MASS)
 
 
-def test_wrong_calls():
-    generator, _ = fresh()
-    recording = shake(Sweep(500.0, 900.0, 0.2), generator).recording
+def test_wrong_calls(rng):
+    recording = shake(Sweep(500.0, 900.0, 0.2), rng).recording
     with pytest.raises(ValueError, match="mass must be positive"):
         identify_rig(recording, mass=-1.0)
     with pytest.raises(ValueError, match="rising order"):
@@ -346,107 +331,96 @@ def misfit(found: Dynamics, truth: Dynamics) -> tuple[np.ndarray, float]:
 
 @pytest.mark.parametrize("mass", [LARGE.mass, None])
 @pytest.mark.parametrize("modes", ["auto", 2])
-def test_second_mode_is_found_within_its_uncertainty(mass: float | None, modes: str | int):
-    generator, seed = fresh()
-    second = some_mode(generator, 165.0)
-    sweep = Sweep(10.0, 400.0, 10.0, amplitude=1.0).signal(generator)
+def test_second_mode_is_found_within_its_uncertainty(mass: float | None, modes: str | int, rng):
+    second = some_mode(rng, 165.0)
+    sweep = Sweep(10.0, 400.0, 10.0, amplitude=1.0).signal(rng)
     for drive in (None, sweep):
-        fit, texts = said(several(generator, second, drive=drive), mass=mass, modes=modes)
-        assert not any("further mode" in text for text in texts), (seed, texts)
+        fit, texts = said(several(rng, second, drive=drive), mass=mass, modes=modes)
+        assert not any("further mode" in text for text in texts), texts
         (mode,) = fit.dynamics.further_modes
-        assert mode.natural_frequency == pytest.approx(second.natural_frequency, rel=0.01), seed
+        assert mode.natural_frequency == pytest.approx(second.natural_frequency, rel=0.01)
         scores, total = misfit(fit.dynamics, LARGE.with_modes(second))
         # A normal number is beyond 6 once in 5e8. The uncertainties themselves scatter by some percent.
-        assert np.all(np.abs(scores) < 6), (seed, scores)
-        assert total < 1.5 * chi2.isf(1e-6, scores.size), (seed, total)
+        assert np.all(np.abs(scores) < 6), scores
+        assert total < 1.5 * chi2.isf(1e-6, scores.size), total
 
 
-def test_three_modes_are_found():
-    generator, seed = fresh()
-    further = some_mode(generator, 160.0), some_mode(generator, 280.0)
-    fit, _ = said(several(generator, *further, seconds=15.0), modes="auto")
-    assert len(fit.dynamics.further_modes) == 2, (seed, fit.notes)
+def test_three_modes_are_found(rng):
+    further = some_mode(rng, 160.0), some_mode(rng, 280.0)
+    fit, _ = said(several(rng, *further, seconds=15.0), modes="auto")
+    assert len(fit.dynamics.further_modes) == 2, fit.notes
     scores, total = misfit(fit.dynamics, LARGE.with_modes(*further))
-    assert np.all(np.abs(scores) < 6), (seed, scores)
-    assert total < 1.5 * chi2.isf(1e-6, scores.size), (seed, total)
+    assert np.all(np.abs(scores) < 6), scores
+    assert total < 1.5 * chi2.isf(1e-6, scores.size), total
 
 
 @pytest.mark.slow
-def test_scatter_of_the_second_mode_is_stated():
-    generator, seed = fresh()
+def test_scatter_of_the_second_mode_is_stated(rng):
     draws, second = trials(12, 30), Mode(165.0, 0.008, -0.05)
     scores, totals = [], []
     for _ in range(draws):
-        score, total = misfit(
-            said(several(generator, second, seconds=6.0), modes=2)[0].dynamics, LARGE.with_modes(second)
-        )
+        score, total = misfit(said(several(rng, second, seconds=6.0), modes=2)[0].dynamics, LARGE.with_modes(second))
         scores.append(score)
         totals.append(total)
     # Mean squares of n normal numbers follow chi2 / n; six of them are tested, each at 1e-6 on either side.
     low, high = chi2.ppf([1e-6, 1 - 1e-6], draws) / draws
     squares = np.mean(np.square(scores), axis=0)
-    assert np.all((squares > 0.8 * low) & (squares < 1.25 * high)), (seed, squares)
-    assert np.sum(totals) < 1.25 * chi2.isf(1e-6, draws * len(scores[0])), seed
+    assert np.all((squares > 0.8 * low) & (squares < 1.25 * high)), squares
+    assert np.sum(totals) < 1.25 * chi2.isf(1e-6, draws * len(scores[0]))
 
 
-def test_one_mode_is_enough_where_there_is_one():
-    generator, seed = fresh()
+def test_one_mode_is_enough_where_there_is_one(rng):
     for noise in ((2.0, 0.02), (10.0, 0.1)):
-        for drive in (None, Sweep(10.0, 300.0, 10.0, amplitude=1.0).signal(generator)):
-            fit, _ = said(several(generator, drive=drive, noise=noise), modes="auto")
-            assert fit.dynamics.further_modes == (), (seed, fit.dynamics.further_modes)
+        for drive in (None, Sweep(10.0, 300.0, 10.0, amplitude=1.0).signal(rng)):
+            fit, _ = said(several(rng, drive=drive, noise=noise), modes="auto")
+            assert fit.dynamics.further_modes == (), fit.dynamics.further_modes
 
 
-def test_modes_asked_for_have_to_be_there():
-    generator, _ = fresh()
-    sweep = Sweep(10.0, 400.0, 10.0, amplitude=1.0).signal(generator)
+def test_modes_asked_for_have_to_be_there(rng):
+    sweep = Sweep(10.0, 400.0, 10.0, amplitude=1.0).signal(rng)
     with pytest.raises(FitError, match="3 modes are asked for, and the record shows 2"):
-        said(several(generator, Mode(165.0, 0.008, 0.07), drive=sweep), modes=3)
+        said(several(rng, Mode(165.0, 0.008, 0.07), drive=sweep), modes=3)
     for modes in (0, 6):
         with pytest.raises(ValueError, match="modes must be auto or a number from 1 to 5"):
-            identify_rig(several(generator, seconds=1.0), modes=modes)
+            identify_rig(several(rng, seconds=1.0), modes=modes)
 
 
-def test_mode_that_is_left_out_is_named():
-    generator, seed = fresh()
-    second = some_mode(generator, 165.0)
-    fit, texts = said(several(generator, second), mass=LARGE.mass)
+def test_mode_that_is_left_out_is_named(rng):
+    second = some_mode(rng, 165.0)
+    fit, texts = said(several(rng, second), mass=LARGE.mass)
     assert fit.dynamics.further_modes == ()
-    assert fit.left_out is not None, seed
-    assert fit.left_out.natural_frequency == pytest.approx(second.natural_frequency, rel=0.01), seed
-    assert any("further mode at" in text and "--modes auto looks for it" in text for text in texts), (seed, texts)
+    assert fit.left_out is not None
+    assert fit.left_out.natural_frequency == pytest.approx(second.natural_frequency, rel=0.01)
+    assert any("further mode at" in text and "--modes auto looks for it" in text for text in texts), texts
 
 
-def test_strongest_mode_leads():
+def test_strongest_mode_leads(rng):
     # Most of the load goes through the second mode, whatever the search meets first.
-    generator, seed = fresh()
-    fit, _ = said(several(generator, Mode(165.0, 0.004, 0.7)), modes="auto")
-    assert fit.dynamics.natural_frequency == pytest.approx(165.0, rel=1e-3), seed
+    fit, _ = said(several(rng, Mode(165.0, 0.004, 0.7)), modes="auto")
+    assert fit.dynamics.natural_frequency == pytest.approx(165.0, rel=1e-3)
     (other,) = fit.dynamics.further_modes
-    assert other.natural_frequency == pytest.approx(LARGE.natural_frequency, rel=1e-3), seed
-    assert other.share == pytest.approx(0.3, abs=6 * fit.dynamics.uncertainty("share_2")), seed
+    assert other.natural_frequency == pytest.approx(LARGE.natural_frequency, rel=1e-3)
+    assert other.share == pytest.approx(0.3, abs=6 * fit.dynamics.uncertainty("share_2"))
 
 
-def test_uncertain_gain_leaves_the_shares_alone():
-    generator, seed = fresh()
-    recording = several(generator, Mode(165.0, 0.008, 0.05))
+def test_uncertain_gain_leaves_the_shares_alone(rng):
+    recording = several(rng, Mode(165.0, 0.008, 0.05))
     doubtful = with_channel(recording, "ground_acceleration", relative_uncertainty=0.02)
     for mass in (None, LARGE.mass):
         exact, loose = (said(each, mass=mass, modes=2)[0].dynamics for each in (recording, doubtful))
         for name in ("natural_frequency", "natural_frequency_2", "damping_ratio_2"):
-            assert loose.uncertainty(name) < 1.5 * exact.uncertainty(name) + 1e-12, (seed, name)
+            assert loose.uncertainty(name) < 1.5 * exact.uncertainty(name) + 1e-12, name
         # A share is a part of the whole response, whose scale the gain moves alike.
-        assert loose.uncertainty("share_2") < 0.1 * 0.05, seed
+        assert loose.uncertainty("share_2") < 0.1 * 0.05
     free = said(doubtful, modes=2)[0].dynamics
-    assert free.uncertainty("mass") == pytest.approx(0.02 * free.mass, rel=0.02), seed
+    assert free.uncertainty("mass") == pytest.approx(0.02 * free.mass, rel=0.02)
 
 
-def test_force_on_a_shaken_balance_with_two_modes_has_the_error_of_the_noise():
-    generator, seed = fresh()
-    truth = LARGE.with_modes(some_mode(generator, 165.0))
-    found = said(several(generator, *truth.further_modes), mass=LARGE.mass, modes="auto")[0].dynamics
-    applied = band_noise(generator, low=1.0, high=250.0, rms=100.0, period=40.0)
-    record = several(generator, *truth.further_modes, seconds=4.0, noise=(2.0, 0.02), applied=applied)
+def test_force_on_a_shaken_balance_with_two_modes_has_the_error_of_the_noise(rng):
+    truth = LARGE.with_modes(some_mode(rng, 165.0))
+    found = said(several(rng, *truth.further_modes), mass=LARGE.mass, modes="auto")[0].dynamics
+    applied = band_noise(rng, low=1.0, high=250.0, rms=100.0, period=40.0)
+    record = several(rng, *truth.further_modes, seconds=4.0, noise=(2.0, 0.02), applied=applied)
     right = applied(record.time)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
@@ -456,8 +430,8 @@ def test_force_on_a_shaken_balance_with_two_modes_has_the_error_of_the_noise():
         ]
     best, identified, without = (float(np.sqrt(np.mean(error**2))) for error in errors)
     # The parameters are known to 1e-3 and better of a load of some 180 N: less than 1 N beside some 5 N of noise.
-    assert identified < 1.1 * best, (seed, best, identified)
-    assert without > 1.5 * best, (seed, best, without)
+    assert identified < 1.1 * best, (best, identified)
+    assert without > 1.5 * best, (best, without)
 
 
 def treadmill(name: str) -> Recording:

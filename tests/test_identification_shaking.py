@@ -22,7 +22,6 @@ from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_components import GROUND_CHANNELS, RATE_CHANNELS
 from rigid_balance import HALF_RANGE, RANGES, balance, truth
-from seeds import fresh
 
 RATE = 2500.0
 SAMPLES = 3000
@@ -102,105 +101,95 @@ def within(square, degrees):
 # A rate of turn that is integrated lacks a straight line, and its w x (w x r) and w x I w a tenth of themselves (the
 # uncertainty that `Turning` gives it); left out they make up to 1.4e-5 of A and 1.2e-3 of D.
 @pytest.mark.parametrize(("rates", "heavy", "slow"), [(True, 1e-7, 1e-7 / 0.008), (False, 1.4e-6, 1.2e-4)])
-def test_without_noise_it_is_exact(rates, heavy, slow):
-    generator, seed = fresh()
-    found = identified(shaken(generator, noise=0.0, rates=rates))
+def test_without_noise_it_is_exact(rates, heavy, slow, rng):
+    found = identified(shaken(rng, noise=0.0, rates=rates))
     true = truth()
     scale = HALF_RANGE[None, :] / HALF_RANGE[:, None]
     for kind, allowed in (("inertia", heavy), ("damping", slow)):
         ours, theirs = getattr(found.dynamics, kind) * scale, getattr(true, kind) * scale
-        assert np.abs(ours - theirs).max() < allowed * np.abs(theirs).max(), (seed, kind)
-    assert found.rigid.mass.mass == pytest.approx(20.0, rel=10 * heavy), seed
-    assert found.rigid.mass.centre == pytest.approx(true.mass.centre, abs=10 * heavy), seed
+        assert np.abs(ours - theirs).max() < allowed * np.abs(theirs).max(), kind
+    assert found.rigid.mass.mass == pytest.approx(20.0, rel=10 * heavy)
+    assert found.rigid.mass.centre == pytest.approx(true.mass.centre, abs=10 * heavy)
 
 
-def test_errors_are_those_that_are_told():
-    generator, seed = fresh()
-    found = identified(shaken(generator), mass=20.0)
-    assert within(squares_of(found), 72), seed
+def test_errors_are_those_that_are_told(rng):
+    found = identified(shaken(rng), mass=20.0)
+    assert within(squares_of(found), 72)
     error = (found.rigid.mass.values - balance()[0].values)[1:]
-    assert within(squares(error, found.rigid.mass.covariance[1:, 1:]), 9), seed
+    assert within(squares(error, found.rigid.mass.covariance[1:, 1:]), 9)
     assert found.rigid.rigidity.degrees_of_freedom == 26
     assert not found.rigid.from_symmetry
     frequency = [mode.natural_frequency for mode in truth().modes]
     z = (np.array([mode.natural_frequency for mode in found.modes]) - frequency) / found.u_natural_frequency
-    assert np.abs(z).max() < 6, seed  # six normal deviates pass 6 once in 1e8
+    assert np.abs(z).max() < 6  # six normal deviates pass 6 once in 1e8
 
 
-def test_rates_of_turn_serve_too():
-    generator, seed = fresh()
-    assert within(squares_of(identified(shaken(generator, rates=True), mass=20.0)), 72), seed
+def test_rates_of_turn_serve_too(rng):
+    assert within(squares_of(identified(shaken(rng, rates=True), mass=20.0)), 72)
 
 
-def test_straight_shaking_gives_the_inertia_by_symmetry():
-    generator, seed = fresh()
-    found = identified(shaken(generator, along=STRAIGHT))
-    assert "open (no turn in pitch (PM), turn in yaw (YM), turn in roll (RM))" in "".join(found.notes), seed
+def test_straight_shaking_gives_the_inertia_by_symmetry(rng):
+    found = identified(shaken(rng, along=STRAIGHT))
+    assert "open (no turn in pitch (PM), turn in yaw (YM), turn in roll (RM))" in "".join(found.notes)
     assert found.rigid.from_symmetry
     assert found.rigid.symmetry.degrees_of_freedom == 9
-    assert within(squares_of(found), 72), seed
+    assert within(squares_of(found), 72)
     error = found.rigid.mass.values - balance()[0].values
     # the equations of symmetry are quadratic: a tenth of a deviation is left for that
-    assert squares(error, found.rigid.mass.covariance) < 1.3 * chi2.isf(NEVER, 10), seed
+    assert squares(error, found.rigid.mass.covariance) < 1.3 * chi2.isf(NEVER, 10)
 
 
-def test_gains_of_the_sensors_are_brought_in_line_by_the_weighed_mass():
+def test_gains_of_the_sensors_are_brought_in_line_by_the_weighed_mass(rng):
     """Gains off by a percent, as their settings say, would be errors of the mass; A and D do not need them."""
-    generator, seed = fresh()
-    made = shaken(generator)
+    made = shaken(rng)
     channels = {
-        name: replace(channel, values=channel.values * (1 + generator.normal(0, 0.01)), relative_uncertainty=0.01)
+        name: replace(channel, values=channel.values * (1 + rng.normal(0, 0.01)), relative_uncertainty=0.01)
         if name in GROUND_CHANNELS
         else channel
         for name, channel in made.channels.items()
     }
     found = identified(replace(made, channels=channels), mass=20.0)
-    assert within(squares_of(found), 72), seed
+    assert within(squares_of(found), 72)
     error = (found.rigid.mass.values - balance()[0].values)[1:]
     # products of two gains, one in 10,000, are left out of the linear errors
-    assert squares(error, found.rigid.mass.covariance[1:, 1:]) < 1.3 * chi2.isf(NEVER, 9), seed
+    assert squares(error, found.rigid.mass.covariance[1:, 1:]) < 1.3 * chi2.isf(NEVER, 9)
     assert found.rigid.weighed.chance
 
 
-def test_two_records_tell_more_than_one():
-    generator, seed = fresh()
-    first, second = shaken(generator, name="a"), shaken(generator, name="b", along=STRAIGHT)
+def test_two_records_tell_more_than_one(rng):
+    first, second = shaken(rng, name="a"), shaken(rng, name="b", along=STRAIGHT)
     one, both = identified(first), identified(first, second)
-    assert (np.diag(both.dynamics.covariance) < 1.05 * np.diag(one.dynamics.covariance)).all(), seed
-    assert both.force_error.sum() < 0.9 * one.force_error.sum(), seed
-    assert within(squares_of(both), 72), seed
+    assert (np.diag(both.dynamics.covariance) < 1.05 * np.diag(one.dynamics.covariance)).all()
+    assert both.force_error.sum() < 0.9 * one.force_error.sum()
+    assert within(squares_of(both), 72)
 
 
-def test_a_late_load_is_no_damping():
-    generator, seed = fresh()
-    found = identified(shaken(generator, late=30e-6))
-    assert "lag the ground's motion by" in "".join(found.notes), seed
-    assert abs(found.delay[0] - 30e-6) < 6 * found.delay[1], seed
-    assert within(squares_of(found), 72), seed
+def test_a_late_load_is_no_damping(rng):
+    found = identified(shaken(rng, late=30e-6))
+    assert "lag the ground's motion by" in "".join(found.notes)
+    assert abs(found.delay[0] - 30e-6) < 6 * found.delay[1]
+    assert within(squares_of(found), 72)
 
 
-def test_a_wrong_mass_is_noticed():
-    generator, seed = fresh()
-    found = identified(shaken(generator), mass=(21.0, 0.01))
-    assert re.search(r"imply a mass of (19\.9|20\.0|20 ).*kg", "".join(found.notes)), seed
+def test_a_wrong_mass_is_noticed(rng):
+    found = identified(shaken(rng), mass=(21.0, 0.01))
+    assert re.search(r"imply a mass of (19\.9|20\.0|20 ).*kg", "".join(found.notes))
     assert found.dynamics.mass.mass == pytest.approx(20.0, rel=1e-2)
 
 
-def test_a_mass_that_is_not_rigid_is_noticed():
-    generator, seed = fresh()
+def test_a_mass_that_is_not_rigid_is_noticed(rng):
     extra = np.zeros((6, 6))
     extra[0, 0] = 0.5  # heavier along NF, as a live end of its own is
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        found = identify_shaking([shaken(generator, extra=extra, name="odd")], half_range=RANGES)
-    assert "not those of a rigid mass" in "".join(found.notes), seed
+        found = identify_shaking([shaken(rng, extra=extra, name="odd")], half_range=RANGES)
+    assert "not those of a rigid mass" in "".join(found.notes)
     assert [f"odd: {note}" for note in found.notes] == [
         str(one.message) for one in said if issubclass(one.category, DataQualityWarning)
     ]
 
 
-def test_a_mode_at_rest_is_refused_with_the_shake_to_add():
-    generator, _ = fresh()
+def test_a_mode_at_rest_is_refused_with_the_shake_to_add(rng):
     mass, stiffness, _ = balance()
     # of equal inertia in pitch and yaw: then no turn of these two calls for a moment in roll
     level = RigidMass(mass.mass, np.zeros(3), np.diag([0.9, 0.8, 0.8]))
@@ -208,12 +197,11 @@ def test_a_mode_at_rest_is_refused_with_the_shake_to_add():
     dynamics = CoupledDynamics.of_rigid_mass(level, stiffness=alone, damping=1e-5 * alone)
     along = np.where(np.array(COMPONENTS) == "RM", 0.0, 1.0)
     with pytest.raises(FitError, match=r"no shake moves RM .*add a shake in the ground's turn in roll \(RM\)"):
-        identified(shaken(generator, along=along, dynamics=dynamics))
+        identified(shaken(rng, along=along, dynamics=dynamics))
 
 
-def test_what_is_no_shaking_is_refused():
-    generator, _ = fresh()
-    recording = shaken(generator)
+def test_what_is_no_shaking_is_refused(rng):
+    recording = shaken(rng)
     loads = {name: recording.channel(name) for name in COMPONENTS}
     with pytest.raises(FitError, match="no motion of the ground end is recorded"):
         identified(Recording.from_columns(recording.time, loads, name="loads alone"))
@@ -221,17 +209,16 @@ def test_what_is_no_shaking_is_refused():
         without = {name: channel for name, channel in recording.channels.items() if name != "AF"}
         identified(Recording.from_columns(recording.time, without, name="five"))
     with pytest.raises(FitError, match=r"the ground end does not move|shake harder"):  # noise may stand out by chance
-        identified(shaken(generator, along=np.zeros(6)))
+        identified(shaken(rng, along=np.zeros(6)))
     with pytest.raises(ValueError, match="at least one recording"):
         identified()
     with pytest.raises(ValueError, match="two frequencies in rising order"):
         identified(recording, band=(100.0, 50.0))
 
 
-def test_the_command_writes_what_force_reads(tmp_path, capsys):
-    generator, seed = fresh()
+def test_the_command_writes_what_force_reads(tmp_path, capsys, rng):
     file, out = tmp_path / "a.h5", tmp_path / "dynamics.json"
-    write_recording(file, shaken(generator, name="a"))
+    write_recording(file, shaken(rng, name="a"))
     ranges = [part for name, size in RANGES.items() for part in ("--half-range", f"{name}={size:g}")]
     command = ["identify", "rig", str(file), "--component", "all", "--mass", "20", *ranges, "-o", str(out)]
     assert main(command) == 0
@@ -242,17 +229,17 @@ def test_the_command_writes_what_force_reads(tmp_path, capsys):
     assert len(fit["shakes"]) == 1
     assert set(fit["tests"]) == {"rigidity", "symmetry", "reciprocity", "mass"}
     dynamics = read_coupled(out)
-    assert dynamics.mass.mass == pytest.approx(20.0, rel=1e-6), seed
-    made = shaken(generator)
+    assert dynamics.mass.mass == pytest.approx(20.0, rel=1e-6)
+    made = shaken(rng)
     found, expected = (CoupledRecord.of(made, one).from_ground for one in (dynamics, truth()))
     # A is known to a hundredth of a percent, and a tenth of a percent of A moves a mode by a tenth of its width
     off = np.sqrt(np.mean((found - expected) ** 2, axis=0))
-    assert (off < 0.05 * np.sqrt(np.mean(expected**2, axis=0))).all(), seed
+    assert (off < 0.05 * np.sqrt(np.mean(expected**2, axis=0))).all()
 
 
-def test_one_component_takes_one_record(tmp_path, capsys):
+def test_one_component_takes_one_record(tmp_path, capsys, rng):
     file = tmp_path / "a.h5"
-    write_recording(file, shaken(fresh()[0]))
+    write_recording(file, shaken(rng))
     assert main(["identify", "rig", str(file), str(file), "--component", "AF"]) == 2
     assert "2 recordings were given" in capsys.readouterr().err
     assert main(["identify", "rig", str(file), "--component", "AF", "--half-range", "AF=500"]) == 2

@@ -14,7 +14,6 @@ from aerobalance.io.coupled_file import read_coupled, write_coupled
 from aerobalance.io.stiffness_file import read_rigid_mass, read_stiffness
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning, ReadError
-from seeds import new_seed
 
 MASS = """
 mass = {value = 20.0, u = 0.01, unit = "kg"}
@@ -125,12 +124,11 @@ def test_a_mass_reads_from_toml_json_and_dynamics(tmp_path):
         read_rigid_mass(file)
 
 
-def test_the_modes_have_the_uncertainty_of_differences():
+def test_the_modes_have_the_uncertainty_of_differences(rng):
     """Their derivatives by A and D against differences of the poles."""
     made = coupled_from_stiffness(stiffness(), rigid(), damping_ratios=[0.01, 0.02, 0.004, 0.03, 0.01, 0.015])
     values = np.concatenate([made.inertia.ravel(), made.damping.ravel()])
-    generator = np.random.default_rng(new_seed())
-    place = int(generator.integers(72))
+    place = int(rng.integers(72))
     step = 1e-6 * abs(values).reshape(2, 36).mean(axis=1)[place // 36]
     covariance = np.zeros((72, 72))
     covariance[place, place] = step**2
@@ -149,21 +147,19 @@ def test_the_modes_have_the_uncertainty_of_differences():
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-11 * max(1, more[0].max()))
 
 
-def test_stiffness_and_identified_dynamics_agree_within_their_uncertainty():
+def test_stiffness_and_identified_dynamics_agree_within_their_uncertainty(rng):
     """Dynamics drawn with the covariance of both: the test of agreement is a chi2."""
-    seed = new_seed()
-    generator = np.random.default_rng(seed)
     mass = rigid()
     made = coupled_from_stiffness(
         stiffness(), mass, damping_ratios=0.01, u_stiffness=u_stiffness(), u_damping_ratios=2e-4
     )
     values = np.concatenate([made.inertia.ravel(), made.damping.ravel()])
     u = 1e-3 * np.abs(values)
-    drawn = generator.multivariate_normal(values, made.covariance, method="eigh") + u * generator.normal(size=72)
+    drawn = rng.multivariate_normal(values, made.covariance, method="eigh") + u * rng.normal(size=72)
     other = CoupledDynamics(COMPONENTS, *drawn.reshape(2, 6, 6), np.diag(u**2))
     test = agreement(made, other, damping=True)
     assert test.degrees_of_freedom == 72
-    assert 1e-5 < test.p_value < 1 - 1e-5, seed
+    assert 1e-5 < test.p_value < 1 - 1e-5
     assert agreement(made, other, damping=False).degrees_of_freedom == 36
 
 

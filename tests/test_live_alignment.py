@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from aerobalance.estimation.live.alignment import Aligner
 from aerobalance.estimation.live.modes import REACH
 from aerobalance.recording.resampling import SHARPNESS
-from seeds import new_seed
 
 
 def pushed(aligner, rows, cuts):
@@ -16,9 +15,7 @@ def pushed(aligner, rows, cuts):
     return np.concatenate([aligner.push(part) for part in parts])
 
 
-def test_a_lag_of_any_part_of_a_sample_is_taken_out() -> None:
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_a_lag_of_any_part_of_a_sample_is_taken_out(rng) -> None:
     late = np.array([0.0, *rng.uniform(-30, 30, 4)])
     k = np.arange(600.0)
     # the main lobe of a Kaiser window of parameter b that reaches over r samples is sqrt(b^2 + pi^2) / r wide: so far
@@ -32,12 +29,12 @@ def test_a_lag_of_any_part_of_a_sample_is_taken_out() -> None:
     # below it a filter of this window errs by A dB, with b = 0.1102 (A - 8.7) [Kaiser1974]; by that from either side
     # of the band, and again as its weights are made to add up to 1
     error = 10 ** (-(SHARPNESS / 0.1102 + 8.7) / 20)
-    assert np.abs(made[inside] - expected[inside, None]).max() < 4 * error, entropy
+    assert np.abs(made[inside] - expected[inside, None]).max() < 4 * error
     assert made[:, 0] == pytest.approx(rows[: made.shape[0], 0], abs=0)
 
 
-def test_whole_samples_are_taken_out_exactly() -> None:
-    rows = np.random.default_rng(new_seed()).normal(size=(50, 3))
+def test_whole_samples_are_taken_out_exactly(rng) -> None:
+    rows = rng.normal(size=(50, 3))
     rows[20, 1] = np.nan
     aligner = Aligner([0.0, 3.0, -4.0])
     made = aligner.push(rows)

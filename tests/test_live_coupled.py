@@ -16,7 +16,6 @@ from aerobalance.recording.components import COMPONENTS
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import GROUND_CHANNELS, SixComponentRig
 from aerobalance.simulation.six_signals import Band, broadband, random_motion
-from seeds import fresh
 from test_smoother import butterworth
 
 RATE = 10_000.0
@@ -69,82 +68,77 @@ def largest(balance: CoupledBalance, readings: np.ndarray, place: int) -> float:
     return float(np.max(np.abs(readings) @ weight))
 
 
-def test_taken_apart_live_is_taken_apart_at_once():
-    generator, seed = fresh()
-    balance = random_balance(generator)
-    readings = felt(generator, balance, 4000)
-    found = apart(generator, lones_of(balance), readings)
+def test_taken_apart_live_is_taken_apart_at_once(rng):
+    balance = random_balance(rng)
+    readings = felt(rng, balance, 4000)
+    found = apart(rng, lones_of(balance), readings)
     for place, lone in enumerate(lones_of(balance)):
         expected = lone.reading(readings, interval=1 / RATE)
         left = free_motion_left(found[:, place] - expected, lone)
         # the whole-record way does not scale the weights of an interpolated value to a sum of 1 but for their mean: by
         # up to 3e-5 the value goes with its phase, of which a lone balance with its mode below a tenth of the
         # sampling rate leaves less than a tenth
-        assert np.abs(left).max() < 3e-6 * largest(balance, readings, place), (seed, lone.component)
+        assert np.abs(left).max() < 3e-6 * largest(balance, readings, place), lone.component
 
 
-def test_hidden_coordinates_are_taken_apart_too():
-    generator, seed = fresh()
+def test_hidden_coordinates_are_taken_apart_too(rng):
     mass = np.array([[20.0, 1.0, 0.6], [1.0, 0.6, 0.05], [0.6, 0.05, 0.4]])
     size = np.sqrt(np.diag(mass)) * 2 * np.pi * np.array([70.0, 130.0, 210.0])
     inertia = mass @ np.linalg.inv(np.outer(size, size) * (np.eye(3) + 0.1 * np.ones((3, 3))))
     dynamics = CoupledDynamics(("NF", "PM"), inertia, 2e-2 * 2 * np.pi * 120 * inertia)
     assert dynamics.hidden == 1
-    force = broadband(generator, Band(0, 150), rms=np.full(6, 50.0), period=1.0)(np.arange(4000) / RATE)[:, :2]
+    force = broadband(rng, Band(0, 150), rms=np.full(6, 50.0), period=1.0)(np.arange(4000) / RATE)[:, :2]
     readings = load_felt(dynamics, force, interval=1 / RATE)
     lones = [LoneComponent.of(dynamics, name, noise=np.diag([1.0, 0.01])) for name in dynamics.components]
-    found, freed = apart(generator, lones, readings), apart(generator, lones, readings, force)
+    found, freed = apart(rng, lones, readings), apart(rng, lones, readings, force)
     for place, lone in enumerate(lones):
         assert len(lone.dynamics.modes) == 2
         left = free_motion_left(found[:, place] - lone.reading(readings, interval=1 / RATE), lone)
         # as above: the weights of an interpolated value sum to 1 but for 3e-5, of which modes far below the sampling
         # rate leave less than a tenth; in the reading each load weighs some ten times itself
         reach = 1e1 * np.abs(readings).max()
-        assert np.abs(left).max() < 3e-6 * reach, (seed, lone.component)
+        assert np.abs(left).max() < 3e-6 * reach, lone.component
         # all of the load is known here, so that nothing is left
-        assert np.abs(free_motion_left(freed[:, place], lone)).max() < 3e-6 * reach, (seed, lone.component)
+        assert np.abs(free_motion_left(freed[:, place], lone)).max() < 3e-6 * reach, lone.component
 
 
-def test_chunks_do_not_matter_when_taken_apart():
-    generator, seed = fresh()
-    balance = random_balance(generator)
-    readings = felt(generator, balance, 2000)
-    readings[generator.integers(300, 1900, 3), generator.integers(0, 6, 3)] = np.nan
-    net = generator.standard_normal((2000, 6))
+def test_chunks_do_not_matter_when_taken_apart(rng):
+    balance = random_balance(rng)
+    readings = felt(rng, balance, 2000)
+    readings[rng.integers(300, 1900, 3), rng.integers(0, 6, 3)] = np.nan
+    net = rng.standard_normal((2000, 6))
     lones = lones_of(balance)
-    once = apart(generator, lones, readings, net, most=4000)
+    once = apart(rng, lones, readings, net, most=4000)
     for most in (3, 100):
-        other = apart(generator, lones, readings, net, most=most)
-        assert np.array_equal(other, once, equal_nan=True), (seed, most)
+        other = apart(rng, lones, readings, net, most=most)
+        assert np.array_equal(other, once, equal_nan=True), most
 
 
-def test_known_loads_are_taken_off():
-    generator, seed = fresh()
-    balance = random_balance(generator)
+def test_known_loads_are_taken_off(rng):
+    balance = random_balance(rng)
     count = 3000
-    known = broadband(generator, Band(0, 150), rms=0.1 * balance.half_range, period=1.0)(np.arange(count) / RATE)
-    readings = felt(generator, balance, count)
+    known = broadband(rng, Band(0, 150), rms=0.1 * balance.half_range, period=1.0)(np.arange(count) / RATE)
+    readings = felt(rng, balance, count)
     more = readings + load_felt(balance.dynamics, known, interval=1 / RATE)
     lones = lones_of(balance)
-    difference = apart(generator, lones, more, known) - apart(generator, lones, readings)
+    difference = apart(rng, lones, more, known) - apart(rng, lones, readings)
     for place, lone in enumerate(lones):
         # the band-limited interpolation is good to 1e-4 of a load and lone balances leave a tenth of that; straight
         # lines on the finer clock leave less
         left = free_motion_left(difference[:, place], lone)
-        assert np.abs(left).max() < 2e-5 * largest(balance, more, place), (seed, lone.component)
+        assert np.abs(left).max() < 2e-5 * largest(balance, more, place), lone.component
 
 
-def test_gap_spoils_its_surroundings_alone():
-    generator, seed = fresh()
-    balance = random_balance(generator)
-    readings = felt(generator, balance, 2000)
+def test_gap_spoils_its_surroundings_alone(rng):
+    balance = random_balance(rng)
+    readings = felt(rng, balance, 2000)
     gappy = readings.copy()
     gappy[1000:1030, 2] = np.nan
     lones = lones_of(balance)
-    whole, found = apart(generator, lones, readings), apart(generator, lones, gappy)
+    whole, found = apart(rng, lones, readings), apart(rng, lones, gappy)
     missing = np.flatnonzero(np.isnan(found).any(axis=1))
-    assert (missing[0], missing[-1]) == (1000 - MARGIN, 1029 + MARGIN), seed
-    assert np.array_equal(found[: 1000 - MARGIN], whole[: 1000 - MARGIN]), seed
+    assert (missing[0], missing[-1]) == (1000 - MARGIN, 1029 + MARGIN)
+    assert np.array_equal(found[: 1000 - MARGIN], whole[: 1000 - MARGIN])
 
 
 def process(*, rms: float, cutoff: float, noise: float) -> Learned:
@@ -183,16 +177,15 @@ def run(generator, live: LiveCoupledForce, readings: np.ndarray, *, most: int = 
     }
 
 
-def test_live_is_the_smoother_of_the_lone_reading():
-    generator, seed = fresh()
-    balance, live = started(generator)
-    readings = felt(generator, balance, 4000)
-    found = run(generator, live, readings)
+def test_live_is_the_smoother_of_the_lone_reading(rng):
+    balance, live = started(rng)
+    readings = felt(rng, balance, 4000)
+    found = run(rng, live, readings)
     for lone in lones_of(balance):
         part = live._parts[lone.component]
         reading = lone.reading(readings, interval=1 / RATE)
         learned = part._learning.learned
-        for k in generator.integers(1500, 3900, 2):
+        for k in rng.integers(1500, 3900, 2):
             seen = reading[: k + part.lag + 1]
             system = Reading(reading[: part.lag // 2], 1 / RATE, lone.dynamics).system(learned)
             filter_ = Filter.of(system, np.isfinite(seen))
@@ -202,8 +195,8 @@ def test_live_is_the_smoother_of_the_lone_reading():
             value, deviation = states[k, FORCE] + size, np.sqrt(spread[k] + variance * slope**2)
             force, uncertainty = found[lone.component][k]
             # as for one component, where the gain changes slowly; the readings differ by 1e-5 of a noise of 1e-4
-            assert abs(force - value) < 1e-2 * deviation, (seed, lone.component, k)
-            assert uncertainty == pytest.approx(deviation, rel=2e-3), (seed, lone.component, k)
+            assert abs(force - value) < 1e-2 * deviation, (lone.component, k)
+            assert uncertainty == pytest.approx(deviation, rel=2e-3), (lone.component, k)
 
 
 def pair() -> CoupledDynamics:
@@ -214,55 +207,53 @@ def pair() -> CoupledDynamics:
 
 
 @pytest.mark.parametrize("what", ["learned", "learning", "gaps", "ground"])
-def test_chunks_do_not_matter(what):
-    generator, seed = fresh()
+def test_chunks_do_not_matter(what, rng):
     dynamics, rate, count = pair(), 2500.0, 2000
     time = np.arange(count)[:, None] / rate
-    force = np.array([100.0, 5.0]) * sum(np.sin(2 * np.pi * (f * time + generator.random(2))) for f in (7, 19, 33, 51))
-    readings = dynamics.load_felt(force, interval=1 / rate) + generator.normal(0, [0.2, 0.01], (count, 2))
+    force = np.array([100.0, 5.0]) * sum(np.sin(2 * np.pi * (f * time + rng.random(2))) for f in (7, 19, 33, 51))
+    readings = dynamics.load_felt(force, interval=1 / rate) + rng.normal(0, [0.2, 0.01], (count, 2))
     channels, settings = {}, {}
     if what == "learned":
         settings["noise"] = np.diag([0.2, 0.01]) ** 2
     if what == "learning":
         settings |= {"learn_after": 0.3, "span": 0.3}
     if what == "gaps":
-        readings[generator.integers(0, count, 4), generator.integers(0, 2, 4)] = np.nan
+        readings[rng.integers(0, count, 4), rng.integers(0, 2, 4)] = np.nan
     if what == "ground":
         channels = {
-            "ground_acceleration": generator.normal(0, 0.1, (count, 6)),
-            "turn_rate": generator.normal(0, 0.01, (count, 3)),
+            "ground_acceleration": rng.normal(0, 0.1, (count, 6)),
+            "turn_rate": rng.normal(0, 0.01, (count, 3)),
             "pitch": np.linspace(0, 0.1, count),
             "roll": np.linspace(0.1, 0, count),
         }
 
     def forces(most: int) -> tuple[dict, dict]:
         live = LiveCoupledForce(dynamics, interval=1 / rate, **({"learn_after": None} | settings))
-        return run(generator, live, readings, most=most, **channels), live.health
+        return run(rng, live, readings, most=most, **channels), live.health
 
     once, health = forces(5000)
     assert health["NF"].samples == count
-    assert sum(one.missing for one in health.values()) == np.count_nonzero(np.isnan(readings)), seed
+    assert sum(one.missing for one in health.values()) == np.count_nonzero(np.isnan(readings))
     other, same = forces(300)
     for name in dynamics.components:
         # the same operations in the same order
-        assert np.array_equal(other[name], once[name]), (seed, name)
-    assert same == health, seed
+        assert np.array_equal(other[name], once[name]), name
+    assert same == health
 
 
-def test_errors_are_as_large_as_said():
+def test_errors_are_as_large_as_said(rng):
     """Ground shaken, gravity turning, a gap in one channel and one at its limit."""
-    generator, seed = fresh()
-    balance = random_balance(generator)
-    base = random_motion(generator, Band(5, 300), rms=[1, 5, 1, 5, 5, 1], period=4.0)
+    balance = random_balance(rng)
+    base = random_motion(rng, Band(5, 300), rms=[1, 5, 1, 5, 5, 1], period=4.0)
     rig = SixComponentRig(
         balance,
-        applied=broadband(generator, Band(0, 150, 4), rms=0.05 * balance.half_range, period=4.0),
+        applied=broadband(rng, Band(0, 150, 4), rms=0.05 * balance.half_range, period=4.0),
         base=base,
         pitch=lambda time: 0.1 * time,
         output="loads",
         rate=RATE,
     )
-    simulation = rig.run(1.2, generator)
+    simulation = rig.run(1.2, rng)
     readings = np.column_stack([simulation.recording.channel(name).values for name in COMPONENTS])
     ground = np.column_stack([simulation.recording.channel(name).values for name in GROUND_CHANNELS])
     readings[8000:8040, 1] = np.nan
@@ -279,7 +270,7 @@ def test_errors_are_as_large_as_said():
         ground_noise=np.diag(np.square(noise)),
     )
     found = run(
-        generator,
+        rng,
         live,
         readings,
         ground_acceleration=ground,
@@ -289,12 +280,12 @@ def test_errors_are_as_large_as_said():
     )
     ratios = []
     for place, name in enumerate(COMPONENTS):
-        assert not live.steps[name], seed
+        assert not live.steps[name]
         error = (found[name][:, 0] - simulation.applied[:, place]) / found[name][:, 1]
         ratios.append(np.sqrt(np.mean(error[3000:11_000] ** 2)))
-        assert np.abs(error[7900:8200]).max() < 8, (seed, name)  # the process is not that of the load's spectrum
+        assert np.abs(error[7900:8200]).max() < 8, name  # the process is not that of the load's spectrum
     # flat processes in place of the load's own: the errors are below what they say, but of its order
-    assert 0.3 < np.mean(ratios) < 1.2, (seed, ratios)
+    assert 0.3 < np.mean(ratios) < 1.2, ratios
 
 
 def changed_at(
@@ -313,45 +304,42 @@ def changed_at(
 
 
 @pytest.mark.parametrize("kind", [0, 1], ids=["inertia", "damping"])
-def test_uncertain_elements_are_in_the_uncertainty(kind):
-    generator, seed = fresh()
-    balance, plain = started(generator)
-    readings = felt(generator, balance.without_noise(), 4000)
+def test_uncertain_elements_are_in_the_uncertainty(kind, rng):
+    balance, plain = started(rng)
+    readings = felt(rng, balance.without_noise(), 4000)
     true = balance.dynamics
-    row, column = (int(place) for place in generator.integers(0, 6, 2))
+    row, column = (int(place) for place in rng.integers(0, 6, 2))
     own = abs((true.inertia, true.damping)[kind][row, row]) * balance.half_range[row] / balance.half_range[column]
     changed, changes = changed_at(true, (kind, row, column), 1e-2 * own)
     doubtful = CoupledDynamics(COMPONENTS, true.inertia, true.damping, np.diag(changes.ravel() ** 2))
     settings = {"interval": 1 / RATE, "learned": plain._learned, "noise": np.diag(noise_of(balance) ** 2)}
     found = [
-        run(generator, LiveCoupledForce(dynamics, **settings), readings)[COMPONENTS[row]][1500:3500]
+        run(rng, LiveCoupledForce(dynamics, **settings), readings)[COMPONENTS[row]][1500:3500]
         for dynamics in (true, changed, doubtful)
     ]
     change = found[1][:, 0] - found[0][:, 0]
     said = np.sqrt(found[2][:, 1] ** 2 - found[0][:, 1] ** 2)
     # a force changes in proportion to 1 % of an element, the rates of loads to 150 Hz by central differences are short
     # by (w h)^2 / 6 = 0.1 %, and of their band the smoother passes all but its soft edge
-    assert np.sqrt(np.mean(said**2)) == pytest.approx(np.sqrt(np.mean(change**2)), rel=0.1), seed
+    assert np.sqrt(np.mean(said**2)) == pytest.approx(np.sqrt(np.mean(change**2)), rel=0.1)
 
 
-def test_noise_is_judged_from_the_first_readings():
-    generator, seed = fresh()
-    balance = random_balance(generator)
+def test_noise_is_judged_from_the_first_readings(rng):
+    balance = random_balance(rng)
     live = LiveCoupledForce(balance.dynamics, interval=1 / RATE, learn_after=None)
-    readings = felt(generator, balance, JUDGED + 2000)
+    readings = felt(rng, balance, JUDGED + 2000)
     assert live.push(readings[: JUDGED - 1])["NF"].force.size == 0
     assert live.latency == 0
     assert not live.health
     live.push(readings[JUDGED - 1 :])
     assert live.latency > 0
-    assert set(live.health) == set(COMPONENTS), seed
+    assert set(live.health) == set(COMPONENTS)
 
 
-def test_sensors_of_the_ground_end_tell_its_motion():
-    generator, seed = fresh()
-    motion, (pitch, roll) = generator.normal(size=(5, 6)), generator.uniform(-1, 1, (2, 5))
-    places = generator.uniform(-0.5, 0.5, (7, 3))
-    axes = generator.normal(size=(7, 3))
+def test_sensors_of_the_ground_end_tell_its_motion(rng):
+    motion, (pitch, roll) = rng.normal(size=(5, 6)), rng.uniform(-1, 1, (2, 5))
+    places = rng.uniform(-0.5, 0.5, (7, 3))
+    axes = rng.normal(size=(7, 3))
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     sensors = [
         Mounted(f"ground_acceleration_{number}", tuple(axis), tuple(place), number < 3)
@@ -368,7 +356,7 @@ def test_sensors_of_the_ground_end_tell_its_motion():
     ]
     found = LivePlatform.of(sensors).acceleration(np.column_stack(read), pitch=pitch, roll=roll)
     # rounding, times the condition of random places: a thousand and more once in a thousand draws
-    assert found == pytest.approx(motion, abs=1e-7), seed
+    assert found == pytest.approx(motion, abs=1e-7)
 
 
 def test_sensors_without_an_axis_are_left_out():

@@ -10,7 +10,6 @@ from aerobalance.balance.load_envelope import LoadEnvelope, Station
 from aerobalance.balance.load_formats import between_forms
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.simulation.calibration_stand import random_balance
-from seeds import fresh
 
 LIMITS = {"NF": (-100.0, 200.0), "PM": (-10.0, 10.0), "AF": (-np.inf, 50.0)}
 NAMES = ("AF", "SF", "NF", "PM")  # in an order of their own, with one that does not count
@@ -26,13 +25,12 @@ def by_definition(shape, load):
 
 
 @pytest.mark.parametrize("shape", ["box", "rhombus", "ellipsoid"])
-def test_shapes_are_their_definitions(shape) -> None:
-    rng, seed = fresh()
+def test_shapes_are_their_definitions(shape, rng) -> None:
     envelope = LoadEnvelope(shape, LIMITS)
     loads = rng.normal(size=(200, 4)) * (40, 1e6, 100, 8)
     share = envelope.utilisation(loads, NAMES)
     # a handful of roundings of 1.1e-16 each
-    np.testing.assert_allclose(share, [by_definition(shape, load) for load in loads], rtol=1e-14, err_msg=str(seed))
+    np.testing.assert_allclose(share, [by_definition(shape, load) for load in loads], rtol=1e-14)
     assert envelope.components == ("NF", "PM", "AF")
     assert envelope.utilisation(np.zeros((1, 4)), NAMES)[0] == 0
     # on the surface it is 1, whatever the direction
@@ -40,15 +38,14 @@ def test_shapes_are_their_definitions(shape) -> None:
 
 
 @pytest.mark.parametrize("shape", ["box", "rhombus", "ellipsoid"])
-def test_what_lies_between_allowed_loads_is_allowed(shape) -> None:
-    rng, seed = fresh()
+def test_what_lies_between_allowed_loads_is_allowed(shape, rng) -> None:
     station = Station("N1", 60.0, {"NF": 0.5, "PM": 4.0})
     envelope = LoadEnvelope(shape, {**LIMITS, "AF": (-30.0, 50.0)}, (station,))
     loads = rng.normal(size=(400, 4))
     surface = loads / envelope.utilisation(loads, NAMES)[:, None]
     part = rng.uniform(size=(200, 1))
     between = part * surface[:200] + (1 - part) * surface[200:]
-    assert envelope.utilisation(between, NAMES).max() <= 1 + 1e-12, seed
+    assert envelope.utilisation(between, NAMES).max() <= 1 + 1e-12
 
 
 def test_nearest_names_what_takes_it_up() -> None:
@@ -77,8 +74,7 @@ def test_station_is_relieved_by_a_load_of_the_other_sign() -> None:
     assert relieved.nearest.startswith("N2")
 
 
-def test_two_gauges_bear_a_rhombus_of_force_and_moment() -> None:
-    rng, seed = fresh()
+def test_two_gauges_bear_a_rhombus_of_force_and_moment(rng) -> None:
     # both gauges d from the centre with the same limit L: |NF| / 2 L + |PM| / 2 L d <= 1, by adding up N1 and N2
     d, limit = 0.2, 500.0
     shares = {"NF": 0.5, "PM": 0.5 / d}
@@ -90,19 +86,17 @@ def test_two_gauges_bear_a_rhombus_of_force_and_moment() -> None:
         polygon.utilisation(loads, ("NF", "PM")),
         rhombus.utilisation(loads, ("NF", "PM")),
         rtol=1e-13,
-        err_msg=str(seed),
     )
 
 
-def test_capacities_of_a_force_balance_are_its_combined_load_diagram() -> None:
-    rng, seed = fresh()
+def test_capacities_of_a_force_balance_are_its_combined_load_diagram(rng, seed) -> None:
     balance = random_balance(seed % 2**32)
     stations = capacity_stations(balance)
     native = rng.normal(size=(100, 6)) * balance.load_scale
     direct = native @ between_forms(balance.components, "direct", balance.geometry).T
     share = LoadEnvelope("box", {}, stations).utilisation(direct, COMPONENTS)
     # there and back through a matrix whose condition is below 1e3 (metres beside newtons)
-    np.testing.assert_allclose(share, np.abs(native / balance.load_scale).max(axis=1), rtol=1e-11, err_msg=str(seed))
+    np.testing.assert_allclose(share, np.abs(native / balance.load_scale).max(axis=1), rtol=1e-11)
 
 
 def test_missing_readings_are_not_within() -> None:

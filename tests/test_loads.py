@@ -16,15 +16,9 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from seeds import new_seed
 
 RATE = 1000.0
 NOISE = 2e-4  # of a reading of a bridge [mV/V]
-
-
-@pytest.fixture
-def seed() -> int:
-    return new_seed()
 
 
 @pytest.fixture
@@ -65,41 +59,38 @@ def in_direct(balance: BalanceMatrix, native: Array) -> Array:
     return np.column_stack([n1 + n2, x1 * n1 - x2 * n2, s1 + s2, y1 * s1 - y2 * s2, rm, af])
 
 
-def test_loads_of_a_known_balance_come_back(balance: BalanceMatrix, seed: int) -> None:
-    generator = np.random.default_rng(seed)
-    native = swinging(500, generator)
-    zero = generator.normal(0, 0.3, 6)
+def test_loads_of_a_known_balance_come_back(balance: BalanceMatrix, rng) -> None:
+    native = swinging(500, rng)
+    zero = rng.normal(0, 0.3, 6)
     felt = loads_felt(recorded(balance.outputs(native) + zero), balance, zero=zeroed(zero))
     assert felt.components == ("NF", "PM", "SF", "YM", "RM", "AF")
     assert felt.units == ("N", "N*m", "N", "N*m", "N*m", "N")
     # the iteration ends at 1e-12 of capacity; sums of two loads, and noise-free outputs rounded at 1e-16 of 1 mV/V
-    assert np.allclose(felt.values, in_direct(balance, native), atol=1e-10 * CAPACITIES.max(), rtol=0), seed
+    assert np.allclose(felt.values, in_direct(balance, native), atol=1e-10 * CAPACITIES.max(), rtol=0)
     assert not felt.beyond
 
 
-def test_a_zero_is_the_mean_and_its_drift_is_taken_off(balance: BalanceMatrix, seed: int) -> None:
-    generator = np.random.default_rng(seed)
-    native = swinging(2000, generator)
-    zero, drift = generator.normal(0, 0.3, 6), generator.normal(0, 0.01, 6)
+def test_a_zero_is_the_mean_and_its_drift_is_taken_off(balance: BalanceMatrix, rng) -> None:
+    native = swinging(2000, rng)
+    zero, drift = rng.normal(0, 0.3, 6), rng.normal(0, 0.01, 6)
     progress = np.linspace(0, 1, 2000)[:, None]
     run = recorded(balance.outputs(native) + zero + progress * drift)
-    before = recorded(zero + generator.normal(0, NOISE, (4000, 6)), name="before")
-    after = recorded(zero + drift + generator.normal(0, NOISE, (4000, 6)), name="after")
+    before = recorded(zero + rng.normal(0, NOISE, (4000, 6)), name="before")
+    after = recorded(zero + drift + rng.normal(0, NOISE, (4000, 6)), name="after")
     found = gauge_zero([before], balance, after=[after])
     # the means of 4000 readings, within five standard errors
-    assert np.allclose(found.values, zero, atol=5 * NOISE / np.sqrt(4000)), seed
-    assert np.allclose(found.drift, drift, atol=5 * NOISE * np.sqrt(2 / 4000)), seed
+    assert np.allclose(found.values, zero, atol=5 * NOISE / np.sqrt(4000))
+    assert np.allclose(found.drift, drift, atol=5 * NOISE * np.sqrt(2 / 4000))
     felt = loads_felt(run, balance, zero=found)
     error = np.max(np.abs(felt.values - in_direct(balance, native)), axis=0)
     # u of the zero, through the sensitivities (capacity at about 1.1 mV/V), with ten per cent for interactions
     allowed = 5 * NOISE * np.sqrt(2 / 4000) / balance.output_scale.min() * CAPACITIES.max() * 2 * 1.1
-    assert error.max() < allowed, seed
+    assert error.max() < allowed
     plain = loads_felt(run, balance, zero=gauge_zero([before], balance))
     assert np.max(np.abs(plain.values - in_direct(balance, native))) > 3 * error.max()
 
 
-def test_wind_off_loads_are_taken_off_at_the_same_pitch(balance: BalanceMatrix, seed: int) -> None:
-    generator = np.random.default_rng(seed)
+def test_wind_off_loads_are_taken_off_at_the_same_pitch(balance: BalanceMatrix, rng) -> None:
 
     def weight(pitch: Array) -> Array:
         return np.column_stack(
@@ -113,24 +104,23 @@ def test_wind_off_loads_are_taken_off_at_the_same_pitch(balance: BalanceMatrix, 
     angles = np.radians(np.arange(-10, 11, 2.5))
     off = [at(np.full(50, angle), np.zeros((50, 6)), f"off {angle:.3f}") for angle in angles]
     pitch = np.radians(np.linspace(-9, 9, 400))
-    aero = swinging(400, generator) / 3
+    aero = swinging(400, rng) / 3
     tare = wind_off_loads(at(pitch, aero, "on"), off, balance, zero=NONE)
     felt = loads_felt(at(pitch, aero, "on"), balance, zero=NONE, tare=tare)
     # a chord of weight over 2.5 deg departs from the curve by at most h^2 / 8 of the curvature
     chord = np.radians(2.5) ** 2 / 8 * 100
-    assert np.allclose(felt.values, in_direct(balance, aero), atol=1.01 * chord + 1e-6), seed
+    assert np.allclose(felt.values, in_direct(balance, aero), atol=1.01 * chord + 1e-6)
     with pytest.raises(FitError, match="add wind-off recordings"):
         wind_off_loads(at(pitch * 2, aero, "steep"), off, balance, zero=NONE)
 
 
-def test_temperature_effects_are_taken_out(balance: BalanceMatrix, seed: int) -> None:
-    generator = np.random.default_rng(seed)
+def test_temperature_effects_are_taken_out(balance: BalanceMatrix, rng) -> None:
     effects = {
-        name: TemperatureEffect(20.0, generator.normal(0, 1e-3), 0.0, generator.normal(0, 1e-3), 0.0)
+        name: TemperatureEffect(20.0, rng.normal(0, 1e-3), 0.0, rng.normal(0, 1e-3), 0.0)
         for name in balance.components
     }
     warm = replace(balance, temperature=effects)
-    native = swinging(300, generator)
+    native = swinging(300, rng)
     temperature = 25 + 5 * np.sin(np.linspace(0, 6, 300))
     change = temperature[:, None]
     gain = np.array([effect.sensitivity for effect in effects.values()])
@@ -138,18 +128,17 @@ def test_temperature_effects_are_taken_out(balance: BalanceMatrix, seed: int) ->
     outputs = balance.outputs(native) * (1 + gain * (change - 20)) + slope * (change - temperature.mean())
     run = recorded(outputs, extra={"temperature": ("degC", temperature)})
     felt = loads_felt(run, warm, zero=NONE)
-    assert np.allclose(felt.values, in_direct(balance, native), atol=1e-10 * CAPACITIES.max()), seed
+    assert np.allclose(felt.values, in_direct(balance, native), atol=1e-10 * CAPACITIES.max())
     left = loads_felt(run, balance, zero=NONE).values - in_direct(balance, native)
     assert np.abs(left).max() > 1e-3 * CAPACITIES.min()
 
 
-def test_noise_of_the_bridges_becomes_noise_of_the_loads(balance: BalanceMatrix, seed: int) -> None:
-    generator = np.random.default_rng(seed)
+def test_noise_of_the_bridges_becomes_noise_of_the_loads(balance: BalanceMatrix, rng) -> None:
     level = balance.outputs(0.3 * CAPACITIES[None, :])
-    outputs = level + generator.normal(0, NOISE, (20000, 6))
+    outputs = level + rng.normal(0, NOISE, (20000, 6))
     felt = loads_felt(recorded(outputs), balance, zero=NONE)
     # the scatter of 20000 loads is known to 0.5 %; the level of white noise is read 2-5 % low by `channel_noise`
-    assert np.allclose(felt.noise, felt.values.std(axis=0), rtol=0.08), seed
+    assert np.allclose(felt.noise, felt.values.std(axis=0), rtol=0.08)
 
 
 def test_uncertainty_covers_the_error_of_the_calibration(seed: int) -> None:
@@ -163,8 +152,8 @@ def test_uncertainty_covers_the_error_of_the_calibration(seed: int) -> None:
         errors.append((felt.values - in_direct(truth, native)) / felt.calibration)
     z = np.array(errors)
     # the stated uncertainty has the scatter of a reading in it besides, so errors of the matrix stay well inside
-    assert np.sqrt(np.mean(z**2)) < 1, seed
-    assert np.mean(np.abs(z) < 2) > 0.95, seed
+    assert np.sqrt(np.mean(z**2)) < 1
+    assert np.mean(np.abs(z) < 2) > 0.95
 
 
 def test_static_uncertainty_is_that_of_a_load_of_the_size_of_the_force(seed: int) -> None:
@@ -181,7 +170,7 @@ def test_static_uncertainty_is_that_of_a_load_of_the_size_of_the_force(seed: int
     forced = static_uncertainty(felt, matrix, forces={"AF": other[:, 5]})
     there = loads_felt(recorded(truth.outputs(other)), matrix, zero=NONE)
     # u moves by no larger a share than the loads do
-    assert np.allclose(np.column_stack(list(forced.values())), there.calibration, rtol=5e-3), seed
+    assert np.allclose(np.column_stack(list(forced.values())), there.calibration, rtol=5e-3)
 
 
 def test_beyond_the_calibration_is_doubted(balance: BalanceMatrix) -> None:
@@ -267,16 +256,15 @@ def test_tares_are_taken_off_in_the_form_that_is_asked_for(seed: int) -> None:
     np.testing.assert_allclose(felt.values, native, atol=1e-6 * np.abs(native).max())
 
 
-def test_averaged_points_are_told_to_need_their_noise(seed: int) -> None:
+def test_averaged_points_are_told_to_need_their_noise(seed: int, rng) -> None:
     """What points at several loads differ by is no noise: it is told, until a map says what the noise is."""
-    generator = np.random.default_rng(seed)
     calibrated = replace(random_balance(seed), residual_deviation=np.full(6, 2e-4))
-    points = recorded(calibrated.outputs(generator.uniform(-0.6, 0.6, (30, 6)) * CAPACITIES))
+    points = recorded(calibrated.outputs(rng.uniform(-0.6, 0.6, (30, 6)) * CAPACITIES))
     with pytest.warns(DataQualityWarning, match=r"averaged points .*noise = .*channels\.rNAME"):
         felt = loads_felt(points, calibrated, zero=NONE)
     known = {name: replace(channel, noise=2e-5) for name, channel in points.channels.items()}
     better = loads_felt(replace(points, channels=known), calibrated, zero=NONE)
     assert (better.noise < 0.01 * felt.noise).all()
     # samples in time of the same size and length are not doubted
-    slow = swinging(30, generator) + generator.normal(0, 1e-4, (30, 6)) * CAPACITIES
+    slow = swinging(30, rng) + rng.normal(0, 1e-4, (30, 6)) * CAPACITIES
     loads_felt(recorded(calibrated.outputs(slow)), calibrated, zero=NONE)

@@ -16,7 +16,7 @@ from aerobalance.balance.zeros import GaugeZero
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from seeds import generator, seed_from
+from seeds import seed_from
 
 NOISE = 0.7e-3
 RATE, COUNT, HIGHEST = 1600.0, 16384, 200.0
@@ -76,8 +76,7 @@ def mean_error(other: BalanceMatrix, matrix: BalanceMatrix, outputs: Array, load
 
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
-def test_errors_of_matrices_drawn(way: str) -> None:
-    rng = generator()
+def test_errors_of_matrices_drawn(way: str, rng) -> None:
     matrix = calibrated(rng, model="27", way=way)
     loads = shaking(rng)
     outputs = matrix.outputs(loads)
@@ -96,8 +95,7 @@ def test_errors_of_matrices_drawn(way: str) -> None:
 
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
-def test_means_of_errors_of_matrices_drawn(way: str) -> None:
-    rng = generator()
+def test_means_of_errors_of_matrices_drawn(way: str, rng) -> None:
     matrix = calibrated(rng, model="27", way=way)
     outputs = matrix.outputs(shaking(rng))
     felt = felt_by(matrix, outputs)
@@ -110,8 +108,7 @@ def test_means_of_errors_of_matrices_drawn(way: str) -> None:
     assert np.all((0.97 * low < squares) & (squares < 1.03 * high)), squares
 
 
-def test_a_linear_matrix_has_no_curvature() -> None:
-    rng = generator()
+def test_a_linear_matrix_has_no_curvature(rng) -> None:
     matrix = calibrated(rng, model="linear")
     curvature = CurvatureErrors.of(felt_by(matrix, matrix.outputs(shaking(rng))), matrix, rate=RATE, highest=HIGHEST)
     densities = curvature.in_force(ringing(curvature.resolved), list(matrix.components))
@@ -121,8 +118,7 @@ def test_a_linear_matrix_has_no_curvature() -> None:
     assert np.all(np.array([curvature.offset(name) for name in matrix.components]) < 1e-12 * CAPACITIES)
 
 
-def test_nothing_comes_of_a_band_without_frequencies() -> None:
-    rng = generator()
+def test_nothing_comes_of_a_band_without_frequencies(rng) -> None:
     matrix = calibrated(rng, model="27")
     curvature = CurvatureErrors.of(felt_by(matrix, matrix.outputs(shaking(rng))), matrix, rate=RATE, highest=HIGHEST)
     deviation, spectrum = curvature.as_noise(np.zeros(curvature.resolved.size), bandwidth=HIGHEST)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,17 +16,9 @@ from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
 from aerobalance.validation.local_modes import REACH, Averaged, missing_mode, own_resonance, smeared
 from aerobalance.validation.model_check import Misfit, misfit_of
-from seeds import new_seed
 
 RATE = 1600.0
 BARE = CableCut().dynamics
-
-
-@pytest.fixture
-def seed() -> Iterator[int]:
-    entropy = new_seed()
-    print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
-    yield entropy
 
 
 def released(truth: Dynamics, generator: np.random.Generator, *, noise: float = 2.0) -> Recording:
@@ -67,35 +58,32 @@ def averaged(values: Array) -> Averaged:
 
 
 @pytest.mark.parametrize("share", [0.05, -0.05])
-def test_a_missing_mode_is_named_after_a_release(seed, share):
-    generator = np.random.default_rng(seed)
-    frequency = generator.uniform(140, 260)
+def test_a_missing_mode_is_named_after_a_release(share, rng):
+    frequency = rng.uniform(140, 260)
     truth = BARE.with_modes(Mode(frequency, 0.008, share))
-    dynamics = identified(truth, generator)
-    found = looked_at(released(truth, generator), dynamics)
+    dynamics = identified(truth, rng)
+    found = looked_at(released(truth, rng), dynamics)
     assert found.missing is not None
     assert found.missing.natural_frequency == pytest.approx(frequency, rel=0.01)
     assert f"mode at {found.missing.natural_frequency:.4g} Hz" in found.sentences(dynamics)[0]
     assert found.frequency is None
-    complete = identified(truth, generator).with_modes(*truth.further_modes)
-    assert looked_at(released(truth, generator), complete).missing is None
+    complete = identified(truth, rng).with_modes(*truth.further_modes)
+    assert looked_at(released(truth, rng), complete).missing is None
 
 
-def test_a_release_that_agrees_is_left_alone(seed):
-    generator = np.random.default_rng(seed)
-    dynamics = identified(BARE, generator)
+def test_a_release_that_agrees_is_left_alone(rng):
+    dynamics = identified(BARE, rng)
     # five standard uncertainties: passed by chance once in a million
-    assert looked_at(released(BARE, generator), dynamics).sentences(dynamics) == []
+    assert looked_at(released(BARE, rng), dynamics).sentences(dynamics) == []
 
 
-def test_a_changed_spring_or_damper_is_told(seed):
-    generator = np.random.default_rng(seed)
-    dynamics = identified(BARE, generator)
-    stiffer = looked_at(released(replace(BARE, stiffness=1.002 * BARE.stiffness), generator), dynamics)
+def test_a_changed_spring_or_damper_is_told(rng):
+    dynamics = identified(BARE, rng)
+    stiffer = looked_at(released(replace(BARE, stiffness=1.002 * BARE.stiffness), rng), dynamics)
     # u(f) / f is 2e-6 at 2 N: a thousandth is told to its uncertainty
     assert stiffer.frequency is not None
     assert stiffer.frequency[0] == pytest.approx(0.001, abs=1e-4)
-    damper = looked_at(released(replace(BARE, damping=1.1 * BARE.damping), generator), dynamics)
+    damper = looked_at(released(replace(BARE, damping=1.1 * BARE.damping), rng), dynamics)
     assert damper.frequency is None
     assert damper.damping is not None
     assert damper.damping[0] == pytest.approx(0.1, abs=0.01)
@@ -104,10 +92,9 @@ def test_a_changed_spring_or_damper_is_told(seed):
     assert "or the flow" in told
 
 
-def test_a_missing_mode_is_named_under_a_broadband_load(seed):
-    generator = np.random.default_rng(seed)
+def test_a_missing_mode_is_named_under_a_broadband_load(rng):
     truth = BARE.with_modes(Mode(165.0, 0.008, 0.05))
-    found = missing_mode(averaged(shaken(truth, generator).channel("AF").values), BARE)
+    found = missing_mode(averaged(shaken(truth, rng).channel("AF").values), BARE)
     assert found is not None
     mode, u, u_share = found
     # the uncertainty is about 0.25 Hz: 1 % of 165 Hz is six times that
@@ -117,9 +104,8 @@ def test_a_missing_mode_is_named_under_a_broadband_load(seed):
     assert 0 < u_share < 0.5 * mode.share
 
 
-def test_a_smooth_load_shows_no_mode_and_no_change(seed):
-    generator = np.random.default_rng(seed)
-    seen = averaged(shaken(BARE, generator).channel("AF").values)
+def test_a_smooth_load_shows_no_mode_and_no_change(rng):
+    seen = averaged(shaken(BARE, rng).channel("AF").values)
     assert missing_mode(seen, BARE) is None
     found = own_resonance(seen, BARE)
     assert found is not None
@@ -130,10 +116,9 @@ def test_a_smooth_load_shows_no_mode_and_no_change(seed):
     assert evidence < 30
 
 
-def test_a_changed_spring_is_told_under_a_broadband_load(seed):
-    generator = np.random.default_rng(seed)
+def test_a_changed_spring_is_told_under_a_broadband_load(rng):
     truth = replace(BARE, stiffness=1.08 * BARE.stiffness)
-    found = own_resonance(averaged(shaken(truth, generator).channel("AF").values), BARE)
+    found = own_resonance(averaged(shaken(truth, rng).channel("AF").values), BARE)
     assert found is not None
     change, covariance, evidence = found
     assert change[0] == pytest.approx(np.log(1.08) / 2, abs=6 * np.sqrt(covariance[0, 0]))
@@ -141,16 +126,14 @@ def test_a_changed_spring_is_told_under_a_broadband_load(seed):
     assert evidence > 30
 
 
-def test_noise_alone_tells_nothing(seed):
-    generator = np.random.default_rng(seed)
-    seen = averaged(generator.normal(0, 2.0, 8192))
+def test_noise_alone_tells_nothing(rng):
+    seen = averaged(rng.normal(0, 2.0, 8192))
     assert own_resonance(seen, BARE) is None
     assert missing_mode(seen, BARE) is None
 
 
-def test_smearing_is_that_of_the_window(seed):
-    generator = np.random.default_rng(seed)
-    seen = averaged(generator.normal(0, 2.0, 8192))
+def test_smearing_is_that_of_the_window(rng):
+    seen = averaged(rng.normal(0, 2.0, 8192))
     band = seen.near(200.0)
     assert smeared(np.full(seen.fine(band).size, 3.0)) == pytest.approx(np.full(band.size, 3.0), rel=1e-12)
     size = 2 * (seen.frequency.size - 1)

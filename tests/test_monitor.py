@@ -45,7 +45,6 @@ from aerobalance.simulation.calibration_stand import random_balance
 from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
 from aerobalance.simulation.six_balance import random_balance as six_balance
 from running_page import BASE, LIVE, Running, source_of
-from seeds import new_seed
 
 
 def view_of(source, **more):
@@ -80,8 +79,7 @@ def test_the_force_shown_is_the_live_force() -> None:
     assert abs(float(np.mean(shown[-500:, 0]))) < 5
 
 
-def test_thinned_force_keeps_its_time() -> None:
-    seed = new_seed()
+def test_thinned_force_keeps_its_time(seed) -> None:
     source = source_of("cable_cut", seed=seed, cut_at=1.0, rate=25_000.0)
     view = view_of(source)
     pieces = []
@@ -95,13 +93,12 @@ def test_thinned_force_keeps_its_time() -> None:
     assert line.factor == int(25_000 / (16 * CABLE_CUT.dynamics.natural_frequency)) == 23
     cut = time_[np.nanargmax(np.abs(np.diff(force)))]
     # the jump lies within a sample of the thinned force and a bin, 1 ms each, of the cut
-    assert abs(cut - 1.0) < 3e-3, seed
+    assert abs(cut - 1.0) < 3e-3
     known = np.isfinite(force)
-    assert np.mean(force[known & (time_ > 0.5) & (time_ < 0.97)]) == pytest.approx(-1020, abs=5), seed
+    assert np.mean(force[known & (time_ > 0.5) & (time_ < 0.97)]) == pytest.approx(-1020, abs=5)
 
 
-def test_six_coupled_forces_are_shown_while_the_ground_shakes() -> None:
-    seed = new_seed()
+def test_six_coupled_forces_are_shown_while_the_ground_shakes(seed) -> None:
     source = source_of("six", seed=seed, noise=0.1, rate=6000.0)
     view = view_of(source)
     shown = {name: [] for name in COMPONENTS}
@@ -116,21 +113,20 @@ def test_six_coupled_forces_are_shown_while_the_ground_shakes() -> None:
 
     forces = follow(1.2)
     assert set(view.lines) == set(COMPONENTS)
-    assert not view.lines["AF"].moving, seed
+    assert not view.lines["AF"].moving
     for name, force in forces.items():
-        assert force[-200:, 0].mean() == pytest.approx(-1020, abs=5 * np.nanmean(force[-200:, 1])), (seed, name)
+        assert force[-200:, 0].mean() == pytest.approx(-1020, abs=5 * np.nanmean(force[-200:, 1])), name
     source.control("shake", 2.0)
     source.control("cut", 1.0)
     forces = follow(2.5)
-    assert all(line.moving for line in view.lines.values()), seed
+    assert all(line.moving for line in view.lines.values())
     for name, force in forces.items():
         error = force[-500:, 0]
         # a wide band while nothing is learned: within what is said, and of its order
-        assert np.sqrt(np.mean(error**2)) < 2 * np.mean(force[-500:, 1]), (seed, name)
+        assert np.sqrt(np.mean(error**2)) < 2 * np.mean(force[-500:, 1]), name
 
 
-def test_forces_come_from_the_gauges_of_the_six_components_rig() -> None:
-    seed = new_seed()
+def test_forces_come_from_the_gauges_of_the_six_components_rig(seed) -> None:
     matrix = six_balance(np.random.default_rng(seed)).matrix
     source = source_of("six", seed=seed, noise=0.01, rate=3000.0, cable_force=-10.0, balance=matrix)
     assert source.names[:6] == tuple(f"r{name}" for name in COMPONENTS)
@@ -143,10 +139,10 @@ def test_forces_come_from_the_gauges_of_the_six_components_rig() -> None:
             shown[name] += [bins.least for bins in parts]
     for name in COMPONENTS:
         force = np.concatenate(shown[name])
-        assert force[-50:, 0].mean() == pytest.approx(-10, abs=5 * force[-50:, 1].mean()), (seed, name)
+        assert force[-50:, 0].mean() == pytest.approx(-10, abs=5 * force[-50:, 1].mean()), name
         # noise of 0.1 N by gauge, mixed by the matrix and raised by the inverse to 168 Hz, over a balance of 56 Hz and
         # more by up to (168 / 56)^2: a few newtons at most
-        assert force[-50:, 1].mean() < 5, (seed, name)
+        assert force[-50:, 1].mean() < 5, name
 
 
 def test_coupled_dynamics_need_all_their_components(tmp_path) -> None:
@@ -241,9 +237,7 @@ def test_zero_leaves_the_weight() -> None:
     assert view.zeros()["AF"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_zero_under_a_weight_reads_curved_bridges_from_where_they_are() -> None:
-    seed = new_seed()
-    rng = np.random.default_rng(seed)
+def test_zero_under_a_weight_reads_curved_bridges_from_where_they_are(rng, seed) -> None:
     balance = replace(random_balance(seed), natural_zero=rng.uniform(-0.05, 0.05, 6))
     hung = rng.uniform(0.2, 0.5, 6) * balance.load_scale
     added = rng.uniform(-0.3, 0.3, 6) * balance.load_scale
@@ -265,13 +259,11 @@ def test_zero_under_a_weight_reads_curved_bridges_from_where_they_are() -> None:
         readings = shown(hung + added)
     for place, name in enumerate(COMPONENTS):
         # the iteration ends at 1e-9 of capacity or below
-        assert readings[name].mean == pytest.approx(expected[place], rel=1e-6, abs=1e-4), seed
+        assert readings[name].mean == pytest.approx(expected[place], rel=1e-6, abs=1e-4)
 
 
-def test_loads_from_gauge_outputs() -> None:
-    seed = new_seed()
+def test_loads_from_gauge_outputs(rng, seed) -> None:
     balance = random_balance(seed)
-    rng = np.random.default_rng(seed)
     native = rng.uniform(-0.3, 0.3, (400, 6)) * balance.load_scale
     zero = rng.uniform(-0.05, 0.05, 6)
     outputs = balance.outputs(native) + zero
@@ -283,7 +275,7 @@ def test_loads_from_gauge_outputs() -> None:
     expected = native @ balance.direct.T
     for place, name in enumerate(COMPONENTS):
         # the iteration ends at 1e-9 of capacity or below
-        assert readings[name].mean == pytest.approx(expected[:, place].mean(), rel=1e-6, abs=1e-4), seed
+        assert readings[name].mean == pytest.approx(expected[:, place].mean(), rel=1e-6, abs=1e-4)
     with pytest.raises(FitError, match="the balance needs"):
         View(Panel(channels[1:], 1000.0, True, {}, {}, {}, balance=balance))
 
@@ -314,8 +306,7 @@ def parsed(frame):
     return (kind, level, sequence, panel, tick), (newest, oldest), found
 
 
-def test_a_slow_viewer_loses_no_peak() -> None:
-    seed = new_seed()
+def test_a_slow_viewer_loses_no_peak(seed) -> None:
     source = source_of("vibration", seed=seed)
     view, board = view_of(source), Board()
     names = view.panel.names
@@ -646,9 +637,7 @@ def test_two_viewers_one_of_them_asleep(running) -> None:
         assert len(found[0][1]) > 100
 
 
-def test_fuzzed_requests_and_frames(running) -> None:
-    seed = new_seed()
-    rng = np.random.default_rng(seed)
+def test_fuzzed_requests_and_frames(running, rng) -> None:
     before = {path.name for path in running.folder.parent.iterdir()}
     pieces = [
         b"{",
@@ -688,7 +677,7 @@ def test_fuzzed_requests_and_frames(running) -> None:
     for _ in range(150):
         action = actions[rng.integers(0, len(actions))]
         answer = running.client.post(f"/api/{action}", content=rubbish())
-        assert answer.status_code in (400, 404, 405, 409, 413, 422), (seed, action, answer.text)
+        assert answer.status_code in (400, 404, 405, 409, 413, 422), (action, answer.text)
     assert running.client.post("/api/mark", content=b"x" * 1_100_000).status_code == 413
     with running.client.websocket_connect(LIVE) as socket:
         for _ in range(100):

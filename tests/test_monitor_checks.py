@@ -25,7 +25,6 @@ from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
 from running_page import Running, source_of
-from seeds import new_seed
 
 CHANNELS = (
     StoredChannel(name="NF", unit="kN"),
@@ -34,9 +33,7 @@ CHANNELS = (
 )
 
 
-def test_combined_loads_are_the_worst_of_all_samples() -> None:
-    seed = new_seed()
-    rng = np.random.default_rng(seed)
+def test_combined_loads_are_the_worst_of_all_samples(rng) -> None:
     envelope = LoadEnvelope("rhombus", {"NF": (-2000.0, 2000.0), "AF": (-100.0, 100.0)})
     view = View(Panel(CHANNELS, 1000.0, True, {}, {}, {}, zeros={"AF": 10.0}, envelope=envelope))
     samples = rng.normal(size=(400, 3)) * (0.5, 20.0, 0.0)
@@ -44,7 +41,7 @@ def test_combined_loads_are_the_worst_of_all_samples() -> None:
     found = view.take().envelope
     # kN and N, the zero taken off; every sample counts, as the ringing strains the balance
     shares = np.abs(samples[:, 0]) / 2 + np.abs(samples[:, 1] - 10) / 100
-    assert found.share == pytest.approx(shares.max(), rel=1e-12), seed
+    assert found.share == pytest.approx(shares.max(), rel=1e-12)
     worst = samples[np.argmax(shares)]
     assert found.parts == pytest.approx({"NF": abs(worst[0]) / 2, "AF": abs(worst[1] - 10) / 100})
 
@@ -157,12 +154,12 @@ def test_contact_and_checks_are_in_the_record(running) -> None:
         read(running.folder / "touched.h5")
 
 
-def test_checks_that_cannot_be_done(running) -> None:
+def test_checks_that_cannot_be_done(running, seed) -> None:
     assert running.post("test", kind="nothing").status_code == 422
     check_of(running, "return", lambda check: check.get("waiting"))
     assert running.post("give_up").status_code == 200
     assert running.client.get("/api/state").json()["check"] == {}
-    given = {"source": {"kind": "simulated", "rig": "cable_cut", "seed": new_seed()}}
+    given = {"source": {"kind": "simulated", "rig": "cable_cut", "seed": seed}}
     assert running.post("setup", setup=given).status_code == 200
     running.wait(lambda state: state["source"]["state"] == "running" and state["numbers"].get("readings"))
     answer = running.post("test", kind="shunt")
@@ -170,9 +167,9 @@ def test_checks_that_cannot_be_done(running) -> None:
     running.wait(lambda state: state["numbers"].get("touching", True) is None)
 
 
-def test_combined_loads_end_the_record(running) -> None:
+def test_combined_loads_end_the_record(running, seed) -> None:
     given = {
-        "source": {"kind": "simulated", "rig": "cable_cut", "cable_force": -1020.0, "seed": new_seed()},
+        "source": {"kind": "simulated", "rig": "cable_cut", "cable_force": -1020.0, "seed": seed},
         "stations": {"root": {"limit": 500.0, "AF": 0.5}},
         "envelope": {"shape": "stations", "action": "stop"},
     }

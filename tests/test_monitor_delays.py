@@ -15,7 +15,6 @@ from aerobalance.app.monitor.view import Panel, View
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.recording.errors import ReadError
 from aerobalance.simulation.published import VIBRATION_RIG
-from seeds import new_seed
 
 RATE = 25_000.0
 DYNAMICS = VIBRATION_RIG.dynamics
@@ -51,8 +50,7 @@ def force_of(samples, *, delays=(0.0, 0.0), cuts=500):
 
 
 @pytest.mark.parametrize("late", [(0.0, 37e-6), (53e-6, 0.0), (120e-6, 20e-6)])
-def test_delays_are_taken_out_of_the_force(late) -> None:
-    seed = new_seed()
+def test_delays_are_taken_out_of_the_force(late, seed) -> None:
     there = force_of(shaken(seed))
     load_late, ground_late = late
     samples = shaken(seed, load_late=load_late, ground_late=ground_late)
@@ -61,13 +59,11 @@ def test_delays_are_taken_out_of_the_force(late) -> None:
     after = slice(count // 2, count)
     # no force is applied: what is left is noise, and as much of it whether channels are late or not
     quiet = np.std(there[after])
-    assert np.std(aligned[after]) == pytest.approx(quiet, rel=0.2), seed
-    assert np.std(not_aligned[after]) > 5 * quiet, seed
+    assert np.std(aligned[after]) == pytest.approx(quiet, rel=0.2)
+    assert np.std(not_aligned[after]) > 5 * quiet
 
 
-def test_chunks_make_no_difference() -> None:
-    seed = new_seed()
-    rng = np.random.default_rng(seed)
+def test_chunks_make_no_difference(rng, seed) -> None:
     late = (61e-6, 0.0)
     samples = shaken(seed, load_late=late[0])[:12_000]
     # whether the ground end moves is judged when 0.25 s have come, from as much as there is then
@@ -75,11 +71,10 @@ def test_chunks_make_no_difference() -> None:
     for _ in range(3):
         cuts = np.sort(np.append(rng.integers(7000, len(samples), 40), 7000))
         cut = force_of(samples, delays=late, cuts=cuts)
-        assert cut.tobytes() == whole.tobytes(), seed
+        assert cut.tobytes() == whole.tobytes()
 
 
-def test_delays_are_taken_out_of_forces_that_ring_together() -> None:
-    seed = new_seed()
+def test_delays_are_taken_out_of_forces_that_ring_together(seed) -> None:
     source = SimulatedSource(RigSettings(rig="six", speed=math.inf, seed=seed, noise=0.1, rate=6000.0))
     source.start()
     source.control("shake", 2.0)
@@ -101,7 +96,7 @@ def test_delays_are_taken_out_of_forces_that_ring_together() -> None:
         count = min(force.size, aligned[name].size)
         # the first samples are held where those before them are not there, which is forgotten by and by
         after = slice(count // 2, count)
-        assert np.std(aligned[name][after] - force[after]) < 0.05 * np.std(force[after]), (seed, name)
+        assert np.std(aligned[name][after] - force[after]) < 0.05 * np.std(force[after]), name
 
 
 def test_a_delay_that_cannot_be_is_refused() -> None:

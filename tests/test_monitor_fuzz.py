@@ -19,7 +19,6 @@ from aerobalance.app.monitor.setups import rig_setup
 from aerobalance.app.monitor.view import View
 from aerobalance.recording.errors import FitError, ReadError
 from running_page import LIVE, Running
-from seeds import new_seed
 
 RIGS = ("cable_cut", "vibration", "six")
 PIECES = [
@@ -238,22 +237,16 @@ def try_setups(chance, folder, count):
     return came
 
 
-def test_any_set_up_that_is_accepted_can_be_used_or_is_refused(tmp_path) -> None:
-    seed = new_seed()
-    print("seed", seed)  # noqa: T201 - shown where the test fails
+def test_any_set_up_that_is_accepted_can_be_used_or_is_refused(tmp_path, seed) -> None:
     try_setups(Chance(seed), tmp_path, 8)
 
 
 @pytest.mark.long
-def test_thousands_of_set_ups(tmp_path) -> None:
-    seed = new_seed()
-    print("seed", seed)  # noqa: T201 - shown where the test fails
+def test_thousands_of_set_ups(tmp_path, seed) -> None:
     came = try_setups(Chance(seed), tmp_path, 1000)
     print({kind: came.count(kind) for kind in set(came)})  # noqa: T201 - shown with -s
 
 
 @pytest.mark.long
-def test_thousands_of_requests(project) -> None:
-    seed = new_seed()
-    print("seed", seed)  # noqa: T201 - shown where the test fails
+def test_thousands_of_requests(project, seed) -> None:
     fuzz(project, Chance(seed), requests=2000, frames=4000, setups=40)

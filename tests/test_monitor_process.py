@@ -25,7 +25,6 @@ import websockets
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.recording.errors import DataQualityWarning
-from seeds import new_seed
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="children are found in /proc")
 
@@ -179,8 +178,7 @@ def test_told_to_end_while_it_starts(tmp_path) -> None:
         program.__exit__()
 
 
-def test_rubbish_at_the_socket(program) -> None:
-    seed = new_seed()
+def test_rubbish_at_the_socket(program, seed) -> None:
     rng = random.Random(seed)
     port = int(program.base.rpartition(":")[2])
     host = f"Host: 127.0.0.1:{port}\r\nOrigin: {program.base}\r\n".encode()
@@ -200,7 +198,7 @@ def test_rubbish_at_the_socket(program) -> None:
             connection.close()
         else:
             left.enter_context(connection)
-    assert program.state()["source"]["state"] == "running", seed
+    assert program.state()["source"]["state"] == "running"
     program.post("mark", text="still here")
 
     async def too_much():
@@ -217,7 +215,7 @@ def test_rubbish_at_the_socket(program) -> None:
 
     with left:
         asyncio.run(asyncio.wait_for(too_much(), 60))
-        assert program.state()["numbers"]["readings"], seed
+        assert program.state()["numbers"]["readings"]
 
 
 @contextlib.contextmanager
@@ -234,10 +232,10 @@ def small_disk(folder, size):
         subprocess.run(["umount", "-l", folder], check=True)
 
 
-def test_full_disk_ends_the_record_and_nothing_else(tmp_path) -> None:
+def test_full_disk_ends_the_record_and_nothing_else(tmp_path, seed) -> None:
     with small_disk(tmp_path / "small", "5m") as small, Program(small) as program:
         # 4 channels of 8 bytes at 50 kHz: 1.6 MB a second
-        source = {"kind": "simulated", "rig": "cable_cut", "rate": 50_000.0, "seed": new_seed()}
+        source = {"kind": "simulated", "rig": "cable_cut", "rate": 50_000.0, "seed": seed}
         setup = {"source": source, "record": {"keep_free": 1.0, "block": 0.1}}
         program.post("setup", setup=setup)
         program.wait(lambda state: state["source"]["state"] == "running" and state["numbers"].get("readings"))
@@ -283,9 +281,7 @@ def test_quota_ends_the_record_and_nothing_else(tmp_path) -> None:
 
 
 @pytest.mark.long
-def test_killed_at_random_moments(tmp_path) -> None:
-    seed = new_seed()
-    print("seed", seed)  # noqa: T201 - shown where the test fails
+def test_killed_at_random_moments(tmp_path, seed) -> None:
     rng = random.Random(seed)
     for round_ in range(5):
         folder = tmp_path / str(round_)
@@ -303,7 +299,7 @@ def test_killed_at_random_moments(tmp_path) -> None:
                     program.known = children(program.process.pid)
                     program.process.kill()
                     program.process.wait()
-                    assert gone(program.known) == [], (seed, round_, trial)
+                    assert gone(program.known) == [], (round_, trial)
                 else:
                     os.kill(program.state()["processes"][victim], signal.SIGKILL)
                     if victim == "engine":
@@ -312,7 +308,7 @@ def test_killed_at_random_moments(tmp_path) -> None:
                         program.post("stop")
                     program.wait(lambda state: state["record"]["state"] == "ended")
                 kept = contents(file)
-                assert kept.blocks.size >= blocks, (seed, round_, trial, victim)
+                assert kept.blocks.size >= blocks, (round_, trial, victim)
                 if blocks:
                     with warnings.catch_warnings():
                         warnings.simplefilter("ignore", DataQualityWarning)  # of a record that was broken off

@@ -7,14 +7,6 @@ import pytest
 from scipy.signal import lfilter
 
 from aerobalance.recording.noise import white_noise
-from seeds import new_seed
-
-
-@pytest.fixture
-def generator():
-    entropy = new_seed()
-    print(f"seed {entropy}")  # noqa: T201 - shown when a test fails
-    return np.random.default_rng(entropy)
 
 
 def signals(count):
@@ -27,9 +19,9 @@ def signals(count):
 
 
 @pytest.mark.parametrize("kind", signals(8))
-def test_noise_is_found_under_the_signal(generator, kind):
+def test_noise_is_found_under_the_signal(rng, kind):
     count = 8000
-    found = white_noise(signals(count)[kind] + generator.normal(0, 2.0, count))
+    found = white_noise(signals(count)[kind] + rng.normal(0, 2.0, count))
     # the lower quartile of some thirty bands reads low by design, up to a tenth; a median of 8000 scatters by 1.5 %
     assert found == pytest.approx(2.0, rel=0.12)
 

@@ -12,7 +12,6 @@ from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, ColoredNois
 from aerobalance.estimation.statespace.kalman import Filter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.errors import DataQualityWarning, FitError
-from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
@@ -64,13 +63,12 @@ def test_hump_is_its_oscillator():
     assert hump.density(np.array([300.0]))[0] == pytest.approx(7.0)
 
 
-def test_likelihood_is_that_of_the_covariance():
+def test_likelihood_is_that_of_the_covariance(rng):
     """The filter with states of colored noise against the Gaussian density with the covariance written out."""
-    generator, seed = fresh()
     colored = ColoredNoise(np.array([2.0, 30.0]), np.array([1.5, 0.4]), (), 1 / RATE)
     system = StateSpace.of_balance(T128, ShapingFilter.silent(), interval=1 / RATE, noise=2.0, colors=colored.shapings)
     n = 60
-    readings = generator.normal(0, 2, n)
+    readings = rng.normal(0, 2, n)
     lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / RATE
     covariance = 4 * np.eye(n)
     for corner, variance in zip(colored.corners, colored.variances, strict=True):
@@ -78,94 +76,86 @@ def test_likelihood_is_that_of_the_covariance():
     filter_ = Filter.of(system, np.ones(n, dtype=bool))
     white = filter_.whiten(readings[:, None])[:, 0]
     found = -0.5 * (white @ white + filter_.log_determinant + n * np.log(2 * np.pi))
-    assert found == pytest.approx(multivariate_normal(np.zeros(n), covariance).logpdf(readings), rel=1e-8), seed
+    assert found == pytest.approx(multivariate_normal(np.zeros(n), covariance).logpdf(readings), rel=1e-8)
 
 
-def test_white_noise_is_found_white(monkeypatch):
+def test_white_noise_is_found_white(monkeypatch, rng):
     # chance brings an evidence of 15 once in exp(15) records
     monkeypatch.setattr(noise_record, "COLOR_EVIDENCE", 15.0)
-    generator, seed = fresh()
-    found = noise_spectrum_of(generator.normal(0, 2, 16_000), T128, interval=1 / RATE)
-    assert not found.colored, seed
+    found = noise_spectrum_of(rng.normal(0, 2, 16_000), T128, interval=1 / RATE)
+    assert not found.colored
     assert found.states(5.0) is None
     assert str(found) == "white noise"
     # 16,000 readings: 0.56 % of the standard deviation; 5 of these and what the modes' bands take
-    assert found.deviation == pytest.approx(2, rel=0.035), seed
-    assert found.u_white == pytest.approx(np.sqrt(2 / 16_000), rel=0.2), seed
+    assert found.deviation == pytest.approx(2, rel=0.035)
+    assert found.u_white == pytest.approx(np.sqrt(2 / 16_000), rel=0.2)
 
 
 @pytest.mark.parametrize("exponent", [0.7, 1.0, 1.5])
-def test_corner_is_found(exponent):
-    generator, seed = fresh()
-    values = noise_of(generator, lambda f: WHITE * (1 + (10 / f) ** exponent))
+def test_corner_is_found(exponent, rng):
+    values = noise_of(rng, lambda f: WHITE * (1 + (10 / f) ** exponent))
     found = noise_spectrum_of(values, T128, interval=1 / RATE)
-    assert found.corner > 0, seed
+    assert found.corner > 0
     level = np.log(found.white) + found.exponent * np.log(found.corner)
     truth = np.log(WHITE) + exponent * np.log(10)
     # Whittle's likelihood is normal for that many ordinates; six of its standard deviations
-    assert abs(level - truth) < 6 * np.sqrt(found.covariance[0, 0]), seed
-    assert abs(found.exponent - exponent) < 6 * np.sqrt(found.covariance[1, 1]), seed
-    assert abs(np.log(found.white / WHITE)) < 6 * found.u_white, seed
+    assert abs(level - truth) < 6 * np.sqrt(found.covariance[0, 0])
+    assert abs(found.exponent - exponent) < 6 * np.sqrt(found.covariance[1, 1])
+    assert abs(np.log(found.white / WHITE)) < 6 * found.u_white
     assert f"below {found.corner:.3g} Hz" in str(found)
 
 
-def test_random_walk_is_the_steepest():
-    generator, seed = fresh()
-    values = noise_of(generator, lambda f: WHITE * (1 + (3 / f) ** 2))
+def test_random_walk_is_the_steepest(rng):
+    values = noise_of(rng, lambda f: WHITE * (1 + (3 / f) ** 2))
     found = noise_spectrum_of(values, T128, interval=1 / RATE)
-    assert 1.2 < found.exponent <= EXPONENTS[1], seed
+    assert 1.2 < found.exponent <= EXPONENTS[1]
 
 
-def test_hump_is_found_beside_a_corner():
-    generator, seed = fresh()
+def test_hump_is_found_beside_a_corner(rng):
     hump = Hump(300.0, 0.4, 2 * WHITE)
-    values = noise_of(generator, lambda f: WHITE * (1 + 10 / f) + hump.density(f))
+    values = noise_of(rng, lambda f: WHITE * (1 + 10 / f) + hump.density(f))
     found = noise_spectrum_of(values, T128, interval=1 / RATE)
-    assert found.humps, seed
+    assert found.humps
     frequency = np.array([2.0, 20.0, 150.0, 250.0, 300.0, 400.0, 700.0])
     truth = WHITE * (1 + 10 / frequency) + hump.density(frequency)
     # at 2 Hz the 40 ordinates to 4 Hz tell it to 0.16, above there are hundreds; five of these
     bounds = np.array([0.8, 0.4, 0.25, 0.25, 0.25, 0.25, 0.25])
-    assert np.all(np.abs(np.log(found.density(frequency) / truth)) < bounds), seed
+    assert np.all(np.abs(np.log(found.density(frequency) / truth)) < bounds)
 
 
-def test_swinging_and_mains_are_no_noise():
-    generator, seed = fresh()
+def test_swinging_and_mains_are_no_noise(rng):
     t = np.arange(16_000) / RATE
-    values = generator.normal(0, 2, t.size) + 3 * np.sin(2 * np.pi * 50 * t) + np.sin(2 * np.pi * 410 * t)
+    values = rng.normal(0, 2, t.size) + 3 * np.sin(2 * np.pi * 50 * t) + np.sin(2 * np.pi * 410 * t)
     values += 20 * np.exp(-t) * np.cos(2 * np.pi * T128.natural_frequency * t)
     found = noise_spectrum_of(values, T128, interval=1 / RATE)
-    assert found.deviation == pytest.approx(2, rel=0.035), seed
-    assert found.left_out == pytest.approx((50.0, 410.0), abs=0.2), seed
-    assert not found.humps, seed
+    assert found.deviation == pytest.approx(2, rel=0.035)
+    assert found.left_out == pytest.approx((50.0, 410.0), abs=0.2)
+    assert not found.humps
 
 
-def test_longest_stretch_is_taken():
-    generator, seed = fresh()
-    values = generator.normal(0, 50, 4000)
-    values[1000:] = generator.normal(0, 2, 3000)
+def test_longest_stretch_is_taken(rng):
+    values = rng.normal(0, 50, 4000)
+    values[1000:] = rng.normal(0, 2, 3000)
     values[999] = np.nan
     # 3,000 readings: 1.3 % of the standard deviation
-    assert noise_spectrum_of(values, T128, interval=1 / RATE).deviation == pytest.approx(2, rel=0.08), seed
+    assert noise_spectrum_of(values, T128, interval=1 / RATE).deviation == pytest.approx(2, rel=0.08)
 
 
-def test_floor_that_falls_is_told():
-    generator, _ = fresh()
-    values = noise_of(generator, lambda f: WHITE * np.where(f > 500, 0.02, 1.0))
+def test_floor_that_falls_is_told(rng):
+    values = noise_of(rng, lambda f: WHITE * np.where(f > 500, 0.02, 1.0))
     with pytest.warns(DataQualityWarning, match="no white noise with 1/f and broad humps"):
         noise_spectrum_of(values, T128, interval=1 / RATE)
 
 
-def test_what_is_no_record_of_noise_is_refused(monkeypatch):
-    generator, _ = fresh()
+def test_what_is_no_record_of_noise_is_refused(monkeypatch, rng):
     with pytest.raises(FitError, match="400 readings of AF without a gap"):
-        noise_spectrum_of(generator.normal(size=400), T128, interval=1 / RATE)
+        noise_spectrum_of(rng.normal(size=400), T128, interval=1 / RATE)
     with pytest.raises(FitError, match="does not change"):
         noise_spectrum_of(np.full(4000, 3.0), T128, interval=1 / RATE)
     monkeypatch.setattr(noise_record, "STRENGTHENED", 0.5)
     with pytest.raises(FitError, match="nothing is left"):
         # up to 45 Hz the T-128 weakens no force
-        noise_spectrum_of(generator.normal(size=1000), T128, interval=1 / 90.0)
+        noise_spectrum_of(rng.normal(size=1000), T128, interval=1 / 90.0)
     with pytest.raises(ValueError, match="must be positive"):
         NoiseSpectrum(0.0, 0.0, 1.0, (), 1 / RATE, np.zeros((2, 2)))
     with pytest.raises(ValueError, match="at most 2"):

@@ -14,7 +14,6 @@ from aerobalance.app.cli import main
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.uncertainty.planning import attainable, live_lag, usual_bandwidths
-from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
@@ -73,8 +72,7 @@ def test_weak_forces_have_the_wiener_bound():
     assert found.total < force
 
 
-def test_white_noise_through_the_band_limited_inverse():
-    seed = new_seed()
+def test_white_noise_through_the_band_limited_inverse(seed):
     count, bandwidth = 1 << 18, 100.0
     spectrum = np.fft.rfft(np.random.default_rng(seed).normal(0, 2.0, count))
     frequency = np.fft.rfftfreq(count, 1 / RATE)
@@ -84,24 +82,22 @@ def test_white_noise_through_the_band_limited_inverse():
     error = np.fft.irfft(spectrum, count)
     expected = attainable(T128, bandwidth=bandwidth, rate=RATE, noise=2.0).total
     # 2 B T = 33000 independent values, fewer where the inverse weights them: the scatter of an rms is below 1 %
-    assert error.std() == pytest.approx(expected, rel=0.03), seed
+    assert error.std() == pytest.approx(expected, rel=0.03)
 
 
-def test_parameters_known_with_uncertainty():
-    seed = new_seed()
-    generator = np.random.default_rng(seed)
+def test_parameters_known_with_uncertainty(rng):
     u = np.array([0.2, 3000.0, 8.0, 0.0])
     known = Dynamics("AF", 177.87, 3.093e7, 828.21, covariance=np.diag(u**2))
     bandwidth, force = 90.0, 300.0
     frequency = np.linspace(0, bandwidth, 4097)
     errors = []
     for _ in range(400):
-        M, k, b, _ = np.array([177.87, 3.093e7, 828.21, 0]) + u * generator.normal(size=4)
+        M, k, b, _ = np.array([177.87, 3.093e7, 828.21, 0]) + u * rng.normal(size=4)
         ratio = T128.response(frequency) / Dynamics("AF", M, k, b).response(frequency)
         errors.append(force**2 / bandwidth * np.trapezoid(np.abs(ratio - 1) ** 2, frequency))
     expected = attainable(known, bandwidth=bandwidth, rate=RATE, noise=1e-6, force=force)
     # at resonance the error is linear in k to u(k)/k over twice the damping ratio, 1 %; 400 draws of a mean square
-    assert np.sqrt(np.mean(errors)) == pytest.approx(expected.parameters, rel=0.2), seed
+    assert np.sqrt(np.mean(errors)) == pytest.approx(expected.parameters, rel=0.2)
     assert expected.limited_by == "mass, stiffness, damping, delay"
 
 

@@ -15,20 +15,12 @@ from aerobalance.recording.channel import AXES_BY_NAME, Channel
 from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, VECTORS
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
-from seeds import new_seed
 
 RATE = 1000.0
 STEP = 1e-3
 SECOND = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180
 FIRST = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60
 GRAVITY = np.array([0.0, 0.0, -STANDARD_GRAVITY])
-
-
-@pytest.fixture
-def seed():
-    drawn = new_seed()
-    print("seed", drawn)  # noqa: T201 - shown where a test fails
-    return drawn
 
 
 def turned(axis, angle):
@@ -144,8 +136,7 @@ INNER = slice(50, -50)
 """Without the ends, where a derivative has no neighbours on one side."""
 
 
-def test_accelerometers_anywhere_give_all_six_motions(seed):
-    rng = np.random.default_rng(seed)
+def test_accelerometers_anywhere_give_all_six_motions(rng):
     platform = Platform(rng, samples=4000)
     rec = platform.recording(*random_sensors(platform, rng, 10, noise=0.02), *platform.angles())
     motion = PlatformMotion.of(rec)
@@ -153,7 +144,7 @@ def test_accelerometers_anywhere_give_all_six_motions(seed):
     # and over eight periods and more the line is 1 % of w
     (unknown,) = (item for item in motion.unknowns if item.name.startswith("w x"))
     assert 0.1 <= unknown.uncertainty < 0.2
-    assert (rms(motion.acceleration - platform.motion()) < 0.1 * rms(unknown.slope).max()).all(), seed
+    assert (rms(motion.acceleration - platform.motion()) < 0.1 * rms(unknown.slope).max()).all()
     assert any("is taken off" in text for text in motion.assumptions)
     np.testing.assert_allclose(motion.acceleration - motion.specific_force, gravity_of(platform), atol=1e-9)
 
@@ -163,8 +154,7 @@ def gravity_of(platform):
     return np.stack([np.zeros(len(pull)) if name in MOMENTS else pull @ VECTORS[name] for name in COMPONENTS], axis=1)
 
 
-def test_rates_of_turn_make_it_exact(seed):
-    rng = np.random.default_rng(seed)
+def test_rates_of_turn_make_it_exact(rng):
     platform = Platform(rng)
     rec = platform.recording(
         *random_sensors(platform, rng, 10, noise=0.02), *platform.angles(), *rates_of(platform, 1e-9)
@@ -172,17 +162,15 @@ def test_rates_of_turn_make_it_exact(seed):
     motion, truth = PlatformMotion.of(rec), platform.motion()
     # derivatives of what is sampled 80 times a period, some 200 samples from the reflected ends in the middle half
     middle = slice(250, 750)
-    assert (rms((motion.acceleration - truth)[middle]) < 1e-4 * np.max(rms(truth))).all(), (
-        seed,
-        rms((motion.acceleration - truth)[middle]),
+    assert (rms((motion.acceleration - truth)[middle]) < 1e-4 * np.max(rms(truth))).all(), rms(
+        (motion.acceleration - truth)[middle]
     )
     np.testing.assert_allclose(
         motion.turn_rate, platform.rate() @ np.array([VECTORS[n] for n in MOMENTS]).T, atol=1e-9
     )
 
 
-def test_force_is_that_of_every_mass_point(seed):
-    rng = np.random.default_rng(seed)
+def test_force_is_that_of_every_mass_point(rng):
     platform = Platform(rng)
     places, masses = rng.normal(size=(5, 3)) * 0.3 + [0.2, 0.0, 0.1], rng.uniform(1, 5, 5)
     centre = masses @ places / masses.sum()
@@ -200,8 +188,7 @@ def test_force_is_that_of_every_mass_point(seed):
     np.testing.assert_allclose(motion.force(body), truth, rtol=0, atol=1e-6 * np.abs(truth).max())
 
 
-def test_noise_of_the_motion_is_that_of_many_records(seed):
-    rng = np.random.default_rng(seed)
+def test_noise_of_the_motion_is_that_of_many_records(rng):
     # swings so slow that w x (w x r) is far below the noise: places that tell turns badly leave it in one record, and
     # take it off in the next, which is told and is no part of the noise
     platform = Platform(rng, samples=4000, swing=2e-3)
@@ -220,8 +207,7 @@ def test_noise_of_the_motion_is_that_of_many_records(seed):
     )
 
 
-def test_rate_is_used_where_it_knows_better(seed):
-    rng = np.random.default_rng(seed)
+def test_rate_is_used_where_it_knows_better(rng):
     samples = 8000
     clock = np.arange(samples) / RATE
     # noise 2 rad/s^2 of the turn by accelerometers, and of the rate 2 / (2 pi 60): alike at 60 Hz
@@ -242,12 +228,12 @@ def test_rate_is_used_where_it_knows_better(seed):
     # the noise of the turn: accelerometers above 60 Hz, both below; the variance of n samples scatters by sqrt(2 / n),
     # more by the bandwidth's not being white: 6 of these for twice the variance
     size = np.sqrt(motion.covariance[1, 1])
-    assert abs(rms(error[inner]) / size - 1) < 6 * np.sqrt(1 / samples) * 2, seed
+    assert abs(rms(error[inner]) / size - 1) < 6 * np.sqrt(1 / samples) * 2
     spectrum = np.abs(np.fft.rfft(error[inner] * np.hanning(error[inner].size))) ** 2
     frequency = np.fft.rfftfreq(error[inner].size, 1 / RATE)
     low, high = (np.mean(spectrum[(frequency > a) & (frequency < b)]) for a, b in ((1, 20), (100, 400)))
     # below 20 Hz the rate's noise is under a third of the accelerometers' in size; both bands hold over 100 ordinates
-    assert low < high / 3, seed
+    assert low < high / 3
     assert size < 2.0
 
 
@@ -263,19 +249,18 @@ def test_rate_of_turn_has_ends_like_its_middle(phase, seed):
     u = np.sqrt(found.covariance[place, place])
     # the noise counts twice where it is reflected, and the level of the end once more: some 4 u, eight times which is
     # never reached by chance; an end that hangs on one sample of the differentiated noise is off by thousands of u
-    assert np.abs(error[[*range(100), *range(-100, 0)]]).max() < 32 * u < 0.5 * swing * w, seed
+    assert np.abs(error[[*range(100), *range(-100, 0)]]).max() < 32 * u < 0.5 * swing * w
     assert rms(error[1000:-1000]) < 2 * u
 
 
-def test_a_rate_of_turn_that_rises_steadily_is_a_turn(seed):
-    rng = np.random.default_rng(seed)
+def test_a_rate_of_turn_that_rises_steadily_is_a_turn(rng):
     time = np.arange(10_000) / 5000.0
     channel = Channel(
         "ground_turn_rate_PM", 0.16 * (time - 1) + 1e-3 * rng.normal(size=time.size), "rad/s", noise=1e-3
     )
     found = PlatformMotion.of(Recording.from_columns(time, {channel.name: channel}))
     # beyond its ends the record bends to its mean within a quarter of its length, which reaches in by some per cent
-    assert found.acceleration[:, COMPONENTS.index("PM")] == pytest.approx(0.16, abs=0.05), seed
+    assert found.acceleration[:, COMPONENTS.index("PM")] == pytest.approx(0.16, abs=0.05)
     still = dataclasses.replace(channel, values=1e-3 * rng.normal(size=time.size))
     found = PlatformMotion.of(Recording.from_columns(time, {channel.name: still}))
     assert not found.acceleration.any()
@@ -308,8 +293,7 @@ def test_turn_that_cannot_be_told_from_a_shift_is_named():
     )
 
 
-def test_turn_sensor_tells_it(seed):
-    rng = np.random.default_rng(seed)
+def test_turn_sensor_tells_it(rng):
     clock = np.arange(1000) / RATE
     turn, shift = (rng.normal() * np.sin(2 * np.pi * f * clock) for f in (20, 30))
     reading = shift - 0.5 * turn  # nose up takes what is aft of the centre down
@@ -320,8 +304,7 @@ def test_turn_sensor_tells_it(seed):
     np.testing.assert_allclose(motion.acceleration[:, :2], np.column_stack([shift, turn]), atol=1e-10)
 
 
-def test_one_axis_gives_the_numbers_of_one_component(seed):
-    rng = np.random.default_rng(seed)
+def test_one_axis_gives_the_numbers_of_one_component(rng):
     clock = np.arange(2000) / RATE
     for name, component in (("", "AF"), ("_y", "SF"), ("_z", "NF")):
         channels = [
@@ -337,8 +320,7 @@ def test_one_axis_gives_the_numbers_of_one_component(seed):
         assert abs(np.sqrt(six.covariance[index, index]) / one.noise - 1) < 1e-3
 
 
-def test_at_rest_is_zero_but_for_tones(seed):
-    rng = np.random.default_rng(seed)
+def test_at_rest_is_zero_but_for_tones(rng):
     clock = np.arange(4000) / RATE
     noise = rng.normal(size=(3, clock.size))
     hum = 0.5 * np.sin(2 * np.pi * 100 * clock)
@@ -352,13 +334,12 @@ def test_at_rest_is_zero_but_for_tones(seed):
     left = motion.acceleration[:, COMPONENTS.index("SF")]
     # the tone's size is known to 1 / sqrt(4000 / 8) = 4.5 %, and 6 of these; of 2001 ordinates 17 are kept, a tenth of
     # the noise
-    assert abs((left @ hum) / (hum @ hum) - 1) < 0.27 and rms(left - hum) < 0.2, seed
+    assert abs((left @ hum) / (hum @ hum) - 1) < 0.27 and rms(left - hum) < 0.2
     np.testing.assert_array_equal(motion.acceleration[:, COMPONENTS.index("NF")], channels[2].values)
     assert sum("beyond its noise" in text for text in motion.assumptions) == 2
 
 
-def test_far_sensors_at_rest_do_not_spoil_the_others(seed):
-    rng = np.random.default_rng(seed)
+def test_far_sensors_at_rest_do_not_spoil_the_others(rng):
     clock = np.arange(4000) / RATE
     shift = 5 * np.sin(2 * np.pi * 30 * clock)
     pair = [
@@ -367,13 +348,12 @@ def test_far_sensors_at_rest_do_not_spoil_the_others(seed):
     ]
     motion = PlatformMotion.of(recording(*pair))
     # the turn, known to 1.4 / 0.1 rad/s^2, is taken as zero, and the acceleration is then the mean of both
-    assert not motion.acceleration[:, COMPONENTS.index("PM")].any(), seed
+    assert not motion.acceleration[:, COMPONENTS.index("PM")].any()
     assert abs(motion.covariance[0, 0] - 0.5) < 1e-9
     np.testing.assert_allclose(motion.acceleration[:, 0], np.mean([c.values for c in pair], axis=0), atol=1e-12)
 
 
-def test_sensor_with_a_wrong_gain_is_named(seed):
-    rng = np.random.default_rng(seed)
+def test_sensor_with_a_wrong_gain_is_named(rng):
     platform = Platform(rng, samples=2000)
     bad = int(rng.integers(10))
     channels = [noisy(c, rng, 0.1) for c in random_sensors(platform, rng, 10)]
@@ -387,8 +367,7 @@ def test_sensor_with_a_wrong_gain_is_named(seed):
         PlatformMotion.of(platform.recording(*channels, *platform.angles()))
 
 
-def test_good_sensors_are_not_doubted(seed):
-    rng = np.random.default_rng(seed)
+def test_good_sensors_are_not_doubted(rng):
     platform = Platform(rng, samples=2000)
     channels = [noisy(c, rng, 0.1) for c in random_sensors(platform, rng, 9)]
     with warnings.catch_warnings():
@@ -396,8 +375,7 @@ def test_good_sensors_are_not_doubted(seed):
         PlatformMotion.of(platform.recording(*channels, *platform.angles()))
 
 
-def test_stated_uncertainty_is_no_fault(seed):
-    rng = np.random.default_rng(seed)
+def test_stated_uncertainty_is_no_fault(rng):
     platform = Platform(rng, samples=2000, still=("x", "y", "z"), shift=0.02)
     gains = 1 + 0.05 * rng.normal(size=9)
     plain = random_sensors(platform, rng, 9)
@@ -410,8 +388,7 @@ def test_stated_uncertainty_is_no_fault(seed):
         PlatformMotion.of(platform.recording(*channels, *platform.angles()))
 
 
-def test_two_sensors_that_differ_are_both_named(seed):
-    rng = np.random.default_rng(seed)
+def test_two_sensors_that_differ_are_both_named(rng):
     shift = 5 * np.sin(2 * np.pi * 30 * np.arange(4000) / RATE)
     pair = [
         noisy(Channel(f"ground_acceleration_{i}", shift * gain, "m/s^2", axis=(0.0, 0.0, 1.0)), rng, 0.1)
@@ -421,8 +398,7 @@ def test_two_sensors_that_differ_are_both_named(seed):
         PlatformMotion.of(recording(*pair))
 
 
-def test_offset_is_told(seed):
-    rng = np.random.default_rng(seed)
+def test_offset_is_told(rng):
     shift = 5 * np.sin(2 * np.pi * 30 * np.arange(4000) / RATE)
     trio = [
         noisy(Channel(f"ground_acceleration_{i}", shift + off, "m/s^2", axis=(0.0, 0.0, 1.0)), rng, 1.0)
@@ -448,8 +424,7 @@ def changed(rec, item, by):
     return dataclasses.replace(rec, channels=channels)
 
 
-def test_slopes_are_those_of_changed_readings(seed):
-    rng = np.random.default_rng(seed)
+def test_slopes_are_those_of_changed_readings(rng):
     platform = Platform(rng, samples=2000, swing=0.002)
     settings = {"relative_uncertainty": 0.01, "zero_uncertainty": 0.1}
     sensors = random_sensors(platform, rng, 12, noise=1e-3, place_uncertainty=1e-3, **settings)
@@ -469,11 +444,10 @@ def test_slopes_are_those_of_changed_readings(seed):
         # 0.002 rad at 6 Hz, w is under 0.1 rad/s, and the change of acceleration over 12 rad/s times that of w: under
         # 2 % for each of several levers
         error = rms(other.specific_force - base.specific_force - moved).max()
-        assert error < 0.1 * rms(moved).max() + 1e-12, (seed, item.name, error, rms(moved).max())
+        assert error < 0.1 * rms(moved).max() + 1e-12, (item.name, error, rms(moved).max())
 
 
-def test_sensors_of_different_delay_are_brought_together(seed):
-    rng = np.random.default_rng(seed)
+def test_sensors_of_different_delay_are_brought_together(rng):
     clock = np.arange(4000) / RATE
     late = float(rng.uniform(1e-3, 4e-3))
 
@@ -511,8 +485,7 @@ def test_accelerometer_without_an_axis_is_refused():
         PlatformMotion.of(recording(one))
 
 
-def test_accelerometer_without_a_place_is_said_to_be_at_the_centre(seed):
-    rng = np.random.default_rng(seed)
+def test_accelerometer_without_a_place_is_said_to_be_at_the_centre(rng):
     platform = Platform(rng, samples=4000)
     channels = [noisy(c, rng, 0.05) for c in random_sensors(platform, rng, 8)]
     bare = Channel("ground_acceleration", platform.acceleration((0, 0, 0))[:, 0], "m/s^2", noise=0.05)

@@ -15,7 +15,6 @@ from aerobalance.estimation.steps import Step, find_steps, shape_of
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
-from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
@@ -61,10 +60,9 @@ def first_order(corner: float, level: float, noise: float) -> Learned:
 
 
 @pytest.mark.parametrize("missing", [False, True])
-def test_log_likelihood_is_the_dense_one_up_to_a_constant(missing):
-    generator, seed = fresh()
+def test_log_likelihood_is_the_dense_one_up_to_a_constant(missing, rng):
     n = 48
-    values = generator.normal(0, 100, n)
+    values = rng.normal(0, 100, n)
     if missing:
         values[[0, 7, 8, 9, 30]] = np.nan
     reading = Reading(values, 1 / RATE, T128)
@@ -91,80 +89,74 @@ def test_log_likelihood_is_the_dense_one_up_to_a_constant(missing):
         dense.append(multivariate_normal(X @ sizes, covariance).logpdf(y))
     # the same constant (half n log 2 pi) for every prior; 1e-6 of the largest covers the frozen gain
     shift = np.array(dense) - np.array(found)
-    assert np.ptp(shift) < 1e-6 * np.max(np.abs(dense)), seed
-    assert shift[0] == pytest.approx(-present.size / 2 * np.log(2 * np.pi), rel=1e-5), seed
+    assert np.ptp(shift) < 1e-6 * np.max(np.abs(dense))
+    assert shift[0] == pytest.approx(-present.size / 2 * np.log(2 * np.pi), rel=1e-5)
 
 
-def test_generalised_least_squares_is_the_textbook_one():
-    generator, seed = fresh()
+def test_generalised_least_squares_is_the_textbook_one(rng):
     n = 50
-    reading = Reading(generator.normal(0, 30, n), 1 / RATE, T128)
+    reading = Reading(rng.normal(0, 30, n), 1 / RATE, T128)
     system = reading.system(first_order(80.0, 5.0, 3.0))
     filter_ = Filter.of(system, reading.present)
-    X = generator.normal(size=(n, 3))
+    X = rng.normal(size=(n, 3))
     sizes, covariance, squares = generalised_least_squares(filter_, reading.values, X)
     white = filter_.whiten(np.eye(n))  # inverse Cholesky factor of the readings' covariance
     inverse = white.T @ white
     expected = np.linalg.inv(X.T @ inverse @ X)
-    assert covariance == pytest.approx(expected, rel=1e-8), seed
-    assert sizes == pytest.approx(expected @ X.T @ inverse @ reading.values, rel=1e-8), seed
+    assert covariance == pytest.approx(expected, rel=1e-8)
+    assert sizes == pytest.approx(expected @ X.T @ inverse @ reading.values, rel=1e-8)
     left = reading.values - X @ sizes
-    assert squares == pytest.approx(left @ inverse @ left, rel=1e-8), seed
+    assert squares == pytest.approx(left @ inverse @ left, rel=1e-8)
 
 
-def test_noise_and_band_are_learned():
-    generator, seed = fresh()
-    reading = smooth_reading(generator)
+def test_noise_and_band_are_learned(rng):
+    reading = smooth_reading(rng)
     learned = learn(reading, columns=np.ones((reading.values.size, 1)))
     # 85 % of 8000 samples' bandwidth carries noise alone, seen through a window worth half of it:
     # relative error 1 / sqrt(2 * 6800 / 1.94) = 1.2 %; 5 of these.
-    assert learned.noise == pytest.approx(2.0, rel=0.06), seed
+    assert learned.noise == pytest.approx(2.0, rel=0.06)
     spectrum = learned.spectrum
-    assert spectrum.roll_off is None, seed
+    assert spectrum.roll_off is None
     # the edge is placed among ordinates 0.2 Hz apart, 60 dB above the noise: to one of them
-    assert spectrum.edges[0] == pytest.approx(120.0, abs=0.2), seed
+    assert spectrum.edges[0] == pytest.approx(120.0, abs=0.2)
     # 600 ordinates, worth half: 6 %; 5 of these
-    assert spectrum.levels[0] == pytest.approx(500.0**2 / 240.0, rel=0.3), seed
-    assert not spectrum.levels[1:].any(), seed
+    assert spectrum.levels[0] == pytest.approx(500.0**2 / 240.0, rel=0.3)
+    assert not spectrum.levels[1:].any()
 
 
-def test_given_noise_is_kept():
-    generator, seed = fresh()
-    reading = smooth_reading(generator, seconds=2.0)
+def test_given_noise_is_kept(rng):
+    reading = smooth_reading(rng, seconds=2.0)
     given = Reading(reading.values, reading.interval, T128, noise=2.0)
-    assert learn(given, columns=np.ones((given.values.size, 1))).noise == pytest.approx(2.0, rel=1e-12), seed
+    assert learn(given, columns=np.ones((given.values.size, 1))).noise == pytest.approx(2.0, rel=1e-12)
 
 
-def test_no_force_is_learned_where_none_fluctuates():
-    generator, seed = fresh()
-    reading = Reading(100 + generator.normal(0, 3.0, 4000), 1 / RATE, T128)
+def test_no_force_is_learned_where_none_fluctuates(rng):
+    reading = Reading(100 + rng.normal(0, 3.0, 4000), 1 / RATE, T128)
     learned = learn(reading, columns=np.ones((4000, 1)))
-    assert not learned.spectrum.levels.any(), seed
+    assert not learned.spectrum.levels.any()
     # relative error of a standard deviation through the window: 1 / sqrt(2 * 4000 / 1.94) = 1.6 %; 5 of these
-    assert learned.noise == pytest.approx(3.0, rel=0.08), seed
+    assert learned.noise == pytest.approx(3.0, rel=0.08)
 
 
-def test_what_was_learned_does_not_hang_on_missing_readings():
-    generator, seed = fresh()
-    reading = smooth_reading(generator)
+def test_what_was_learned_does_not_hang_on_missing_readings(rng):
+    reading = smooth_reading(rng)
     columns = np.ones((reading.values.size, 1))
     whole = learn(reading, columns=columns)
     values = reading.values.copy()
-    values[generator.choice(values.size, 80, replace=False)] = np.nan
+    values[rng.choice(values.size, 80, replace=False)] = np.nan
     values[4000:4040] = np.nan
     some = learn(Reading(values, reading.interval, T128), columns=columns)
     # 1.5 % of the readings are replaced by their expectation, without noise: 1.5 % of its variance. The 40 samples in
     # a row are 3 periods at the edge, which the expectation bridges but for a part that is as smooth as the load.
-    assert some.noise == pytest.approx(whole.noise, rel=0.05), seed
+    assert some.noise == pytest.approx(whole.noise, rel=0.05)
     # what bridges the gap comes from a shaping filter that makes the edge wider by EDGE
-    assert some.spectrum.edges[0] == pytest.approx(whole.spectrum.edges[0], abs=0.4 + EDGE * 120), seed
+    assert some.spectrum.edges[0] == pytest.approx(whole.spectrum.edges[0], abs=0.4 + EDGE * 120)
 
 
-def test_smoother_with_a_learned_spectrum_is_the_gaussian_process():
+def test_smoother_with_a_learned_spectrum_is_the_gaussian_process(rng):
     """The obvious solution: a dense Gaussian process with the true covariance, from the true spectrum's integrals."""
-    generator, seed = fresh()
     edge, level, noise, n = 120.0, 500.0, 2.0, 3200
-    reading = smooth_reading(generator, seconds=n / RATE, edge=edge, rms=level, noise=noise)
+    reading = smooth_reading(rng, seconds=n / RATE, edge=edge, rms=level, noise=noise)
     lag = np.arange(n) / RATE
     frequency = (np.arange(24_000) + 0.5) * edge / 24_000
     density = level**2 / edge * edge / 24_000
@@ -187,30 +179,28 @@ def test_smoother_with_a_learned_spectrum_is_the_gaussian_process():
     difference = states[inner, FORCE] - exact[inner]
     # Both estimate the force; the one that is not the best errs by the root of 1 + r^2 as much, r the difference over
     # the best one's error. 1.1 in all allows r = 0.46.
-    assert np.sqrt(np.mean(difference**2)) < 0.46 * np.sqrt(np.mean(variance[inner])), seed
+    assert np.sqrt(np.mean(difference**2)) < 0.46 * np.sqrt(np.mean(variance[inner]))
 
 
 @pytest.mark.parametrize("noise", [2.0, 10.0])
-def test_step_is_found_between_samples(noise):
-    generator, seed = fresh()
-    instant = 1 + generator.uniform(0, 1) / RATE
-    (step,), learned = find_steps(released(generator, noise=noise, instant=instant))
+def test_step_is_found_between_samples(noise, rng):
+    instant = 1 + rng.uniform(0, 1) / RATE
+    (step,), learned = find_steps(released(rng, noise=noise, instant=instant))
     # Cramer-Rao: u = noise / (height w0 sqrt(sum of exp(-2 a t) / 2)) = 3e-7 s for 2 N, 1.5e-6 s for 10 N:
     # 0.1 sample (6e-5 s) is beyond any chance.
-    assert abs(step.instant - instant) < 0.1 / RATE, seed
-    assert abs(step.instant - instant) < 5 * step.instant_uncertainty, seed
-    assert step.duration == 0.0, seed
-    assert abs(step.height - STEP) < 5 * step.height_uncertainty, seed
-    assert step.evidence > 40, seed
-    assert learned.noise == pytest.approx(noise, rel=5 / np.sqrt(2 * 4800 / 1.94)), seed
+    assert abs(step.instant - instant) < 0.1 / RATE
+    assert abs(step.instant - instant) < 5 * step.instant_uncertainty
+    assert step.duration == 0.0
+    assert abs(step.height - STEP) < 5 * step.height_uncertainty
+    assert step.evidence > 40
+    assert learned.noise == pytest.approx(noise, rel=5 / np.sqrt(2 * 4800 / 1.94))
 
 
 @pytest.mark.parametrize(("noise", "allowed"), [(2.0, 0.1), (10.0, 0.3)])
-def test_plateaus_beside_a_step_are_flat(noise, allowed):
+def test_plateaus_beside_a_step_are_flat(noise, allowed, rng):
     # The mean of 3200 (1600) samples is known to noise / sqrt(n) = 0.035 (0.05) N for 2 N, five times that for 10 N:
     # 0.1 and 0.3 N are the sought bounds, three standard deviations off on the longer plateau for 2 N.
-    generator, seed = fresh()
-    reading = released(generator, noise=noise, instant=1.00031)
+    reading = released(rng, noise=noise, instant=1.00031)
     record = Recording.from_columns(
         np.arange(reading.values.size) / RATE, {"AF": Channel("AF", reading.values, "N")}, name="step"
     )
@@ -220,50 +210,46 @@ def test_plateaus_beside_a_step_are_flat(noise, allowed):
     for error in errors.values():
         # the constant's own uncertainty comes on top of the bound
         level = 4 * noise / np.sqrt(error.size)
-        assert np.sqrt(np.mean(error**2)) < max(allowed, level), seed
+        assert np.sqrt(np.mean(error**2)) < max(allowed, level)
 
 
 @pytest.mark.parametrize("duration", [0.002, 0.005])
-def test_ramps_are_found(duration):
-    generator, seed = fresh()
-    instant = 1 + generator.uniform(0, 1) / RATE
-    (step,), _ = find_steps(released(generator, noise=2.0, instant=instant, duration=duration))
+def test_ramps_are_found(duration, rng):
+    instant = 1 + rng.uniform(0, 1) / RATE
+    (step,), _ = find_steps(released(rng, noise=2.0, instant=instant, duration=duration))
     # The amplitude of the ringing goes as sinc(f T): its relative slope by T is (pi f)^2 T / 3 = 29 1/s (2 ms),
     # and the amplitude is known to 2 / 1020 / sqrt(sum exp(-2 a t) / 2) = 1.1e-4: 4 us, 5 times that is 0.02 ms.
-    assert step.duration == pytest.approx(duration, abs=2e-5), seed
+    assert step.duration == pytest.approx(duration, abs=2e-5)
     # the middle of the ramp is fixed by the phase to about 1e-6 s, the beginning by the duration's half as well
-    assert step.instant + step.duration / 2 == pytest.approx(instant + duration / 2, abs=1e-5), seed
-    assert abs(step.height - STEP) < 5 * step.height_uncertainty, seed
+    assert step.instant + step.duration / 2 == pytest.approx(instant + duration / 2, abs=1e-5)
+    assert abs(step.height - STEP) < 5 * step.height_uncertainty
 
 
-def test_two_steps_are_told_apart():
-    generator, seed = fresh()
+def test_two_steps_are_told_apart(rng):
     time = np.arange(4800) / RATE
     load = 700 * T128.step_response(time - 0.80011) - 300 * T128.step_response(time - 0.93007)
-    steps, _ = find_steps(Reading(load + generator.normal(0, 2, 4800), 1 / RATE, T128))
-    assert len(steps) == 2, (steps, seed)
+    steps, _ = find_steps(Reading(load + rng.normal(0, 2, 4800), 1 / RATE, T128))
+    assert len(steps) == 2, steps
     for step, (instant, height) in zip(steps, ((0.80011, 700), (0.93007, -300)), strict=True):
-        assert abs(step.instant - instant) < 5 * step.instant_uncertainty, (steps, seed)
-        assert abs(step.height - height) < 5 * step.height_uncertainty, (steps, seed)
+        assert abs(step.instant - instant) < 5 * step.instant_uncertainty, steps
+        assert abs(step.height - height) < 5 * step.height_uncertainty, steps
 
 
 @pytest.mark.long
-def test_steps_near_the_ends_are_found_too():
+def test_steps_near_the_ends_are_found_too(rng):
     # The window of the periodogram hides what happens there, so the prior learned between them fits badly.
-    generator, seed = fresh()
     time = np.arange(3200) / RATE
     true = [(0.28013, 300.0), (0.61029, -500.0), (1.20041, 800.0), (1.68007, -300.0)]
     load = sum(height * T128.step_response(time - instant) for instant, height in true)
-    steps, _ = find_steps(Reading(load + generator.normal(0, 2, time.size), 1 / RATE, T128))
-    assert len(steps) == len(true), (steps, seed)
+    steps, _ = find_steps(Reading(load + rng.normal(0, 2, time.size), 1 / RATE, T128))
+    assert len(steps) == len(true), steps
     for step, (instant, height) in zip(steps, true, strict=True):
-        assert abs(step.instant - instant) < 5 * step.instant_uncertainty, (steps, seed)
-        assert abs(step.height - height) < 5 * step.height_uncertainty, (steps, seed)
+        assert abs(step.instant - instant) < 5 * step.instant_uncertainty, steps
+        assert abs(step.height - height) < 5 * step.height_uncertainty, steps
 
 
-def test_edge_of_a_short_record_is_put_where_the_innovations_want_it():
-    generator, seed = fresh()
-    reading = smooth_reading(generator, seconds=2.0, edge=30.0, noise=0.5)
+def test_edge_of_a_short_record_is_put_where_the_innovations_want_it(rng):
+    reading = smooth_reading(rng, seconds=2.0, edge=30.0, noise=0.5)
     columns = np.ones((reading.values.size, 1))
     learned = learn(reading, columns=columns)
     edges = learned.spectrum.edges.copy()
@@ -273,35 +259,32 @@ def test_edge_of_a_short_record_is_put_where_the_innovations_want_it():
     shaping = ShapingFilter.of_spectrum(lambda f: spectrum.density(f) + 1e-6 / (1 + (f / rate) ** 4), centre=29.0)
     better = confirmed(reading, Learned(spectrum, shaping, noise), columns=columns)
     # the load is a sum of lines at multiples of 0.5 Hz up to 30 Hz; moves of half an ordinate and more bring it there
-    assert 29.4 < better.spectrum.edges[0] < 31.1, seed
+    assert 29.4 < better.spectrum.edges[0] < 31.1
     first, second = (
         log_likelihood(reading, Filter.of(reading.system(prior), reading.present), columns=columns)
         for prior in (better, Learned(spectrum, shaping, noise))
     )
-    assert first - second > 3, seed
+    assert first - second > 3
 
 
-def test_steps_that_cancel_are_not_taken_up():
+def test_steps_that_cancel_are_not_taken_up(rng):
     """A pair too high to be believed is one that the readings cannot tell apart."""
-    generator, seed = fresh()
     time = np.arange(1600) / RATE
     load = 500 * T128.step_response(time - 0.5002) + 300 * T128.step_response(time - 0.5052)
-    reading = Reading(load + generator.normal(0, 10, time.size), 1 / RATE, T128)
+    reading = Reading(load + rng.normal(0, 10, time.size), 1 / RATE, T128)
     steps, _ = find_steps(reading)
-    assert steps, seed
-    assert max(abs(step.height) for step in steps) < 10 * reading.swing, (steps, seed)
+    assert steps
+    assert max(abs(step.height) for step in steps) < 10 * reading.swing, steps
 
 
 @pytest.mark.parametrize("edge", [30.0, 120.0])
-def test_no_step_in_a_smooth_record(edge):
+def test_no_step_in_a_smooth_record(edge, rng):
     # 40 in twice the log-likelihood, by chance one in n instants: n times the tail of chi-square is 1e-6.
-    generator, seed = fresh()
-    assert find_steps(smooth_reading(generator, seconds=3.0, edge=edge))[0] == [], seed
+    assert find_steps(smooth_reading(rng, seconds=3.0, edge=edge))[0] == []
 
 
-def test_no_step_in_noise():
-    generator, seed = fresh()
-    assert find_steps(Reading(generator.normal(0, 2, 3000), 1 / RATE, T128))[0] == [], seed
+def test_no_step_in_noise(rng):
+    assert find_steps(Reading(rng.normal(0, 2, 3000), 1 / RATE, T128))[0] == []
 
 
 def test_shape_of_a_step():

@@ -9,7 +9,6 @@ import pytest
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Loads, Recording
-from seeds import fresh
 
 
 def on(stamps, values=None):
@@ -66,30 +65,27 @@ def test_one_lost_sample_is_found_in_short_recordings_too(count):
         np.testing.assert_array_equal(recording.rows, kept)
 
 
-def test_gaps_are_found_under_jitter():
-    rng, entropy = fresh()
+def test_gaps_are_found_under_jitter(rng):
     kept = np.delete(np.arange(3000), [700, 701, 2222])
     stamps = kept * 0.01 + rng.uniform(-1.5e-3, 1.5e-3, kept.size)
     with pytest.warns(DataQualityWarning) as caught:
         recording = on(stamps)
-    np.testing.assert_array_equal(recording.rows, kept, err_msg=str(entropy))
+    np.testing.assert_array_equal(recording.rows, kept)
     said = " ".join(str(item.message) for item in caught)
     assert "3 sample(s) are missing" in said
     assert "depart from a steady" in said
 
 
-def test_jitter_alone_is_no_gap():
-    rng, entropy = fresh()
+def test_jitter_alone_is_no_gap(rng):
     stamps = np.arange(5000) * 0.01 + rng.uniform(-4e-3, 4e-3, 5000)
     with pytest.warns(DataQualityWarning, match=r"depart from a steady .* by up to 0\.[34]"):
         recording = on(stamps)
-    assert recording.samples == 5000, entropy
+    assert recording.samples == 5000
     # Uniform jitter of 4 ms: its standard deviation times sqrt(12) / n^1.5 is the slope's; eight of them.
-    assert recording.rate == pytest.approx(100, rel=8 * 0.4 / np.sqrt(3) * np.sqrt(12) / 5000**1.5), entropy
+    assert recording.rate == pytest.approx(100, rel=8 * 0.4 / np.sqrt(3) * np.sqrt(12) / 5000**1.5)
 
 
-def test_little_jitter_is_not_worth_a_warning():
-    rng, _ = fresh()
+def test_little_jitter_is_not_worth_a_warning(rng):
     assert on(np.arange(5000) * 0.01 + rng.uniform(-5e-4, 5e-4, 5000)).samples == 5000
 
 
@@ -137,15 +133,14 @@ def test_a_clock_that_wanders_is_no_gap_and_is_put_on_a_steady_one():
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 @pytest.mark.parametrize("sd", [0.05, 0.1, 0.2, 0.3, 0.5])
-def test_samples_that_jitter_are_put_on_a_steady_clock(sd, noise):
-    rng, entropy = fresh()
+def test_samples_that_jitter_are_put_on_a_steady_clock(sd, noise, rng):
     late = rng.normal(0, sd, 5000) if sd < 0.3 else rng.uniform(-np.sqrt(3) * sd, np.sqrt(3) * sd, 5000)
     stamps = np.sort(np.arange(5000) + late) * 0.01
     given = Channel("AF", swing(stamps) + noise * rng.normal(size=5000), "N", noise=noise or None)
     with pytest.warns(DataQualityWarning) as caught:
         recording = Recording.from_columns(stamps, {"AF": given}, name="rec")
     said = " ".join(str(item.message) for item in caught)
-    assert "the samples were not taken evenly" in said, entropy
+    assert "the samples were not taken evenly" in said
     assert f"jitter {np.std(late):.1f}"[:9] in said or sd < 0.1
     check_said_error(recording, said, noise)
     if noise:
@@ -156,17 +151,15 @@ def test_samples_that_jitter_are_put_on_a_steady_clock(sd, noise):
 
 
 @pytest.mark.parametrize("sd", [0.05, 0.2, 0.4])
-def test_samples_whose_stamps_alone_jitter_stay_as_they_are(sd):
-    rng, entropy = fresh()
+def test_samples_whose_stamps_alone_jitter_stay_as_they_are(sd, rng):
     stamps = np.sort(np.arange(5000) + rng.normal(0, sd, 5000)) * 0.01
     values = swing(np.arange(5000) * 0.01) + 0.01 * rng.normal(size=5000)
     with pytest.warns(DataQualityWarning, match="evenly spaced: the readings do not follow them"):
         recording = on(stamps, values)
-    np.testing.assert_array_equal(recording.channel("AF").values, values, err_msg=str(entropy))
+    np.testing.assert_array_equal(recording.channel("AF").values, values)
 
 
-def test_readings_that_do_not_tell_stay_as_they_are_and_it_is_said():
-    rng, _ = fresh()
+def test_readings_that_do_not_tell_stay_as_they_are_and_it_is_said(rng):
     stamps = np.arange(5000) * 0.01 + rng.uniform(-3e-3, 3e-3, 5000)
     values = 0.003 * swing(stamps) + rng.normal(size=5000)  # noise far above what the jitter does
     with pytest.warns(DataQualityWarning, match="do not tell whether they were; if they were not.* N of AF"):
@@ -174,8 +167,7 @@ def test_readings_that_do_not_tell_stay_as_they_are_and_it_is_said():
     np.testing.assert_array_equal(recording.channel("AF").values, values)
 
 
-def test_gaps_and_missing_samples_stay_missing_where_samples_jitter():
-    rng, entropy = fresh()
+def test_gaps_and_missing_samples_stay_missing_where_samples_jitter(rng):
     kept = np.setdiff1d(np.arange(5000), [*range(900, 960), 3000])
     stamps = kept * 0.01 + rng.uniform(-2e-3, 2e-3, kept.size)
     values = swing(stamps)
@@ -185,22 +177,21 @@ def test_gaps_and_missing_samples_stay_missing_where_samples_jitter():
     missing = np.isnan(recording.channel("AF").values)
     lost = np.flatnonzero(missing)
     for first, last in ((901, 958), (2061, 2063)):
-        assert missing[first : last + 1].all(), entropy
+        assert missing[first : last + 1].all()
     assert lost.size < 60 + 1 + 5 + 10
     check_said_error(recording, " ".join(str(item.message) for item in caught if "interpolated" in str(item.message)))
 
 
-def test_saturated_readings_are_left_out_where_samples_jitter():
-    rng, entropy = fresh()
+def test_saturated_readings_are_left_out_where_samples_jitter(rng):
     stamps = np.arange(5000) * 0.01 + rng.uniform(-2e-3, 2e-3, 5000)
     full = 20 * (swing(stamps) - 50)
     with pytest.warns(DataQualityWarning, match="saturated samples left out"):
         recording = on(stamps, np.minimum(full, 10.0))
     values, truth = recording.channel("AF").values, 20 * (swing(recording.time) - 50)
     known = np.isfinite(values)
-    assert np.isnan(values[truth > 14]).mean() > 0.9, entropy
+    assert np.isnan(values[truth > 14]).mean() > 0.9
     # what is beside a clipped stretch is known less well, by the curvature over one interval
-    assert np.std((values - truth)[known]) < 0.5, entropy
+    assert np.std((values - truth)[known]) < 0.5
 
 
 def test_a_rate_that_changes_is_refused_and_it_is_said_what_to_do():
@@ -229,8 +220,7 @@ def test_time_columns_that_carry_no_clock(stamps, said):
         on(np.array(stamps, dtype=float))
 
 
-def test_clock_finding_never_fails_otherwise():
-    rng, entropy = fresh()
+def test_clock_finding_never_fails_otherwise(rng):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
         for trial in range(500):
@@ -240,12 +230,12 @@ def test_clock_finding_never_fails_otherwise():
                 recording = on(stamps)
             except FitError:
                 continue
-            assert recording.rate > 0, (entropy, trial)
-            assert (np.diff(recording.rows) > 0).all(), (entropy, trial)
+            assert recording.rate > 0, trial
+            assert (np.diff(recording.rows) > 0).all(), trial
             # Rows are where their stamps are, to a sampling interval and what the stamps are rounded to.
             coarse = np.min(np.diff(stamps)[np.diff(stamps) > 0]) * recording.rate
             off = np.abs(recording.time[recording.rows] - recording.stamps) * recording.rate
-            assert off.max() <= max(1.0, coarse) + 1e-6, (entropy, trial)
+            assert off.max() <= max(1.0, coarse) + 1e-6, trial
 
 
 def test_channels_have_a_reading_per_row():
@@ -320,16 +310,14 @@ def test_a_clipped_sine_is_found(level, bits, sign):
     assert np.isin(np.flatnonzero(clipped), found).mean() > 0.9
 
 
-def test_a_clipped_ringing_with_noise_is_found():
-    rng, entropy = fresh()
+def test_a_clipped_ringing_with_noise_is_found(rng):
     full = np.exp(-TIME * 3) * np.cos(2 * np.pi * 66.4 * TIME) + rng.normal(0, 0.01, TIME.size)
     found = saturated(np.minimum(full, 0.6))
-    assert found.size > 50, entropy
-    assert (full[found] >= 0.6).all(), entropy
+    assert found.size > 50
+    assert (full[found] >= 0.6).all()
 
 
-def test_what_is_no_saturation():
-    rng, entropy = fresh()
+def test_what_is_no_saturation(rng):
     sine = np.sin(2 * np.pi * 20.3 * TIME)
     square = np.where(np.sin(2 * np.pi * 5 * TIME) > 0, 1.0, 0.0)
     ringing = np.exp(-TIME * 3) * np.cos(2 * np.pi * 66.4 * TIME)
@@ -355,7 +343,7 @@ def test_what_is_no_saturation():
         "sine and hold beside missing": np.where(sine > 0.9, np.nan, sine),
     }
     for name, values in cases.items():
-        assert saturated(values).size == 0, (name, entropy)
+        assert saturated(values).size == 0, name
 
 
 def test_rounded_stamps_tell_the_rate_by_their_turns():

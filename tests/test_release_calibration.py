@@ -21,7 +21,6 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.simulation.six_balance import random_balance
 from rigid_balance import HALF_RANGE, truth
-from seeds import generator
 from test_identification_releases import between, errors, felt, quietly, recording
 
 NOISE = 1e-5
@@ -83,8 +82,7 @@ def inertia_and_damping(fit: ReleaseFit, units: Units) -> Array:
 
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
-def test_slopes_are_those_of_true_refits(way: str) -> None:
-    rng = generator()
+def test_slopes_are_those_of_true_refits(way: str, rng) -> None:
     matrix = calibrated(rng, size=1e-5, way=way)
     tables = outputs_of_releases(matrix, rng)
     records, given = loads_by(matrix, tables)
@@ -118,8 +116,7 @@ def straightened(matrix: BalanceMatrix) -> BalanceMatrix:
     return replace(matrix, coefficients=matrix.coefficients * straight[:, None], covariance=covariance)
 
 
-def test_a_linear_error_turns_the_matrices_and_leaves_the_modes() -> None:
-    rng = generator()
+def test_a_linear_error_turns_the_matrices_and_leaves_the_modes(rng) -> None:
     matrix = straightened(calibrated(rng, size=1e-4))
     tables = outputs_of_releases(matrix, rng)
     records, given = loads_by(matrix, tables)
@@ -155,8 +152,7 @@ def covariance_of_turning(matrix: BalanceMatrix, A: Array, D: Array, names: tupl
     return np.asarray(flat @ coefficient_covariance(matrix) @ flat.T)
 
 
-def test_hidden_coordinates_are_turned_as_slow_motion_is() -> None:
-    rng = generator()
+def test_hidden_coordinates_are_turned_as_slow_motion_is(rng) -> None:
     matrix = straightened(calibrated(rng, size=1e-4))
     places = [COMPONENTS.index(name) for name in bending.NAMES]
     made = bending.recordings(bending.truth(), rng, noise=NOISE)
@@ -179,8 +175,7 @@ def test_hidden_coordinates_are_turned_as_slow_motion_is() -> None:
     assert (modes.u_natural_frequency < readings.u_natural_frequency).all()
 
 
-def test_errors_have_the_covariance_of_readings_and_calibration() -> None:
-    rng = generator()
+def test_errors_have_the_covariance_of_readings_and_calibration(rng) -> None:
     matrix = calibrated(rng, size=3e-5)
     wrong, _ = drawn(matrix, rng)
     tables = outputs_of_releases(matrix, rng)
@@ -208,8 +203,7 @@ def squares(found: CoupledDynamics, true: CoupledDynamics, whole: bool) -> float
     return float(z @ np.linalg.solve(covariance / np.outer(u, u), z))
 
 
-def test_errors_are_given_for_all_recordings_or_none() -> None:
-    rng = generator()
+def test_errors_are_given_for_all_recordings_or_none(rng) -> None:
     matrix = calibrated(rng, size=1e-5)
     _, given = loads_by(matrix, outputs_of_releases(matrix, rng))
     recordings = [recording(error.native, name) for error, name in zip(given, COMPONENTS, strict=True)]

@@ -39,15 +39,9 @@ from aerobalance.validation.fir_inverse import (
     undo,
 )
 from aerobalance.validation.scores import Truth, find_jumps, truth_on_clock
-from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
-
-
-@pytest.fixture
-def seed():
-    return new_seed()
 
 
 def recording(load, rate=RATE, **channels):
@@ -79,11 +73,10 @@ def amplitude_of(values, frequency):
     return np.hypot(*np.linalg.lstsq(basis, values, rcond=None)[0][:2])
 
 
-def test_raw_reading_is_the_reading_less_the_weight(seed):
-    generator = np.random.default_rng(seed)
-    load, pitch = generator.normal(size=200), generator.normal(size=200) * 0.1
+def test_raw_reading_is_the_reading_less_the_weight(rng):
+    load, pitch = rng.normal(size=200), rng.normal(size=200) * 0.1
     got = raw_reading(recording(load, pitch=pitch), T128, Settings()).values
-    assert got == pytest.approx(load - T128.mass * STANDARD_GRAVITY * np.sin(pitch), abs=1e-9), seed
+    assert got == pytest.approx(load - T128.mass * STANDARD_GRAVITY * np.sin(pitch), abs=1e-9)
     assert (raw_reading(recording(load), T128, Settings()).values == load).all()
 
 
@@ -127,22 +120,20 @@ def test_correction_factor_is_exact_for_a_steady_sine(frequency):
     assert np.abs(inner(shifted - force)).max() <= rest + spline + 1e-6
 
 
-def test_dominant_frequency_lies_between_the_lines(seed):
-    generator = np.random.default_rng(seed)
-    frequency, phase = generator.uniform(20, 300), generator.uniform(0, 2 * np.pi)
+def test_dominant_frequency_lies_between_the_lines(rng):
+    frequency, phase = rng.uniform(20, 300), rng.uniform(0, 2 * np.pi)
     time = np.arange(4000) / RATE
     found = dominant_frequency(7 + np.sin(2 * np.pi * frequency * time + phase), RATE)
     # the image at the negative frequency, more than 100 lines away, moves a Hann peak by less than 1e-4 of a line
-    assert found == pytest.approx(frequency, abs=1e-4 * RATE / 4000), seed
+    assert found == pytest.approx(frequency, abs=1e-4 * RATE / 4000)
     with pytest.raises(FitError, match="10 periods"):
         dominant_frequency(np.ones(100), RATE)
 
 
 @pytest.mark.parametrize("coupling", ["kinematic", "dc"])
-def test_accelerometer_correction_is_exact_for_kinematic_signals(coupling, seed):
-    generator = np.random.default_rng(seed)
+def test_accelerometer_correction_is_exact_for_kinematic_signals(coupling, rng):
     undamped = Dynamics("AF", 177.87, 3.093e7, 0.0)
-    load, acceleration, pitch = generator.normal(size=(3, 300))
+    load, acceleration, pitch = rng.normal(size=(3, 300))
     force = load + undamped.mass * (acceleration - STANDARD_GRAVITY * np.sin(pitch))  # Newton's law, no damper
     reading = acceleration - STANDARD_GRAVITY * np.sin(pitch) if coupling == "dc" else acceleration
     record = recording(load, pitch=pitch)
@@ -152,22 +143,21 @@ def test_accelerometer_correction_is_exact_for_kinematic_signals(coupling, seed)
     }
     record = Recording.from_columns(record.time, channels)
     got = accelerometer_correction(record, undamped, Settings()).values
-    assert got == pytest.approx(force, abs=1e-9 * np.abs(force).max()), seed
+    assert got == pytest.approx(force, abs=1e-9 * np.abs(force).max())
 
 
-def test_accelerometer_correction_lacks_only_the_damper_on_the_rig(seed):
-    generator = np.random.default_rng(seed)
+def test_accelerometer_correction_lacks_only_the_damper_on_the_rig(rng):
     rig = CableCut(
         cable_force=0.0,
-        applied=band_noise(generator, low=1, high=100, rms=300.0, period=4.0),
+        applied=band_noise(rng, low=1, high=100, rms=300.0, period=4.0),
         sensors={name: Sensor() for name in ("AF", "live_acceleration", "pitch")},
     )
-    run = rig.run(4.0, generator)
+    run = rig.run(4.0, rng)
     got = accelerometer_correction(run.recording, rig.dynamics, Settings()).values
     damper = rig.dynamics.damping / rig.dynamics.stiffness * np.gradient(run.load, 1 / RATE)
     assert np.std(got - run.applied) > 0.5 * np.std(damper)
     # what differences of the load over two samples miss at f0: 1 - sinc(2 f0 / rate) = 1.1 % of the damper's force
-    assert np.std(inner(got + damper - run.applied)) < 0.02 * np.std(damper), seed
+    assert np.std(inner(got + damper - run.applied)) < 0.02 * np.std(damper)
 
 
 def test_fir_inverse_of_a_delay_free_balance_is_a_delay():
@@ -180,17 +170,16 @@ def test_fir_inverse_of_a_delay_free_balance_is_a_delay():
 
 
 @pytest.mark.parametrize("weighted", [False, True])
-def test_fir_inverse_makes_its_normal_equations_hold(weighted, seed):
-    generator = np.random.default_rng(seed)
+def test_fir_inverse_makes_its_normal_equations_hold(weighted, rng):
     frequency = fit_frequencies(RATE)
-    weight = generator.uniform(0.5, 2, frequency.size) if weighted else None
+    weight = rng.uniform(0.5, 2, frequency.size) if weighted else None
     response = MeasuredResponse(frequency, T128.response(frequency), "model", weight)
     found = fir_inverse(response, rate=RATE, order=8, delay=4)
     basis = np.exp(-2j * np.pi / RATE * np.outer(frequency, np.arange(9)))
     miss = basis @ found - np.exp(-8j * np.pi * frequency / RATE) / response.values
     square = np.ones(frequency.size) if weight is None else weight**2
     slope = np.real(basis.conj().T @ (square * miss))
-    assert np.abs(slope).max() < 1e-10 * np.abs(basis.T @ (square / response.values)).max(), seed
+    assert np.abs(slope).max() < 1e-10 * np.abs(basis.T @ (square / response.values)).max()
 
 
 def test_fir_inverse_gives_a_steady_sine_back():
@@ -236,12 +225,11 @@ def test_response_of_a_noise_free_impulse():
     assert np.abs(response.values / T128.response(response.frequency) - 1)[low].max() < 0.05
 
 
-def test_response_needs_an_event(seed):
-    generator = np.random.default_rng(seed)
+def test_response_needs_an_event(rng):
     with pytest.raises(FitError, match="no step or impulse stands out"):
-        response_of_record(recording(generator.normal(size=4000)), "AF", natural_frequency=66.4, rate=RATE)
+        response_of_record(recording(rng.normal(size=4000)), "AF", natural_frequency=66.4, rate=RATE)
     with pytest.raises(FitError, match="twice that"):
-        response_of_record(recording(generator.normal(size=4000)), "AF", natural_frequency=66.4, rate=4 * RATE)
+        response_of_record(recording(rng.normal(size=4000)), "AF", natural_frequency=66.4, rate=4 * RATE)
 
 
 def smooth(generator, sensors=None, **more):
@@ -253,46 +241,43 @@ def smooth(generator, sensors=None, **more):
     ).run(4.0, generator)
 
 
-def test_inverses_are_at_home_under_a_broadband_load(seed):
-    generator = np.random.default_rng(seed)
-    run = smooth(generator)
+def test_inverses_are_at_home_under_a_broadband_load(rng):
+    run = smooth(rng)
     errors = {
         rival.__name__: np.std(inner(rival(run.recording, T128, Settings()).values - run.applied))
         for rival in (raw_reading, low_pass, fir_deconvolution, band_limited, central_differences)
     }
     # noise gain of the inverse to twice f0 is 0.5, of central differences 35 (METHOD of the paper's section 5)
-    assert errors["band_limited"] < 5.0, (errors, seed)
-    assert errors["fir_deconvolution"] < errors["low_pass"] / 4, (errors, seed)
-    assert errors["central_differences"] == pytest.approx(70.5, rel=0.15), (errors, seed)
-    assert errors["raw_reading"] > errors["low_pass"], (errors, seed)
+    assert errors["band_limited"] < 5.0, errors
+    assert errors["fir_deconvolution"] < errors["low_pass"] / 4, errors
+    assert errors["central_differences"] == pytest.approx(70.5, rel=0.15), errors
+    assert errors["raw_reading"] > errors["low_pass"], errors
 
 
-def test_low_pass_is_at_home_under_a_slow_load(seed):
-    generator = np.random.default_rng(seed)
+def test_low_pass_is_at_home_under_a_slow_load(rng):
     slow = CableCut(
         cable_force=0.0,
-        applied=band_noise(generator, low=0, high=4, rms=300.0, period=4.0),
+        applied=band_noise(rng, low=0, high=4, rms=300.0, period=4.0),
         sensors={"AF": Sensor(noise=10.0)},
-    ).run(4.0, generator)
+    ).run(4.0, rng)
     found = {row.name: row for row in estimates(slow.recording, T128) if row.ran}
     rms = {name: np.std(inner(row.values - slow.applied)) for name, row in found.items()}
-    assert rms["low-pass"] < 0.5 * rms["raw reading"], (rms, seed)
+    assert rms["low-pass"] < 0.5 * rms["raw reading"], rms
     # white noise through a low-pass at 22 Hz of 800 keeps sqrt(22 / 800) of 10 N
-    assert rms["low-pass"] == pytest.approx(10 * np.sqrt(22.1 / 800), rel=0.5), (rms, seed)
-    assert rms[THIS] < 1.2 * rms["low-pass"], (rms, seed)
+    assert rms["low-pass"] == pytest.approx(10 * np.sqrt(22.1 / 800), rel=0.5), rms
+    assert rms[THIS] < 1.2 * rms["low-pass"], rms
 
 
-def test_gravity_and_ground_motion_are_taken_off(seed):
-    generator = np.random.default_rng(seed)
+def test_gravity_and_ground_motion_are_taken_off(rng):
     run = smooth(
-        generator,
+        rng,
         sensors={name: Sensor() for name in ("AF", "ground_acceleration", "live_acceleration", "pitch")},
-        ground_acceleration=band_noise(generator, low=3, high=40, rms=1.0, period=4.0),
+        ground_acceleration=band_noise(rng, low=3, high=40, rms=1.0, period=4.0),
         pitch=lambda t: 0.1 * np.sin(2 * np.pi * 0.3 * t),
     )
     for rival in (fir_deconvolution, central_differences, band_limited):
         error = inner(rival(run.recording, T128, Settings()).values - run.applied)
-        assert np.std(error) < 0.3 * 177.87, (rival.__name__, seed)  # the ground's motion alone is 178 N rms
+        assert np.std(error) < 0.3 * 177.87, rival.__name__  # the ground's motion alone is 178 N rms
 
 
 def test_missing_channels_are_named():
@@ -306,18 +291,16 @@ def test_missing_channels_are_named():
     assert list(found) == list(RIVALS)
 
 
-def test_gaps_are_bridged(seed):
-    generator = np.random.default_rng(seed)
-    load = steady(3.0, seconds=2.0)[0] + generator.normal(size=3200)
+def test_gaps_are_bridged(rng):
+    load = steady(3.0, seconds=2.0)[0] + rng.normal(size=3200)
     load[1000:1003] = np.nan
     for row in estimates(recording(load), T128):
         if row.ran and row.name != "raw reading":
-            assert np.isfinite(row.values).all(), (row.name, seed)
+            assert np.isfinite(row.values).all(), row.name
 
 
-def test_with_a_truth_the_tuned_are_shown_at_their_best_too(seed):
-    generator = np.random.default_rng(seed)
-    run = smooth(generator)
+def test_with_a_truth_the_tuned_are_shown_at_their_best_too(rng):
+    run = smooth(rng)
     truth = Truth.of(run.applied, rate=RATE, natural_frequency=T128.natural_frequency)
     found = estimates(run.recording, T128, truth=truth)
     for name in TUNED:
@@ -326,7 +309,7 @@ def test_with_a_truth_the_tuned_are_shown_at_their_best_too(seed):
             customary, best = pair
             assert (customary.oracle, best.oracle) == (False, True)
             # the search ends within a step of its grid; the customary setting may lie on the optimum itself
-            assert truth.score(best.values).rms <= 1.02 * truth.score(customary.values).rms, (name, seed)
+            assert truth.score(best.values).rms <= 1.02 * truth.score(customary.values).rms, name
 
 
 def test_scores_of_a_known_error():
@@ -344,11 +327,10 @@ def test_scores_of_a_known_error():
 
 
 @pytest.mark.parametrize("frequency", [1.0, 66.0, 200.0])
-def test_smooth_loads_have_no_jumps(frequency, seed):
-    generator = np.random.default_rng(seed)
+def test_smooth_loads_have_no_jumps(frequency, rng):
     time = np.arange(8000) / RATE
     assert find_jumps(np.sin(2 * np.pi * frequency * time), width=2) == ()
-    assert find_jumps(band_noise(generator, low=0, high=frequency, rms=1.0, period=20.0)(time), width=2) == (), seed
+    assert find_jumps(band_noise(rng, low=0, high=frequency, rms=1.0, period=20.0)(time), width=2) == ()
     assert np.isnan(Truth.of(time, rate=RATE, natural_frequency=66.0).score(time).plateau)
 
 

@@ -20,11 +20,11 @@ from seeds import new_seed, trials
 def shared():
     return new_seed()
 
-def test_one(shared):
-    print("one", new_seed(), new_seed(), shared, trials(2, 20))
+def test_one(shared, rng, seed):
+    print("one", rng.integers(10**9), seed, shared, trials(2, 20))
 
-def test_two(shared):
-    print("two", new_seed(), shared)
+def test_two(shared, rng):
+    print("two", rng.integers(10**9), shared)
 
 @given(strategies.integers(0, 10**9))
 def test_three(number):
@@ -79,7 +79,7 @@ def test_a_seed_from_outside_gives_others_and_brings_them_back(drawn, monkeypatc
 
 
 def test_a_failure_says_how_to_bring_it_back(suite) -> None:
-    suite.makepyfile(test_fails="from seeds import new_seed\n\ndef test_it():\n    assert new_seed() is None\n")
+    suite.makepyfile(test_fails="def test_it(seed):\n    assert seed is None\n")
     result = suite.runpytest_subprocess("-q", "-n", "1", "--seed", "fresh")
     assert result.ret == 1
     said = result.stdout.str()

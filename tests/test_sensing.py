@@ -16,7 +16,6 @@ from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import LEAST_GAIN, corrected
-from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
@@ -27,11 +26,6 @@ INNER = slice(400, -400)
 # disturbance dies away as 2 * 0.5 / (2 pi t)^2 / 1600: 5e-5 at t = 0.56 s, from the inner part to where the record
 # fades.
 CLOSE = 1e-4
-
-
-@pytest.fixture
-def seed():
-    return new_seed()
 
 
 def record(**channels) -> Recording:
@@ -100,16 +94,15 @@ def test_of_a_load_a_tenth_of_the_magnitude_is_made_up_for():
         np.testing.assert_allclose(found[INNER], expected[INNER], atol=CLOSE)
 
 
-def test_force_of_a_sine_on_a_shaken_balance_with_two_filters(seed):
+def test_force_of_a_sine_on_a_shaken_balance_with_two_filters(rng):
     """F = 300 N and x1'' = 2 m/s^2 at 40 Hz, each with its phase; AF = G (F - M x1'') by Eq. (8)."""
-    generator = np.random.default_rng(seed)
     of_load, of_ground = AntiAlias("butterworth", 8, 250.0), AntiAlias("bessel", 4, 150.0)
     force, ground = 300 * np.exp(0.4j), 2 * np.exp(-1.1j)
     felt = complex(T128.response(FREQUENCY)) * (force - T128.mass * ground)
     noise = 0.5
     channels = {
         "AF": (
-            sine(felt * complex(of_load.response(FREQUENCY))) + generator.normal(0, noise, TIME.size),
+            sine(felt * complex(of_load.response(FREQUENCY))) + rng.normal(0, noise, TIME.size),
             {"noise": noise, "filter": of_load},
         ),
         "ground_acceleration": (
@@ -127,10 +120,10 @@ def test_force_of_a_sine_on_a_shaken_balance_with_two_filters(seed):
 
     # 1/|G| = 0.64 there: noise of 0.5 N over 3200 samples leaves 0.64 * 0.5 * sqrt(2 / 3200) = 0.008 N each way, six
     # times that is 0.05; the roll-off of order 16 at 80 Hz takes 300 / 2^16 = 0.005 N
-    assert abs(amplitude(estimate.values) - force) < 0.06, seed
+    assert abs(amplitude(estimate.values) - force) < 0.06
     plain = {name: (part[0], {"noise": part[1]["noise"]}) if isinstance(part, tuple) else part
              for name, part in channels.items()}  # fmt: skip
-    assert abs(amplitude(reconstruct(record(**plain), T128, bandwidth=80.0).values) - force) > 30, seed
+    assert abs(amplitude(reconstruct(record(**plain), T128, bandwidth=80.0).values) - force) > 30
 
 
 def test_missing_samples_stay_missing_with_their_neighbours():
@@ -146,9 +139,8 @@ def test_nothing_to_undo_gives_the_same_recording():
     assert corrected(given) is given
 
 
-def test_cross_axis_sensitivity_is_taken_off_and_its_uncertainty_flows_on(seed):
-    generator = np.random.default_rng(seed)
-    along, up = sine(2.0), generator.normal(0, 5.0, TIME.size)
+def test_cross_axis_sensitivity_is_taken_off_and_its_uncertainty_flows_on(rng):
+    along, up = sine(2.0), rng.normal(0, 5.0, TIME.size)
     part = CrossAxis("ground_acceleration_z", 0.02, 0.005)
     given = record(
         AF=(sine(100.0), {"noise": 1.0}),
@@ -165,7 +157,7 @@ def test_cross_axis_sensitivity_is_taken_off_and_its_uncertainty_flows_on(seed):
     np.testing.assert_allclose(np.abs(found.slopes[:, 0]), T128.mass * np.abs(up))
     np.testing.assert_allclose(found.deviation, T128.mass * 0.005 * np.abs(up))
     smooth = reconstruct(given, T128)
-    assert "cross-axis sensitivity to ground_acceleration_z" in smooth.budget, seed
+    assert "cross-axis sensitivity to ground_acceleration_z" in smooth.budget
     without = {name: channel for name, channel in given.channels.items() if name != "ground_acceleration_z"}
     with pytest.raises(FitError, match="ground_acceleration is sensitive to ground_acceleration_z, which is not"):
         reconstruct(replace(given, channels=without), T128)

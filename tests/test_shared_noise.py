@@ -22,7 +22,6 @@ from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import SixSimulation
 from aerobalance.simulation.six_signals import Band, broadband
 from aerobalance.uncertainty.monte_carlo import monte_carlo_of_coupled
-from seeds import fresh
 
 DURATION = 0.5
 SOFT = Band(0, 200, order=2)
@@ -80,8 +79,7 @@ def _random_matrix(rng: np.random.Generator) -> NoiseMatrix:
     )
 
 
-def test_what_is_left_is_the_best_of_all_channels() -> None:
-    rng, seed = fresh()
+def test_what_is_left_is_the_best_of_all_channels(rng) -> None:
     spectra = _random_matrix(rng)
     inverse = np.linalg.inv(spectra.whole + spectra.force[:, :, None] * np.eye(3))
     for place in range(3):
@@ -89,30 +87,27 @@ def test_what_is_left_is_the_best_of_all_channels() -> None:
         weights, left, least = spectra.left_of(place, others)
         # S (S + E)^-1 z, row by row, is S / (S + left) of z_i - B z_o: the inverse of a matrix in blocks
         diagonal = np.real(inverse[:, place, place])
-        np.testing.assert_allclose(left, 1 / diagonal - spectra.force[:, place], rtol=1e-9, err_msg=f"seed {seed}")
+        np.testing.assert_allclose(left, 1 / diagonal - spectra.force[:, place], rtol=1e-9)
         expected = -inverse[:, place, others] / diagonal[:, None]
-        np.testing.assert_allclose(weights, expected, rtol=1e-9, atol=1e-12, err_msg=f"seed {seed}")
+        np.testing.assert_allclose(weights, expected, rtol=1e-9, atol=1e-12)
         unseen = np.linalg.inv(spectra.own)
-        np.testing.assert_allclose(least, 1 / np.real(unseen[:, place, place]), rtol=1e-9, err_msg=f"seed {seed}")
+        np.testing.assert_allclose(least, 1 / np.real(unseen[:, place, place]), rtol=1e-9)
         assert (least <= left).all()
 
 
-def test_a_force_that_is_not_seen_may_still_be_there() -> None:
-    rng, _ = fresh()
+def test_a_force_that_is_not_seen_may_still_be_there(rng) -> None:
     spectra = _random_matrix(rng)
     silent = replace(spectra, force=np.zeros_like(spectra.force))
     np.testing.assert_allclose(silent.felt, UNSEEN * np.real(np.einsum("mjj->mj", spectra.whole)))
 
 
-def test_filters_are_centred_sums() -> None:
-    rng, _ = fresh()
+def test_filters_are_centred_sums(rng) -> None:
     weights, series = rng.normal(size=(7, 2)), rng.normal(size=(40, 2))
     expected = sum(np.convolve(series[:, k], weights[:, k])[3:-3] for k in range(2))
     np.testing.assert_allclose(filtered(weights, series), expected, atol=1e-12)
 
 
-def test_noise_response_is_that_of_the_filters() -> None:
-    rng, seed = fresh()
+def test_noise_response_is_that_of_the_filters(rng) -> None:
     balance = random_balance(rng)
     simulation = SixComponentRig(balance, output="loads").run(0.02, rng)
     record = CoupledRecord.of(simulation.recording, balance.dynamics)
@@ -129,11 +124,10 @@ def test_noise_response_is_that_of_the_filters() -> None:
         read = lone.reading(sines, interval=1 / rate)[late]
         found = 2j * np.mean(read * np.exp(-2j * np.pi * frequency * time[late]))
         size = abs(expected) + 1e-6 * balance.half_range[lone.place]
-        assert abs(found - expected) < 1e-3 * size, f"seed {seed}"
+        assert abs(found - expected) < 1e-3 * size
 
 
-def test_soft_loads_come_back_as_from_all_channels() -> None:
-    rng, seed = fresh()
+def test_soft_loads_come_back_as_from_all_channels(rng) -> None:
     balance, simulation = _soft_loads(rng)
     row, joint = _bounds(balance, simulation.recording.rate)
     _, shared = _record(balance, simulation)
@@ -145,22 +139,21 @@ def test_soft_loads_come_back_as_from_all_channels() -> None:
         error = (estimate.values - simulation.applied[:, place])[inner]
         # the bound of one record scatters by 1 / sqrt(4 T B) with a band B of some 1000 Hz, 2 %; the spectrum has
         # to be learned as well, which costs up to 10 %
-        assert np.sqrt(np.mean(error**2)) < 1.25 * joint[place], f"{name}, seed {seed}"
+        assert np.sqrt(np.mean(error**2)) < 1.25 * joint[place], f"{name}"
         # what is expected of it may have been missed by what might be there unseen
-        assert 0.97 * joint[place] < shared[name].error * row[place] < 1.25 * joint[place], f"{name}, seed {seed}"
+        assert 0.97 * joint[place] < shared[name].error * row[place] < 1.25 * joint[place], f"{name}"
         covered = float(np.mean(np.abs(error) < 1.96 * estimate.uncertainty[inner]))
-        assert 0.88 < covered < 0.995, f"{name}, seed {seed}"
+        assert 0.88 < covered < 0.995, f"{name}"
         assert "other components show" in estimate.method
         assert estimate.shared is not None
         # it is judged from the upper half of the spectrum: n / 4 powers, each as uncertain as it is large, so five
         # standard deviations are 5 / sqrt(n); a soft load still puts up to a percent there
         off = 5 / np.sqrt(simulation.recording.samples) + 0.01
-        assert estimate.noise == pytest.approx(balance.noise * balance.half_range[place], rel=off), f"seed {seed}"
+        assert estimate.noise == pytest.approx(balance.noise * balance.half_range[place], rel=off)
 
 
-def test_what_is_left_is_as_noisy_as_said() -> None:
+def test_what_is_left_is_as_noisy_as_said(rng) -> None:
     """Taken off a record of noise alone, whatever the forces of the record that the filters are for."""
-    rng, seed = fresh()
     balance, simulation = _soft_loads(rng)
     record, shared = _record(balance, simulation)
     calm = SixComponentRig(balance, applied=lambda time: np.zeros((time.size, 6)), output="loads")
@@ -178,12 +171,11 @@ def test_what_is_left_is_as_noisy_as_said() -> None:
             band = (frequency > low) & (frequency < high)
             ratio = float(np.mean(power[band]) / np.mean(said[band]))
             # at most what is said, as what may be there unseen is not; beside the scatter of some 350 ordinates
-            assert ratio < 1.3, f"{name}, {low}-{high} Hz, seed {seed}"
-            assert ratio > 0.1, f"{name}, {low}-{high} Hz, seed {seed}"
+            assert ratio < 1.3, f"{name}, {low}-{high} Hz"
+            assert ratio > 0.1, f"{name}, {low}-{high} Hz"
 
 
-def test_wrong_matrices_are_counted_in_all_rows_that_have_a_part() -> None:
-    rng, seed = fresh()
+def test_wrong_matrices_are_counted_in_all_rows_that_have_a_part(rng, seed) -> None:
     w, unit = 2 * np.pi * np.array([300.0, 80.0]), np.outer([1000.0, 50.0], [1 / 1000, 1 / 50])
     inertia = np.array([[1.0, rng.uniform(1, 2)], [rng.uniform(-0.2, 0.2), 1.0]]) / np.outer(w, w) * unit
     damping = np.array([[0.03, 0.01], [0.01, 0.05]]) / np.sqrt(np.outer(w, w)) * unit
@@ -198,16 +190,15 @@ def test_wrong_matrices_are_counted_in_all_rows_that_have_a_part() -> None:
     }
     recording = Recording.from_columns(time[::4], channels)
     found = reconstruct_coupled(recording, known, hum="keep")
-    assert found["NF"].shared is not None, f"seed {seed}"
+    assert found["NF"].shared is not None
     part = next(part for part in found["NF"].contributions if part.source == "dynamics")
     # every draw takes the record apart anew; the eight numbers drawn have their covariance but for 24 of 25
     checked = monte_carlo_of_coupled(recording, known, found, draws=25, seed=int(seed % 2**32))["NF"]
     drawn = next(row for row in checked.contributions if row.name == part.name)
-    assert drawn.ratio == pytest.approx(np.sqrt(24 / 25), rel=0.03), f"seed {seed}"
+    assert drawn.ratio == pytest.approx(np.sqrt(24 / 25), rel=0.03)
 
 
-def test_nothing_is_improved_beside_gaps_and_ends() -> None:
-    rng, _ = fresh()
+def test_nothing_is_improved_beside_gaps_and_ends(rng) -> None:
     spectra = _random_matrix(rng)
     spectra = replace(spectra, frequency=np.linspace(0, 500, 5), force=spectra.force * 0.02)
     present = np.ones((400, 3), dtype=bool)
@@ -223,8 +214,7 @@ def test_nothing_is_improved_beside_gaps_and_ends() -> None:
     np.testing.assert_allclose(one.level, expected)
 
 
-def test_channels_that_are_read_later_share_their_noise_as_late() -> None:
-    rng, seed = fresh()
+def test_channels_that_are_read_later_share_their_noise_as_late(rng) -> None:
     balance, simulation = _soft_loads(rng)
     late = rng.uniform(0, 0.3, 6) / simulation.recording.rate
     load = broadband(rng, SOFT, rms=0.1 * balance.half_range, period=2 * DURATION)
@@ -246,13 +236,12 @@ def test_channels_that_are_read_later_share_their_noise_as_late() -> None:
         error = (estimate.values - load(clock - late[place])[:, place])[inner]
         # noise near half the sampling rate is weakened where a channel is read later by half a sample
         most = row[place] if estimate.shared is None else joint[place]
-        assert np.sqrt(np.mean(error**2)) < 1.25 * most, f"{name}, seed {seed}"
+        assert np.sqrt(np.mean(error**2)) < 1.25 * most, f"{name}"
 
 
-def test_sharp_bands_alike_have_nothing_to_share() -> None:
+def test_sharp_bands_alike_have_nothing_to_share(rng) -> None:
     """Within the band every force is far above the noise, and beyond it there is none to be made better."""
-    rng, seed = fresh()
     balance = random_balance(rng)
     load = broadband(rng, Band(0, 300), rms=0.1 * balance.half_range, period=2 * DURATION)
     simulation = SixComponentRig(balance, applied=load, output="loads").run(DURATION, rng)
-    assert not _record(balance, simulation)[1], f"seed {seed}"
+    assert not _record(balance, simulation)[1]

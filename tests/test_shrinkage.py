@@ -8,7 +8,6 @@ from scipy import stats
 from aerobalance.balance.calibration.selection import WORTH_LEAVING, select
 from aerobalance.balance.calibration.shrinkage import TAILS, Coefficients, Fitted, shrink
 from aerobalance.recording.channel import Array
-from seeds import generator
 
 COMPONENTS, LINEAR, OF_A_KIND, POINTS = 6, 6, 15, 200
 
@@ -36,8 +35,7 @@ def of_kind(kind: int, values: Array) -> Array:
     return values[:, kind == KINDS]
 
 
-def test_each_kind_is_drawn_to_zero_as_far_as_it_is_not_there() -> None:
-    rng = generator()
+def test_each_kind_is_drawn_to_zero_as_far_as_it_is_not_there(rng) -> None:
     width = np.choose(KINDS, [1.0, 0.0, SIGMA, 10 * SIGMA])
     truth = rng.normal(0, 1, (COMPONENTS, KINDS.size)) * width
     points, _ = readings(truth, rng)
@@ -60,8 +58,7 @@ def test_each_kind_is_drawn_to_zero_as_far_as_it_is_not_there() -> None:
         assert 1 / ratio < np.mean(of_kind(kind, error * SIGMA**2 / own)) < ratio
 
 
-def test_a_few_large_among_many_that_are_not_there_stay_as_they_are() -> None:
-    rng = generator()
+def test_a_few_large_among_many_that_are_not_there_stay_as_they_are(rng) -> None:
     truth = np.where(KINDS == 0, 1.0, 0.0) * np.ones((COMPONENTS, 1))
     few = [(0, 10), (2, 30), (5, 44)]
     for place in few:
@@ -79,16 +76,14 @@ def test_a_few_large_among_many_that_are_not_there_stay_as_they_are() -> None:
     assert np.sum(found.mean[none] ** 2) < 0.5 * np.sum(ordinary[none] ** 2)
 
 
-def test_readings_without_noise_are_left_alone() -> None:
-    rng = generator()
+def test_readings_without_noise_are_left_alone(rng) -> None:
     truth = rng.normal(0, 1, (COMPONENTS, KINDS.size)) * np.choose(KINDS, [1.0, 0.0, 1e-3, 1e-2])
     points, _ = readings(truth, rng, noise=0.0)
     # orthonormal designs, and coefficients of one: a hundred roundings
     np.testing.assert_allclose(shrink(points, KINDS).mean, truth, rtol=0, atol=1e-13)
 
 
-def test_linear_terms_alone_are_least_squares() -> None:
-    rng = generator()
+def test_linear_terms_alone_are_least_squares(rng) -> None:
     truth = rng.normal(0, 1, (COMPONENTS, LINEAR))
     points, ordinary = readings(truth, rng)
     found = shrink(points, np.zeros(LINEAR, dtype=np.intp))
@@ -96,8 +91,7 @@ def test_linear_terms_alone_are_least_squares() -> None:
     assert not found.penalty.any()
 
 
-def test_what_is_left_out_is_together_not_significant() -> None:
-    rng = generator()
+def test_what_is_left_out_is_together_not_significant(rng) -> None:
     t = KINDS.size
     factor = rng.normal(size=(t, t)) / np.sqrt(t)
     covariance = factor @ factor.T + 0.1 * np.eye(t)

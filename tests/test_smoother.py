@@ -8,7 +8,6 @@ from scipy.linalg import expm
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE, Filter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
-from seeds import new_seed
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 INTERVAL = 1 / 1600
@@ -58,51 +57,49 @@ def dense(system: StateSpace, present: np.ndarray, readings: np.ndarray) -> tupl
     return mean, variance.reshape(n, d)[:, FORCE], of_readings
 
 
-def case(order: int, *, missing: bool) -> tuple[StateSpace, np.ndarray, np.ndarray, int]:
-    seed = new_seed()
-    generator = np.random.default_rng(seed)
+def case(rng: np.random.Generator, order: int, *, missing: bool) -> tuple[StateSpace, np.ndarray, np.ndarray]:
     force = butterworth(order, cutoff=120.0, density=500.0)
     system = StateSpace.of_balance(T128, force, interval=INTERVAL, noise=2.0, input_density=0.5, swing=30.0)
     present = np.ones(60, dtype=bool)
     if missing:
-        present[generator.choice(60, 12, replace=False)] = False
+        present[rng.choice(60, 12, replace=False)] = False
         present[0] = False
         present[30:36] = False
-    return system, present, np.where(present, generator.normal(0, 300, 60), 0.0), seed
+    return system, present, np.where(present, rng.normal(0, 300, 60), 0.0)
 
 
 @pytest.mark.parametrize("missing", [False, True], ids=["whole", "gaps"])
 @pytest.mark.parametrize("order", ORDERS)
-def test_smoother_is_dense_conditioning(order, missing):
-    system, present, readings, seed = case(order, missing=missing)
+def test_smoother_is_dense_conditioning(order, missing, rng):
+    system, present, readings = case(rng, order, missing=missing)
     mean, variance, _ = dense(system, present, readings)
     states, found = Filter.of(system, present).smooth(readings)
     assert states.shape == (60, 3)
     # The gain is frozen at a change of 1e-8 a sample, which leaves at most 1e-8 times the settling time (about 100).
     mean = mean[:, :3]
     scale = np.max(np.abs(mean), axis=0)
-    assert np.max(np.abs(states - mean) / scale) < 1e-6, seed
-    assert found == pytest.approx(variance, rel=1e-6), seed
+    assert np.max(np.abs(states - mean) / scale) < 1e-6
+    assert found == pytest.approx(variance, rel=1e-6)
 
 
 @pytest.mark.parametrize("missing", [False, True], ids=["whole", "gaps"])
-def test_innovations_are_the_dense_likelihood(missing):
-    system, present, readings, seed = case(4, missing=missing)
+def test_innovations_are_the_dense_likelihood(missing, rng):
+    system, present, readings = case(rng, 4, missing=missing)
     covariance = dense(system, present, readings)[2]
     filter_ = Filter.of(system, present)
     white = filter_.whiten(readings[:, None])[:, 0]
     y = readings[present]
-    assert white @ white == pytest.approx(y @ np.linalg.solve(covariance, y), rel=1e-6), seed
-    assert filter_.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-6), seed
+    assert white @ white == pytest.approx(y @ np.linalg.solve(covariance, y), rel=1e-6)
+    assert filter_.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-6)
 
 
-def test_whitening_several_series_is_whitening_each():
-    system, present, _, seed = case(2, missing=True)
-    series = np.random.default_rng(seed).normal(size=(60, 3))
+def test_whitening_several_series_is_whitening_each(rng):
+    system, present, _ = case(rng, 2, missing=True)
+    series = rng.normal(size=(60, 3))
     filter_ = Filter.of(system, present)
     together = filter_.whiten(series)
     for column in range(3):
-        assert (together[:, column] == filter_.whiten(series[:, [column]])[:, 0]).all(), seed
+        assert (together[:, column] == filter_.whiten(series[:, [column]])[:, 0]).all()
     assert (together[~present] == 0).all()
 
 

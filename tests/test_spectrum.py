@@ -8,7 +8,6 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, Periodogram, Spectrum, leaked
 from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE, _cheapest
 from aerobalance.estimation.spectra.whittle import fit_spectrum
-from seeds import fresh
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
@@ -28,12 +27,11 @@ def fit(values: np.ndarray, *, dynamics=T128):
     return fit_spectrum(Periodogram.of(values - values.mean(), dynamics, interval=1 / RATE))
 
 
-def test_periodogram_is_a_density():
-    generator, seed = fresh()
-    periodogram = Periodogram.of(generator.normal(0, 3, 20_000), STIFF, interval=1 / RATE)
+def test_periodogram_is_a_density(rng):
+    periodogram = Periodogram.of(rng.normal(0, 3, 20_000), STIFF, interval=1 / RATE)
     mean = np.average(periodogram.density, weights=periodogram.weight)
     # 10,000 ordinates worth half: 1.4 %; 5 of these
-    assert mean == pytest.approx(9 / RATE, rel=0.07), seed
+    assert mean == pytest.approx(9 / RATE, rel=0.07)
     assert np.sum(periodogram.weight) == pytest.approx(10_000 / HANN_BANDWIDTH, rel=0.01)
     # f0 = 0.9 MHz: (800 / f0)^2 is 1e-6, twice that in the square
     assert periodogram.gain == pytest.approx(np.ones(periodogram.gain.size), rel=1e-5)
@@ -60,90 +58,82 @@ def test_leakage_of_the_window():
 
 
 @pytest.mark.parametrize("edge", [30.0, 120.0, 300.0])
-def test_sharp_band_is_found(edge):
-    generator, seed = fresh()
+def test_sharp_band_is_found(edge, rng):
     level = 500.0**2 / (2 * edge)
-    found = fit(felt(generator, lambda f: np.where(f <= edge, level, 0.0)))
-    assert found.spectrum.roll_off is None, seed
-    assert found.spectrum.edges[0] == pytest.approx(edge, abs=0.4), seed  # two ordinates
+    found = fit(felt(rng, lambda f: np.where(f <= edge, level, 0.0)))
+    assert found.spectrum.roll_off is None
+    assert found.spectrum.edges[0] == pytest.approx(edge, abs=0.4)  # two ordinates
     ordinates = edge / 0.2 / HANN_BANDWIDTH
-    assert found.spectrum.levels[0] == pytest.approx(level, rel=5 / np.sqrt(ordinates)), seed
-    assert not found.spectrum.levels[1:].any(), seed
+    assert found.spectrum.levels[0] == pytest.approx(level, rel=5 / np.sqrt(ordinates))
+    assert not found.spectrum.levels[1:].any()
     # the noise shows on 500 to 770 Hz of 0.2 Hz ordinates, worth half: 1.8 % of its variance; 5 of these
-    assert found.noise_density == pytest.approx(4 / RATE, rel=0.14), seed
+    assert found.noise_density == pytest.approx(4 / RATE, rel=0.14)
 
 
 @pytest.mark.parametrize(("corner", "order"), [(10.0, 1), (60.0, 2), (60.0, 4)])
-def test_roll_off_is_found(corner, order):
-    generator, seed = fresh()
-    found = fit(felt(generator, lambda f: 1000 / (1 + (f / corner) ** (2 * order)), noise=10.0))
-    assert found.spectrum.roll_off is not None, seed
+def test_roll_off_is_found(corner, order, rng):
+    found = fit(felt(rng, lambda f: 1000 / (1 + (f / corner) ** (2 * order)), noise=10.0))
+    assert found.spectrum.roll_off is not None
     frequency = np.array([0.5, 1.0, 2.0]) * corner
     truth = 1000 / (1 + (frequency / corner) ** (2 * order))
     # three numbers from at least 10 / 0.2 / 1.94 = 26 ordinates below the corner (10 Hz), 155 (60 Hz), and as many in
     # the slope: one standard deviation 1.7 / sqrt(26) = 0.33 and 0.14 of the logarithm; 4 of these
     spread = 4 * np.sqrt(3 / (corner / 0.2 / HANN_BANDWIDTH))
-    assert np.max(np.abs(np.log(found.spectrum.density(frequency) / truth))) < spread, seed
+    assert np.max(np.abs(np.log(found.spectrum.density(frequency) / truth))) < spread
 
 
-def test_gauss_spectrum_is_found():
-    generator, seed = fresh()
-    found = fit(felt(generator, lambda f: 2000 * np.exp(-0.5 * (f / 40) ** 2)))
-    assert found.spectrum.roll_off is not None, seed
+def test_gauss_spectrum_is_found(rng):
+    found = fit(felt(rng, lambda f: 2000 * np.exp(-0.5 * (f / 40) ** 2)))
+    assert found.spectrum.roll_off is not None
     frequency = np.array([20.0, 40.0, 80.0])
     truth = 2000 * np.exp(-0.5 * (frequency / 40) ** 2)
     # q ends at 90, where (1 + x^2 / 90)^-90 differs from exp(-x^2) by x^4 / 180: 2 % at 80 Hz; 4 standard deviations
-    assert np.max(np.abs(np.log(found.spectrum.density(frequency) / truth))) < 0.02 + 4 * np.sqrt(3 / 100), seed
+    assert np.max(np.abs(np.log(found.spectrum.density(frequency) / truth))) < 0.02 + 4 * np.sqrt(3 / 100)
 
 
-def test_line_is_found_beside_a_band():
-    generator, seed = fresh()
-    values = felt(generator, lambda f: np.where(f <= 60, 500.0, 0.0))
+def test_line_is_found_beside_a_band(rng):
+    values = felt(rng, lambda f: np.where(f <= 60, 500.0, 0.0))
     t = np.arange(values.size) / RATE
-    values += 400 * np.abs(T128.response(40.0)) * np.cos(2 * np.pi * 40 * t + generator.uniform(0, 6))
+    values += 400 * np.abs(T128.response(40.0)) * np.cos(2 * np.pi * 40 * t + rng.uniform(0, 6))
     spectrum = fit(values).spectrum
     # its power of 80,000 N^2 stands on 2 x 0.3 Hz (the window's width): over 100 times the level around
-    assert spectrum.density(np.array([40.0]))[0] > 20 * 500.0, seed
-    assert spectrum.density(np.array([30.0, 50.0])) == pytest.approx([500.0, 500.0], rel=0.5), seed
+    assert spectrum.density(np.array([40.0]))[0] > 20 * 500.0
+    assert spectrum.density(np.array([30.0, 50.0])) == pytest.approx([500.0, 500.0], rel=0.5)
 
 
-def test_nothing_is_found_in_noise():
-    generator, seed = fresh()
-    found = fit(generator.normal(0, 2, 8000))
+def test_nothing_is_found_in_noise(rng):
+    found = fit(rng.normal(0, 2, 8000))
     # every change costs 10 in log-likelihood, which 600 averages reach with 600 exp(-10) = 3 %, and one level alone 4,
     # then the evidence's price of two parameters, 8 more
-    assert not found.spectrum.levels.any(), seed
-    assert found.noise_density == pytest.approx(4 / RATE, rel=5 * np.sqrt(HANN_BANDWIDTH / 4000)), seed
+    assert not found.spectrum.levels.any()
+    assert found.noise_density == pytest.approx(4 / RATE, rel=5 * np.sqrt(HANN_BANDWIDTH / 4000))
 
 
-def test_color_above_resonance_is_no_strong_force():
+def test_color_above_resonance_is_no_strong_force(rng):
     # a second mode in the reading at 300 Hz, where the balance shows 1 / 19 of a force: 360 times 30 N^2/Hz as a force
-    generator, seed = fresh()
-    values = felt(generator, lambda f: np.where(f <= 30, 500.0, 0.0))
-    colored = felt(generator, lambda f: 30.0 / (1 + ((f - 300) / 5) ** 2), noise=0.0, dynamics=STIFF)
+    values = felt(rng, lambda f: np.where(f <= 30, 500.0, 0.0))
+    colored = felt(rng, lambda f: 30.0 / (1 + ((f - 300) / 5) ** 2), noise=0.0, dynamics=STIFF)
     spectrum = fit(values + colored).spectrum
     below, above = spectrum.density(np.array([15.0]))[0], np.max(spectrum.density(np.linspace(100, 800, 7001)))
     # two steps of the grid of levels, 20 a decade, lie between
-    assert above <= 10 ** (2 / 20) * below, seed
+    assert above <= 10 ** (2 / 20) * below
 
 
-def test_long_records_are_averaged(monkeypatch):
-    generator, seed = fresh()
+def test_long_records_are_averaged(monkeypatch, rng):
     monkeypatch.setattr("aerobalance.estimation.spectra.periodogram.LONGEST", 2048)
-    values = felt(generator, lambda f: np.where(f <= 120, 1000.0, 0.0), n=40_000)
+    values = felt(rng, lambda f: np.where(f <= 120, 1000.0, 0.0), n=40_000)
     periodogram = Periodogram.of(values - values.mean(), T128, interval=1 / RATE)
     assert periodogram.ordinates.shape[1] == 1022
     assert np.sum(periodogram.weight) == pytest.approx(20_000 / HANN_BANDWIDTH, rel=0.01)
     spectrum = fit_spectrum(periodogram).spectrum
-    assert spectrum.edges[0] == pytest.approx(120.0, abs=2 * RATE / 2048), seed
+    assert spectrum.edges[0] == pytest.approx(120.0, abs=2 * RATE / 2048)
 
 
-def test_path_of_least_cost_is_that_of_all_paths():
-    generator, seed = fresh()
-    cost = generator.normal(0, 30, (6, 3))
+def test_path_of_least_cost_is_that_of_all_paths(rng):
+    cost = rng.normal(0, 30, (6, 3))
     paths = np.stack(np.meshgrid(*[np.arange(3)] * 6, indexing="ij"), -1).reshape(-1, 6)
     total = cost[np.arange(6), paths].sum(axis=1) + CHANGE_EVIDENCE * np.count_nonzero(np.diff(paths), axis=1)
-    assert (_cheapest(cost) == paths[np.argmin(total)]).all(), seed
+    assert (_cheapest(cost) == paths[np.argmin(total)]).all()
 
 
 def test_density_of_segments_and_roll_off():

@@ -16,7 +16,6 @@ from aerobalance.estimation.steps import Step
 from aerobalance.motion.single_axis import GroundMotion, load_from_ground
 from aerobalance.recording.errors import FitError
 from aerobalance.simulation import CableCut, Sensor
-from seeds import fresh
 from test_smoother import butterworth
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
@@ -93,76 +92,72 @@ def offline(live: LiveForce, learned: Learned, readings: np.ndarray, k: int) -> 
 
 @pytest.mark.parametrize("dynamics", [T128, TWO_MODES], ids=["one mode", "two modes"])
 @pytest.mark.parametrize("missing", [False, True], ids=["whole", "gaps"])
-def test_live_is_the_smoother_up_to_its_lag(dynamics, missing):
-    generator, seed = fresh()
+def test_live_is_the_smoother_up_to_its_lag(dynamics, missing, rng):
     learned = second_order()
-    readings, _ = drawn(generator, 1800, learned=learned, dynamics=dynamics)
+    readings, _ = drawn(rng, 1800, learned=learned, dynamics=dynamics)
     if missing:
-        readings = with_gaps(generator, readings)
+        readings = with_gaps(rng, readings)
     live = LiveForce(dynamics, interval=1 / RATE, learned=learned)
     force, uncertainty = streamed(live, readings, [100] * 5)
-    assert not live.steps, seed
+    assert not live.steps
     reach = np.nanmax(np.abs(readings))
-    for k in (0, 5, *generator.integers(6, 1800, 12), 1799):
+    for k in (0, 5, *rng.integers(6, 1800, 12), 1799):
         value, deviation = offline(live, learned, readings, int(k))
         # 1e-9 of range with a gain that is frozen or has weights of its own for every sample; between these, sixteen
         # samples share weights while the gain changes by up to 1e-5 a sample: 1.6e-4 of what the smoothing adds, which
         # is some ten times the uncertainty at most
         exact = abs(force[k] - value) < 1e-9 * reach
-        assert exact or abs(force[k] - value) < 2e-3 * deviation, (seed, k)
-        assert uncertainty[k] == pytest.approx(deviation, rel=2e-3), (seed, k)
+        assert exact or abs(force[k] - value) < 2e-3 * deviation, k
+        assert uncertainty[k] == pytest.approx(deviation, rel=2e-3), k
 
 
-def test_settled_live_force_is_exact():
-    generator, seed = fresh()
+def test_settled_live_force_is_exact(rng):
     learned = second_order(cutoff=300.0)
-    readings, _ = drawn(generator, 2400, learned=learned)
+    readings, _ = drawn(rng, 2400, learned=learned)
     live = LiveForce(T128, interval=1 / RATE, learned=learned)
     force, _ = streamed(live, readings)
     reach = np.max(np.abs(readings))
     # frozen at a change of 1e-8 a sample: what that leaves out is it times a memory of tens of samples, of what the
     # smoothing adds, a hundredth of the range
-    for k in (*generator.integers(1500, 2400, 8), 2399):
-        assert abs(force[k] - offline(live, learned, readings, int(k))[0]) < 1e-8 * reach, (seed, k)
+    for k in (*rng.integers(1500, 2400, 8), 2399):
+        assert abs(force[k] - offline(live, learned, readings, int(k))[0]) < 1e-8 * reach, k
 
 
 @pytest.mark.parametrize("what", ["whole", "gaps", "step", "learning", "ground"])
-def test_chunks_do_not_matter(what):
-    generator, seed = fresh()
+def test_chunks_do_not_matter(what, rng):
     learned = None if what == "learning" else second_order()
-    readings, _ = drawn(generator, 2600, learned=second_order(density=5.0))
+    readings, _ = drawn(rng, 2600, learned=second_order(density=5.0))
     channels = {}
     if what == "gaps":
-        readings = with_gaps(generator, readings)
+        readings = with_gaps(rng, readings)
     if what == "step":
-        readings += 900 * T128.step_response((np.arange(readings.size) - generator.uniform(900, 1500)) / RATE)
+        readings += 900 * T128.step_response((np.arange(readings.size) - rng.uniform(900, 1500)) / RATE)
     if what == "ground":
-        channels = {"ground_acceleration": generator.normal(0, 0.1, 2600), "pitch": np.linspace(0, 0.1, 2600)}
+        channels = {"ground_acceleration": rng.normal(0, 0.1, 2600), "pitch": np.linspace(0, 0.1, 2600)}
 
     def run(sizes):
         live = LiveForce(T128, interval=1 / RATE, learned=learned, learn_after=0.8, span=0.8)
         return *streamed(live, readings, sizes, **channels), live.steps, live.health
 
     force, uncertainty, steps, health = run(())
-    assert len(steps) == (what == "step"), seed
+    assert len(steps) == (what == "step")
     assert health.missing == np.count_nonzero(np.isnan(readings))
     for most in (3, 400):
-        other = run(generator.integers(0, most, 300))
+        other = run(rng.integers(0, most, 300))
         # the same operations in the same order: nothing but the rounding of the same sums may differ
-        assert np.max(np.abs(other[0] - force)) <= 1e-12 * np.nanmax(np.abs(readings)), (seed, most)
-        assert np.max(np.abs(other[1] - uncertainty)) <= 1e-12 * np.max(uncertainty), (seed, most)
-        assert other[2] == steps, (seed, most)
-        assert other[3] == health, (seed, most)
+        assert np.max(np.abs(other[0] - force)) <= 1e-12 * np.nanmax(np.abs(readings)), most
+        assert np.max(np.abs(other[1] - uncertainty)) <= 1e-12 * np.max(uncertainty), most
+        assert other[2] == steps, most
+        assert other[3] == health, most
 
 
-def test_wide_process_is_that_of_its_spectrum():
-    generator, seed = fresh()
-    readings = generator.normal(0, NOISE, 60)
+def test_wide_process_is_that_of_its_spectrum(rng):
+    readings = rng.normal(0, NOISE, 60)
     wide = wide_process(Reading(readings, 1 / RATE, T128), frequency=T128.natural_frequency)
     edge = 1.5 * T128.natural_frequency
     frequency = np.linspace(0.01, 1.5, 200) * edge
     # the shaping filter moves edges outward by 0.7 % in frequency, of which the 16th power makes 12 %
-    assert wide.shaping.spectrum(frequency) == pytest.approx(wide.spectrum.density(frequency), rel=0.13), seed
+    assert wide.shaping.spectrum(frequency) == pytest.approx(wide.spectrum.density(frequency), rel=0.13)
 
 
 def test_latency_is_five_periods():
@@ -180,30 +175,26 @@ def test_latency_holds_with_the_ground():
     assert live.lag < live.latency
 
 
-def test_uncertainty_is_the_error():
-    generator, seed = fresh()
+def test_uncertainty_is_the_error(rng):
     learned = second_order(density=50.0)
     ratios = []
     for _ in range(4):
-        readings, truth = drawn(generator, 3000, learned=learned)
+        readings, truth = drawn(rng, 3000, learned=learned)
         live = LiveForce(T128, interval=1 / RATE, learned=learned)
         force, uncertainty = streamed(live, readings)
         ratios.append(np.mean(((force - truth) / uncertainty) ** 2))
-        assert live.health.explained, seed
+        assert live.health.explained
     # errors are correlated over some 7 samples (the process is 120 Hz wide), which leaves 1700 independent ones:
     # relative scatter sqrt(2 / 1700) = 0.034; 5 of these
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.17), seed
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.17)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0013, -0.0021])
-def test_ground_load_is_that_of_the_whole_record(delay):
-    generator, seed = fresh()
+def test_ground_load_is_that_of_the_whole_record(delay, rng):
     n = 12_000
     frequency = np.fft.rfftfreq(n, 1 / RATE)
     band = (frequency > 2) & (frequency < 200)
-    acceleration = np.fft.irfft(
-        np.where(band, generator.normal(size=band.size) + 1j * generator.normal(size=band.size), 0), n
-    )
+    acceleration = np.fft.irfft(np.where(band, rng.normal(size=band.size) + 1j * rng.normal(size=band.size), 0), n)
     acceleration = 1 + acceleration / acceleration.std()
     dynamics = Dynamics("AF", 177.87, 3.093e7, 828.21, delay=delay, further_modes=TWO_MODES.further_modes)
     motion = GroundMotion(acceleration, 0.0, acceleration, 0.0, 0.0, ())
@@ -214,13 +205,12 @@ def test_ground_load_is_that_of_the_whole_record(delay):
     # a cubic spline on a clock eight times as fast errs by (2 pi 200 / 12800)^4 / 384 * sqrt(...) < 1e-5
     inner = slice(11_200, -100)
     assert load.size == n
-    assert np.max(np.abs(load - expected)[inner]) < 3e-5 * np.max(np.abs(expected)), seed
+    assert np.max(np.abs(load - expected)[inner]) < 3e-5 * np.max(np.abs(expected))
 
 
-def test_ground_motion_is_taken_out():
-    generator, seed = fresh()
+def test_ground_motion_is_taken_out(rng):
     learned = second_order(density=5.0)
-    readings, truth = drawn(generator, 6000, learned=learned)
+    readings, truth = drawn(rng, 6000, learned=learned)
     time = np.arange(6000) / RATE
     acceleration, pitch = 2 * np.sin(2 * np.pi * 31 * time), 0.05 * np.sin(2 * np.pi * 0.3 * time)
     specific = acceleration - 9.80665 * np.sin(pitch)
@@ -229,46 +219,43 @@ def test_ground_motion_is_taken_out():
     force, uncertainty = streamed(live, readings, [77] * 40, ground_acceleration=acceleration, pitch=pitch)
     inner = slice(3000, -20)  # the start of the motion rings as exp(-2.3 t)
     z = ((force - truth) / uncertainty)[inner]
-    assert np.mean(z**2) == pytest.approx(1.0, abs=0.4), seed  # 420 independent errors: 0.07 each; 5 of these
+    assert np.mean(z**2) == pytest.approx(1.0, abs=0.4)  # 420 independent errors: 0.07 each; 5 of these
 
 
 @pytest.mark.parametrize(("noise", "duration"), [(2.0, 0.0), (10.0, 0.0), (2.0, 0.005)])
-def test_cable_cut_live(noise, duration):
-    generator, seed = fresh()
+def test_cable_cut_live(noise, duration, rng):
     rig = CableCut(
-        release=2.2 + generator.uniform(0, 1) / RATE, release_duration=duration, sensors={"AF": Sensor(noise=noise)}
+        release=2.2 + rng.uniform(0, 1) / RATE, release_duration=duration, sensors={"AF": Sensor(noise=noise)}
     )
-    run = rig.run(3.5, generator)
+    run = rig.run(3.5, rng)
     live = LiveForce(T128, interval=1 / RATE, learn_after=1.5, span=1.5)
     force, uncertainty = streamed(live, run.recording.channel("AF").values, [50] * 100)
     (step,) = live.steps
     # bounds of the offline tests: instants to 0.1 sample, durations to 20 us (100 for 10 N), 5 standard uncertainties
-    assert abs(step.instant - run.release) < 0.1 / RATE, seed
-    assert step.duration == pytest.approx(duration, abs=1e-4), seed
-    assert abs(step.height - 1020) < 5 * step.height_uncertainty, seed
+    assert abs(step.instant - run.release) < 0.1 / RATE
+    assert step.duration == pytest.approx(duration, abs=1e-4)
+    assert abs(step.height - 1020) < 5 * step.height_uncertainty
     time = run.recording.time
     for part in ((time > 1.9) & (time < run.release - 1e-3), time > run.release + duration + 1e-3):
         error = (force - run.applied)[part]
         # a release sets the level before and after; the latter has a lag of readings (121) at first:
         # noise / sqrt(121 / 2) with the ringing to be found as well; 5 of these
-        assert np.max(np.abs(error)) < 5 * noise / np.sqrt(60), seed
-        assert np.max(np.abs(error) / uncertainty[part]) < 5.5, seed
+        assert np.max(np.abs(error)) < 5 * noise / np.sqrt(60)
+        assert np.max(np.abs(error) / uncertainty[part]) < 5.5
 
 
-def test_quiet_readings_bring_no_step():
-    generator, seed = fresh()
+def test_quiet_readings_bring_no_step(rng):
     live = LiveForce(T128, interval=1 / RATE, learn_after=1.5)
-    force, _ = streamed(live, 500 + generator.normal(0, NOISE, 8000))
-    assert not live.steps, seed
-    assert live.health.process == "learned", seed
-    assert live.health.explained, seed
+    force, _ = streamed(live, 500 + rng.normal(0, NOISE, 8000))
+    assert not live.steps
+    assert live.health.process == "learned"
+    assert live.health.explained
     # of a constant from thousands of readings: noise / sqrt(2400) in the first second after; 5 of these
-    assert np.max(np.abs(force[3000:] - 500)) < 5 * NOISE / np.sqrt(2400), seed
+    assert np.max(np.abs(force[3000:] - 500)) < 5 * NOISE / np.sqrt(2400)
 
 
-def test_force_within_a_second_of_the_first_reading():
-    generator, seed = fresh()
-    readings, truth = drawn(generator, 1600, learned=second_order(cutoff=40.0, density=200.0))
+def test_force_within_a_second_of_the_first_reading(rng):
+    readings, truth = drawn(rng, 1600, learned=second_order(cutoff=40.0, density=200.0))
     live = LiveForce(T128, interval=1 / RATE)
     estimate = live.push(readings)
     assert live.health.process == "start-up"
@@ -278,29 +265,27 @@ def test_force_within_a_second_of_the_first_reading():
     error = (estimate.force - truth[: estimate.force.size])[400:]
     # the wide band reaches 1.5 times the natural frequency at least, and a load of second order at 40 Hz has
     # (40 / 100)^3 / 3 = 2 % of its power beyond 100 Hz, of which half and more is caught: 0.1 of the amplitude is left
-    assert np.sqrt(np.mean(error**2)) < 0.1 * np.std(truth), seed
+    assert np.sqrt(np.mean(error**2)) < 0.1 * np.std(truth)
 
 
-def test_a_load_that_sets_in_after_quiet_is_followed():
-    generator, seed = fresh()
-    _, truth = drawn(generator, 4800, learned=second_order(cutoff=60.0, density=200.0), level=0.0)
+def test_a_load_that_sets_in_after_quiet_is_followed(rng):
+    _, truth = drawn(rng, 4800, learned=second_order(cutoff=60.0, density=200.0), level=0.0)
     time = np.arange(4800) / RATE
     rise = np.clip((time - 1.5) / 0.1, 0, 1)
-    readings = T128.load_felt(truth * rise, interval=1 / RATE) + generator.normal(0, NOISE, 4800)
+    readings = T128.load_felt(truth * rise, interval=1 / RATE) + rng.normal(0, NOISE, 4800)
     live = LiveForce(
         T128, interval=1 / RATE, learned=Learned(Spectrum(np.zeros(0), np.zeros(0)), ShapingFilter.silent(), NOISE)
     )
     force, _ = streamed(live, readings)
     # what was given at first is given up: a wide band, or learned again since
-    assert live.health.process == "fallback" or live.health.learned_from is not None, seed
+    assert live.health.process == "fallback" or live.health.learned_from is not None
     # as at the start; a load made of straight lines between samples differs by the same again
-    assert np.sqrt(np.mean((force - truth * rise)[2800:4700] ** 2)) < 0.15 * np.std(truth), seed
+    assert np.sqrt(np.mean((force - truth * rise)[2800:4700] ** 2)) < 0.15 * np.std(truth)
 
 
-def test_learning_elsewhere_is_adopted():
-    generator, seed = fresh()
+def test_learning_elsewhere_is_adopted(rng):
     process = second_order(density=50.0)
-    readings, truth = drawn(generator, 8000, learned=process)
+    readings, truth = drawn(rng, 8000, learned=process)
     live = LiveForce(T128, interval=1 / RATE, learn_after=None)
     parts = [live.push(readings[:4000])]
     assert live.health.learning_due
@@ -315,7 +300,7 @@ def test_learning_elsewhere_is_adopted():
     best, _ = streamed(LiveForce(T128, interval=1 / RATE, learned=process), readings)
     # a process learned from 4000 samples costs some percent over the true one; 1.25 is far from the start-up's 2
     late = slice(4200, 7900)
-    assert np.std((force - truth)[late]) < 1.25 * np.std((best - truth)[late]), seed
+    assert np.std((force - truth)[late]) < 1.25 * np.std((best - truth)[late])
 
 
 def test_nothing_to_learn_from():
@@ -325,10 +310,9 @@ def test_nothing_to_learn_from():
         live.snapshot()
 
 
-def test_saturated_readings_are_missing():
-    generator, seed = fresh()
+def test_saturated_readings_are_missing(rng):
     learned = second_order()
-    readings, _ = drawn(generator, 1500, learned=learned)
+    readings, _ = drawn(rng, 1500, learned=learned)
     clipped = readings.copy()
     clipped[700:703] = 1e5
     clipped[900] = np.nan
@@ -336,32 +320,30 @@ def test_saturated_readings_are_missing():
     gaps[700:703] = np.nan
     saturated = LiveForce(T128, interval=1 / RATE, learned=learned, limit=1e5)
     missing = LiveForce(T128, interval=1 / RATE, learned=learned)
-    assert np.array_equal(streamed(saturated, clipped)[0], streamed(missing, gaps)[0]), seed
+    assert np.array_equal(streamed(saturated, clipped)[0], streamed(missing, gaps)[0])
     assert (saturated.health.saturated, saturated.health.missing) == (3, 1)
 
 
-def test_drifted_stiffness_shows():
-    generator, seed = fresh()
+def test_drifted_stiffness_shows(rng):
     learned = second_order()
-    readings, _ = drawn(generator, 100_000, learned=learned)
+    readings, _ = drawn(rng, 100_000, learned=learned)
     true = LiveForce(T128, interval=1 / RATE, learned=learned)
     true.push(readings)
-    assert not true.health.drifted, seed
+    assert not true.health.drifted
     stiffer = Dynamics("AF", T128.mass, 1.05 * T128.stiffness, T128.damping)
     live = LiveForce(stiffer, interval=1 / RATE, learned=learned)
     live.push(readings)
     # at the natural frequency of the model the reading has (zeta / 0.025)^2 = 5 % of the power that is expected
-    assert live.health.drifted, seed
-    assert live.health.resonance < 0.5, seed
+    assert live.health.drifted
+    assert live.health.resonance < 0.5
 
 
-def test_more_noise_shows():
-    generator, seed = fresh()
-    readings = generator.normal(0, NOISE, 4000)
+def test_more_noise_shows(rng):
+    readings = rng.normal(0, NOISE, 4000)
     live = LiveForce(T128, interval=1 / RATE, learned=silent())
     live.push(readings)
     # over the last stretch of 256: relative scatter 1 / sqrt(512) = 4.4 %; 5 of these
-    assert live.health.noise_now == pytest.approx(NOISE, rel=0.22), seed
+    assert live.health.noise_now == pytest.approx(NOISE, rel=0.22)
     assert live.health.noise == NOISE
 
 
@@ -396,11 +378,10 @@ def test_wrong_calls_are_refused():
         live.push(np.zeros(4), pitch=np.zeros(4))
 
 
-def test_a_step_is_named_in_the_time_of_the_stream():
-    generator, seed = fresh()
-    readings = generator.normal(0, NOISE, 3000) + 500 * T128.step_response(np.arange(3000) / RATE - 1.00017)
+def test_a_step_is_named_in_the_time_of_the_stream(rng):
+    readings = rng.normal(0, NOISE, 3000) + 500 * T128.step_response(np.arange(3000) / RATE - 1.00017)
     live = LiveForce(T128, interval=1 / RATE, learned=silent())
     streamed(live, readings, [64] * 40)
     (step,) = live.steps
     assert isinstance(step, Step)
-    assert step.instant == pytest.approx(1.00017, abs=5 * step.instant_uncertainty + 1e-6), seed
+    assert step.instant == pytest.approx(1.00017, abs=5 * step.instant_uncertainty + 1e-6)

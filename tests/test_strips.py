@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from aerobalance.app.monitor.minmax_strips import STEP, Bins, Extremes, Strip
-from seeds import generator
 
 
 def pushed(extremes, tick, parts, step=1):
@@ -20,8 +19,7 @@ def pushed(extremes, tick, parts, step=1):
 
 
 @pytest.mark.parametrize(("width", "step"), [(1, 1), (25, 1), (25, 9), (9, 9)])
-def test_bins_do_not_depend_on_the_cut_and_lose_no_peak(width, step) -> None:
-    rng = generator()
+def test_bins_do_not_depend_on_the_cut_and_lose_no_peak(width, step, rng) -> None:
     samples = rng.standard_normal((3000, 2))
     samples[rng.random(3000) < 0.05, 1] = np.nan
     tick = step * int(rng.integers(0, 1000))
@@ -53,8 +51,7 @@ def test_a_count_that_begins_anew_is_followed() -> None:
     assert (bins.first, bins.least[:, 0].tolist()) == (0, [2.0, 2.0])
 
 
-def test_coarse_bins_are_the_extremes_of_fine_ones() -> None:
-    rng = generator()
+def test_coarse_bins_are_the_extremes_of_fine_ones(rng) -> None:
     strip = Strip(2, (500, 100, 20))
     least = rng.standard_normal((3217, 2)).astype(np.float32)
     largest = least + 1

@@ -20,7 +20,6 @@ from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import advice, budget, scalars, spectrum
 from aerobalance.uncertainty.monte_carlo import monte_carlo
 from aerobalance.uncertainty.sampling import drawn_dynamics, drawn_numbers
-from seeds import fresh
 
 RATE = 1600.0
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
@@ -125,38 +124,35 @@ def test_noise_of_a_spectrum_is_carried_by_its_spectrum():
     assert noise.variance_of(np.eye(count)[7]) == pytest.approx(1, rel=1e-3)
 
 
-def test_draws_of_a_noise_have_its_spectrum():
-    generator, seed = fresh()
+def test_draws_of_a_noise_have_its_spectrum(rng):
     density = 1 + np.cos(np.linspace(0, np.pi, 129))
     noise = Noise("noise", "AF", np.full(200, 3.0), density)
-    draws = np.array([noise.draw(generator) for _ in range(500)])
+    draws = np.array([noise.draw(rng) for _ in range(500)])
     # 100,000 values, neighbours correlated by a half: 9 within 4 * 9 * sqrt(2 * 1.5 / 1e5); 5 standard deviations
-    assert np.mean(draws**2) == pytest.approx(9, rel=5 * np.sqrt(3 / 1e5)), seed
-    assert np.mean(draws[:, 1:] * draws[:, :-1]) == pytest.approx(4.5, rel=5 * np.sqrt(2 * 3 / 1e5)), seed
+    assert np.mean(draws**2) == pytest.approx(9, rel=5 * np.sqrt(3 / 1e5))
+    assert np.mean(draws[:, 1:] * draws[:, :-1]) == pytest.approx(4.5, rel=5 * np.sqrt(2 * 3 / 1e5))
 
 
-def test_the_mean_of_the_smoother_is_as_good_as_that_of_the_readings():
+def test_the_mean_of_the_smoother_is_as_good_as_that_of_the_readings(rng):
     # With the constant free the mean force is that of the readings, of noise over the root of their number, but for
     # what the balance has in it at both ends: by Eq. (8) its rate there over w0^2 T, not known better than the force.
-    generator, seed = fresh()
     count = 4000
-    estimate = reconstruct(run(generator, count=count), T128)
+    estimate = reconstruct(run(rng, count=count), T128)
     u = scalars(estimate)[0].u
     ends = estimate.uncertainty[[0, -1]] * RATE / (count * T128.angular_frequency)
     least, most = 2 / np.sqrt(count), np.hypot(2 / np.sqrt(count), np.linalg.norm(ends))
-    assert 0.9 * least < u < 1.1 * most, seed  # the noise is learned from half of 4000 readings, to 1.6 %
+    assert 0.9 * least < u < 1.1 * most  # the noise is learned from half of 4000 readings, to 1.6 %
 
 
-def test_spectrum_of_a_force_has_both_uncertainties():
-    generator, seed = fresh()
-    estimate = reconstruct(run(generator, count=8000), UNSURE)
+def test_spectrum_of_a_force_has_both_uncertainties(rng):
+    estimate = reconstruct(run(rng, count=8000), UNSURE)
     found = spectrum(estimate, rate=RATE)
     inside = (found.frequency > 10) & (found.frequency < 90)
     # 100 N rms flat to 100 Hz is 100 N^2/Hz; 15 segments of 1000 over 400 ordinates / 5: 5 standard deviations
     level = found.density[inside]
-    assert level.mean() == pytest.approx(100, rel=5 / np.sqrt(14 * 40)), seed
-    assert np.std(level) == pytest.approx(found.scatter[inside].mean(), rel=0.6), seed
-    assert (found.uncertainty[inside] < found.scatter[inside]).all(), seed  # 2 N of noise do not hide 100 N
+    assert level.mean() == pytest.approx(100, rel=5 / np.sqrt(14 * 40))
+    assert np.std(level) == pytest.approx(found.scatter[inside].mean(), rel=0.6)
+    assert (found.uncertainty[inside] < found.scatter[inside]).all()  # 2 N of noise do not hide 100 N
 
 
 def test_an_error_of_gain_is_twice_as_large_in_the_spectrum():
@@ -196,9 +192,8 @@ def test_gravity_and_accelerometer_zero_are_carried():
     assert estimate.budget["accelerometer zero"] == pytest.approx(T128.mass * 0.03)
 
 
-def test_a_matrix_is_a_gain_and_an_offset():
-    generator, _ = fresh()
-    estimate = reconstruct(run(generator), T128, bandwidth=150.0)
+def test_a_matrix_is_a_gain_and_an_offset(rng):
+    estimate = reconstruct(run(rng), T128, bandwidth=150.0)
     static = np.hypot(0.3, 0.01 * estimate.values)
     found = with_balance(estimate, static)
     matrix = found.contributions[-1]
@@ -208,41 +203,38 @@ def test_a_matrix_is_a_gain_and_an_offset():
     )
 
 
-def test_readings_that_the_model_does_not_explain_raise_the_uncertainty():
-    generator, seed = fresh()
-    load = run(generator, count=4096).channel("AF").values.copy()
-    load[2048:2304] += 8 * generator.normal(size=256)
+def test_readings_that_the_model_does_not_explain_raise_the_uncertainty(rng):
+    load = run(rng, count=4096).channel("AF").values.copy()
+    load[2048:2304] += 8 * rng.normal(size=256)
     name = "what the model does not explain"
     with pytest.warns(DataQualityWarning, match="depart from what the model"):
         estimate = reconstruct(record(AF=(load, {"noise": 2.0})), T128)
     part = next(item for item in estimate.contributions if item.name == name)
     noise = next(item for item in estimate.contributions if item.name == "noise of the readings")
     # told where 256 readings have more than 1 + 8 sqrt(2 / 256) times the variance expected, and raised by as much
-    assert (part.deviation[2100:2250] > np.sqrt(8 * np.sqrt(2 / 256)) * noise.deviation[2100:2250]).all(), seed
-    assert part.deviation[:1500].max() == 0, seed
+    assert (part.deviation[2100:2250] > np.sqrt(8 * np.sqrt(2 / 256)) * noise.deviation[2100:2250]).all()
+    assert part.deviation[:1500].max() == 0
     assert estimate.uncertainty[2200] == pytest.approx(np.hypot(part.deviation[2200], noise.deviation[2200]), rel=0.01)
 
 
-def test_the_budget_adds_up_and_says_what_to_improve_first():
-    generator, seed = fresh()
-    estimate = reconstruct(run(generator), UNSURE)
+def test_the_budget_adds_up_and_says_what_to_improve_first(rng):
+    estimate = reconstruct(run(rng), UNSURE)
     rows = budget(estimate)
-    assert sum(row.share for row in rows) == pytest.approx(1), seed
-    assert np.linalg.norm([row.rms for row in rows]) == pytest.approx(rms(estimate.uncertainty)), seed
+    assert sum(row.share for row in rows) == pytest.approx(1)
+    assert np.linalg.norm([row.rms for row in rows]) == pytest.approx(rms(estimate.uncertainty))
     assert [row.rms for row in rows] == sorted((row.rms for row in rows), reverse=True)
     text = advice(estimate, sources={"AF": "the balance's channel"})
     assert rows[0].name in text
     assert f"{rows[0].if_halved:.3g} N" in text
 
 
-def test_halving_the_noise_brings_what_the_budget_says():
+def test_halving_the_noise_brings_what_the_budget_says(rng):
     # the spectrum of the force is learned anew: its own scatter makes a few per cent
-    generator, seed = fresh()
-    quiet = run(generator, noise=0.0, count=4000).channel("AF").values
-    noise = generator.normal(size=quiet.size)
+    quiet = run(rng, noise=0.0, count=4000).channel("AF").values
+    noise = rng.normal(size=quiet.size)
     loud, half = (reconstruct(record(AF=(quiet + u * noise, {"noise": u})), T128) for u in (4.0, 2.0))
     row = next(row for row in budget(loud) if row.name == "noise of the readings")
-    assert rms(half.uncertainty) == pytest.approx(row.if_halved, rel=0.1), seed
+    assert rms(half.uncertainty) == pytest.approx(row.if_halved, rel=0.1)
 
 
 # --- Monte Carlo
@@ -268,42 +260,39 @@ def test_dynamics_that_are_hardly_known_are_refused():
         drawn_dynamics(np.random.default_rng(3), wild, 50)
 
 
-def test_the_fast_estimator_is_the_obvious_one():
-    generator, seed = fresh()
-    given = run(generator, count=1200)
+def test_the_fast_estimator_is_the_obvious_one(rng):
+    given = run(rng, count=1200)
     values = given.channel("AF").values - 800 * T128.step_response(given.time - 0.40012)
     values[900:920] = np.nan
     given = record(AF=values)
     reading = Job.of(given, T128, GroundMotion.of(given, "AF")).reading()
     estimate = reconstruct(given, T128)
-    assert len(estimate.steps) == 1, seed
+    assert len(estimate.steps) == 1
     obvious = Smoothed.of(reading, learned=estimate.learned, steps=estimate.steps)
     fast = Estimator.of(reading, learned=estimate.learned, steps=estimate.steps)
     size = np.ptp(obvious.force)
     left = reading.filled - obvious.columns @ obvious.sizes
-    assert fast.smooth(left[:, None])[:, 0] == pytest.approx(obvious.states[:, 2], abs=1e-9 * size), seed
+    assert fast.smooth(left[:, None])[:, 0] == pytest.approx(obvious.states[:, 2], abs=1e-9 * size)
     # with the instant free the force moves by less than its own uncertainty
     moved = fast.run(reading.filled[:, None])[:, 0] - obvious.force
-    assert rms(moved) < rms(estimate.uncertainty), seed
+    assert rms(moved) < rms(estimate.uncertainty)
 
 
-def test_simulated_readings_are_those_of_the_model():
-    generator, seed = fresh()
-    given = run(generator, count=4000)
+def test_simulated_readings_are_those_of_the_model(rng):
+    given = run(rng, count=4000)
     estimate = reconstruct(given, T128)
     reading = Job.of(given, T128, GroundMotion.of(given, "AF")).reading()
     estimator = Estimator.of(reading, learned=estimate.learned, steps=())
-    _, simulated = estimator.simulate(generator)
+    _, simulated = estimator.simulate(rng)
     white = estimator.filter.whiten(simulated[:, None])[:, 0]
     # innovations over their standard deviation: 4000 of variance 1; 5 standard deviations
-    assert np.mean(white**2) == pytest.approx(1, abs=5 * np.sqrt(2 / 4000)), seed
-    assert abs(np.mean(white[1:] * white[:-1])) < 5 / np.sqrt(4000), seed
+    assert np.mean(white**2) == pytest.approx(1, abs=5 * np.sqrt(2 / 4000))
+    assert abs(np.mean(white[1:] * white[:-1])) < 5 / np.sqrt(4000)
 
 
 @pytest.mark.parametrize("options", [{}, {"method": "paper"}, {"bandwidth": 100.0}], ids=["smoother", "paper", "band"])
-def test_monte_carlo_agrees_with_first_order(options):
-    generator, seed = fresh()
-    given = run(generator)
+def test_monte_carlo_agrees_with_first_order(options, rng, seed):
+    given = run(rng)
     estimate = reconstruct(given, UNSURE, **options)
     found = monte_carlo(given, UNSURE, estimate, draws=50, seed=int(seed % 2**32), **options)
     names = [row.name for row in found.contributions]
@@ -311,23 +300,22 @@ def test_monte_carlo_agrees_with_first_order(options):
     # 10 % for first order, and five times the scatter of 50 draws; the ends of an inverse are drawn as they are
     for row in (*found.contributions, *found.scalars):
         if np.isfinite(row.analytic):
-            assert abs(row.ratio - 1) < 0.1 + 5 * row.scatter, (row, seed)
+            assert abs(row.ratio - 1) < 0.1 + 5 * row.scatter, row
     inner = slice(100, -100)
     ratio = rms(found.deviation[inner]) / rms(estimate.uncertainty[inner])
-    assert abs(ratio - 1) < 0.1 + 5 * found.contributions[-1].scatter, seed
+    assert abs(ratio - 1) < 0.1 + 5 * found.contributions[-1].scatter
     assert (found.low < found.high).all()
 
 
-def test_monte_carlo_sees_what_is_not_linear():
+def test_monte_carlo_sees_what_is_not_linear(rng):
     # A frequency wrong by two per cent, 1.3 Hz, puts the ringing after a step out of phase within half a second: what
     # is left rings with up to twice the step, where first order goes on growing or sees nothing.
-    generator, seed = fresh()
     count = 1200
     unsure = replace(T128, covariance=np.diag([0, (4e-2 * T128.stiffness) ** 2, 0, 0]))
-    load = 1000 * T128.step_response(np.arange(count) / RATE - 0.20012) + 2 * generator.normal(size=count)
+    load = 1000 * T128.step_response(np.arange(count) / RATE - 0.20012) + 2 * rng.normal(size=count)
     given = record(AF=load)
     found = monte_carlo(given, unsure, reconstruct(given, unsure), draws=60, seed=1)
-    assert any("not linear" in text for text in found.doubts), seed
+    assert any("not linear" in text for text in found.doubts)
 
 
 def test_a_seed_gives_the_same_draws():

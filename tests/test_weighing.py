@@ -11,7 +11,6 @@ from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
-from seeds import new_seed
 
 G = STANDARD_GRAVITY
 SWEEP = np.radians([-15, -10, -5, 0, 5, 10, 15])
@@ -79,9 +78,7 @@ def test_misalignment_that_the_angles_cannot_show_is_left_out():
     # of the balances' static calibrations, as printed in [Gorbushin2020]_.
     [((0.12, 0.56), 0.32), ((8.33, 169.54), 2.0)],
 )
-def test_masses_of_the_paper_are_covered(masses, noise):
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_masses_of_the_paper_are_covered(masses, noise, rng):
     pitch = np.radians(np.linspace(-90, 90, 13))
     true = sum(masses)
     trials, score = 400, []
@@ -90,12 +87,10 @@ def test_masses_of_the_paper_are_covered(masses, noise):
         score.append((found.mass - true) / found.u)
     inside = np.mean(np.abs(score) < stats.t.ppf(0.975, 11))
     # 95 % of 400: 4.5 standard deviations of the binomial on either side.
-    assert abs(inside - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / trials), entropy
+    assert abs(inside - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / trials)
 
 
-def test_uncertainties_are_right_by_monte_carlo():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_uncertainties_are_right_by_monte_carlo(rng):
     pitch, roll = grid()
     gravity = rotated_gravity(pitch, roll)
     clean = 5 * (gravity[:, 0] + 0.004 * gravity[:, 1] - 0.006 * gravity[:, 2]) + 1
@@ -112,7 +107,7 @@ def test_uncertainties_are_right_by_monte_carlo():
         )
     for column in np.array(scores).T:
         # Scores follow Student's distribution with 26 degrees of freedom; a right one fails once in 1e5 draws.
-        assert stats.kstest(column, stats.t(26).cdf).pvalue > 1e-5, entropy
+        assert stats.kstest(column, stats.t(26).cdf).pvalue > 1e-5
 
 
 def test_given_noise_counts_where_it_is_larger():
@@ -188,20 +183,16 @@ def swept(rng, angles, hold=2000, move=500, noise=1e-5):
 
 
 @pytest.mark.parametrize("pitch_noise", [0.0, 1e-5, 2e-3])
-def test_one_recording_is_split_at_its_plateaus(pitch_noise):
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_one_recording_is_split_at_its_plateaus(pitch_noise, rng):
     angles = np.radians([0, 5, 10, -5, -10])
     pitch = swept(rng, angles, noise=pitch_noise)
     load = 100 * np.sin(pitch) + rng.normal(0, 0.5, pitch.size)
     points = points_from_recordings([recording(pitch, load)], "AF")
-    assert points.pitch.size == 5, entropy
+    assert points.pitch.size == 5
     # Means of 1900 samples or more of the pitch noise, eight standard deviations.
-    np.testing.assert_allclose(
-        points.pitch, angles, atol=8 * pitch_noise / np.sqrt(1900) + 1e-12, err_msg=str(entropy)
-    )
+    np.testing.assert_allclose(points.pitch, angles, atol=8 * pitch_noise / np.sqrt(1900) + 1e-12)
     assert points.roll is None
-    assert weigh(points.pitch, points.load).mass == pytest.approx(100 / G, rel=0.01), entropy
+    assert weigh(points.pitch, points.load).mass == pytest.approx(100 / G, rel=0.01)
 
 
 def test_one_point_a_recording_with_roll():
@@ -215,9 +206,7 @@ def test_one_point_a_recording_with_roll():
     np.testing.assert_allclose(points.roll, [0, 0.5, 1], atol=1e-15)
 
 
-def test_uncertainty_of_a_mean_holds_for_correlated_noise():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_uncertainty_of_a_mean_holds_for_correlated_noise(rng):
     from scipy.signal import lfilter
 
     scores = []
@@ -228,7 +217,7 @@ def test_uncertainty_of_a_mean_holds_for_correlated_noise():
     # Twenty batch means: Student with 19 degrees of freedom. Neighbouring batches of 200 samples share about 1/20
     # of their variance, which widens the scores by 5 %; white-noise uncertainty would make them 4 times too wide.
     spread = np.std(scores) / stats.t(19).std()
-    assert 0.85 < spread < 1.25, entropy
+    assert 0.85 < spread < 1.25
 
 
 def test_a_recording_that_keeps_moving_is_refused():

@@ -22,7 +22,7 @@ from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.gravity import Attitudes, weight_direction
 from aerobalance.recording.recording import Recording
-from seeds import new_seed, trials
+from seeds import trials
 
 G = STANDARD_GRAVITY
 MASS, CENTRE = 5.0, {"aft": -0.04, "right": 0.003, "up": 0.02}
@@ -158,9 +158,7 @@ def test_exact_without_noise():
     assert found.degrees_of_freedom == 20 * 6 - 13
 
 
-def test_uncertainties_are_right_by_monte_carlo():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_uncertainties_are_right_by_monte_carlo(rng):
     pitch, roll = grid()
     clean = read(pitch, roll, angles=ANGLES)
     other_pitch, other_roll = np.radians([-30.0, 5, 40]), np.radians([20.0, 160, 275])
@@ -185,15 +183,13 @@ def test_uncertainties_are_right_by_monte_carlo():
     # Mean square of as many scores: chi-squared, widened by 57/55 for noise estimated with some 57 degrees of freedom;
     # 1e-7 on either side of each of 39 scores fails once in 1e5 runs.
     low, high = stats.chi2.ppf(1e-7, draws) / draws, stats.chi2.isf(1e-7, draws) / draws * 57 / 55
-    assert (square > low).all(), (square, entropy)
-    assert (square < high).all(), (square, entropy)
+    assert (square > low).all(), square
+    assert (square < high).all(), square
     # Two tests a draw at 0.001: six false alarms, of 200 even, happen once in 1e5 runs.
-    assert disagreements < 6, entropy
+    assert disagreements < 6
 
 
-def test_p_values_are_even_where_the_components_agree():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_p_values_are_even_where_the_components_agree(rng):
     pitch, roll = grid(4)
     clean = read(pitch, roll)
     found = [weigh_quietly(points(pitch, roll, noisy(rng, clean))) for _ in range(trials(30, 60))]
@@ -201,22 +197,18 @@ def test_p_values_are_even_where_the_components_agree():
         tests = [getattr(one, name) for one in found]
         assert {test.degrees_of_freedom for test in tests} == {2 if name == "mass_agreement" else 3}
         p_values = [test.p_value for test in tests]
-        assert stats.kstest(p_values, stats.uniform().cdf).pvalue > 1e-5, (name, entropy)
+        assert stats.kstest(p_values, stats.uniform().cdf).pvalue > 1e-5, name
 
 
-def test_scatter_of_each_component_is_found():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_scatter_of_each_component_is_found(rng):
     pitch, roll = grid()
     found = weigh_quietly(points(pitch, roll, noisy(rng, read(pitch, roll))))
     for name, truth in NOISE.items():
         # At least 55 degrees of freedom: a standard deviation is good to 1/sqrt(110), five of those.
-        assert found.deviations[name] == pytest.approx(truth, rel=5 / np.sqrt(110)), (name, entropy)
+        assert found.deviations[name] == pytest.approx(truth, rel=5 / np.sqrt(110)), name
 
 
-def test_live_ends_that_differ_are_found_and_kept_apart():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_live_ends_that_differ_are_found_and_kept_apart(rng):
     pitch, roll = grid()
     masses = {"AF": 5.1, "SF": 5.0, "NF": 4.9}
     clean = read(pitch, roll, masses=masses)
@@ -224,19 +216,17 @@ def test_live_ends_that_differ_are_found_and_kept_apart():
         found = weigh_components(points(pitch, roll, noisy(rng, clean)))
     assert not found.mass_agreement.agree
     for name, mass in masses.items():
-        assert abs(found.masses[name].mass - mass) < 6 * found.masses[name].u, entropy
+        assert abs(found.masses[name].mass - mass) < 6 * found.masses[name].u
     assert found.model.own_masses
     # The common mass stands between them, with their scatter of 0.1 kg and no less as its uncertainty.
     assert 4.9 < found.mass < 5.1
-    assert 0.03 < found.u_mass < 0.3, entropy
+    assert 0.03 < found.u_mass < 0.3
     where = {"pitch": np.radians([40.0, -30]), "roll": np.radians([10.0, 130])}
     off = np.abs(found.loads(**where) - read(*where.values(), masses=masses))
-    assert (off < 6 * found.uncertainty(**where)).all(), entropy
+    assert (off < 6 * found.uncertainty(**where)).all()
 
 
-def test_centres_that_differ_are_found_and_kept_apart():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_centres_that_differ_are_found_and_kept_apart(rng):
     pitch, roll = grid()
     centres = {"RM": {**CENTRE, "up": 0.03}}
     clean = read(pitch, roll, centres=centres)
@@ -248,8 +238,8 @@ def test_centres_that_differ_are_found_and_kept_apart():
     u = dict(zip(found.parameters, np.sqrt(np.diag(found.covariance)), strict=True))
     for moment, up in (("PM", 0.02), ("RM", 0.03)):
         name = f"moment.{moment}.up"
-        assert abs(values[name] - MASS * up) < 6 * u[name], (name, entropy)
-    assert found.u_centre_of_gravity["up"] > 1e-3, entropy
+        assert abs(values[name] - MASS * up) < 6 * u[name], name
+    assert found.u_centre_of_gravity["up"] > 1e-3
 
 
 def test_a_wrong_sign_of_a_moment_is_doubted():
@@ -261,9 +251,7 @@ def test_a_wrong_sign_of_a_moment_is_doubted():
         weigh_components(points(pitch, roll, loads))
 
 
-def test_a_pitch_sweep_names_what_it_cannot_tell():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_a_pitch_sweep_names_what_it_cannot_tell(rng):
     clean = read(SWEEP, 0 * SWEEP, angles=ANGLES)
     found = weigh_quietly(points(SWEEP, None, noisy(rng, clean)))
     cannot = {
@@ -272,14 +260,14 @@ def test_a_pitch_sweep_names_what_it_cannot_tell():
         "centre_of_gravity.YM.aft",
         "centre_of_gravity.RM.up",
     }
-    assert cannot <= set(found.unidentified), entropy
-    assert all(found.unidentified[name].startswith("add readings at roll") for name in cannot), entropy
+    assert cannot <= set(found.unidentified)
+    assert all(found.unidentified[name].startswith("add readings at roll") for name in cannot)
     assert "SF" not in found.masses
     assert set(found.misalignment) <= {"pitch", "yaw"}  # yaw shows in SF, if barely
     assert "misalignment.roll" in found.left_out
-    assert abs(found.mass - MASS) < 6 * found.u_mass, entropy
+    assert abs(found.mass - MASS) < 6 * found.u_mass
     for axis, value in found.centre_of_gravity.items():
-        assert abs(value - CENTRE[axis]) < 6 * found.u_centre_of_gravity[axis], (axis, entropy)
+        assert abs(value - CENTRE[axis]) < 6 * found.u_centre_of_gravity[axis], axis
     # Within the sweep the loads are known to about the noise; at roll 90 deg the normal force lacks the roll
     # misalignment, and the offset of the side force has taken it over: a degree of 49 N is 0.86 N.
     inside = found.uncertainty(pitch=np.radians([5.0]))
@@ -289,12 +277,10 @@ def test_a_pitch_sweep_names_what_it_cannot_tell():
     side, normal = COMPONENTS.index("SF"), COMPONENTS.index("NF")
     assert u[side] > np.radians(1) * MASS * G * 0.9
     assert u[normal] > np.radians(1) * MASS * G * 0.9
-    assert (np.abs(found.loads(**outside)[0] - read(0.0, np.pi / 2, angles=ANGLES)[0]) < 6 * u).all(), entropy
+    assert (np.abs(found.loads(**outside)[0] - read(0.0, np.pi / 2, angles=ANGLES)[0]) < 6 * u).all()
 
 
-def test_the_advice_is_right():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_the_advice_is_right(rng):
     clean = read(SWEEP, 0 * SWEEP)
     found = weigh_quietly(points(SWEEP, None, noisy(rng, clean)))
     proposals = {f"add readings at {text}": (pitch, roll) for text, pitch, roll in PROPOSALS}
@@ -302,12 +288,10 @@ def test_the_advice_is_right():
         pitch, roll = (np.radians(angles) for angles in proposals[advice])
         pitch, roll = np.append(SWEEP, pitch), np.append(0 * SWEEP, roll)
         better = weigh_quietly(points(pitch, roll, noisy(rng, read(pitch, roll))))
-        assert name not in better.unidentified, (advice, entropy)
+        assert name not in better.unidentified, advice
 
 
-def test_uncertainty_covers_what_was_left_out():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_uncertainty_covers_what_was_left_out(rng):
     noise = np.tile(list(NOISE.values()), (SWEEP.size, 1))
     where = {"pitch": np.radians([-20.0, 0, 8]), "roll": np.radians([0.0, 90, 180])}
     draws, scores = trials(40, 100), []
@@ -321,8 +305,8 @@ def test_uncertainty_covers_what_was_left_out():
     # Chi-squared with 1e-7 on either side. Noise is known, so scatter only adds to it (with 7 degrees of freedom a
     # quarter on average in square): down to 0.75. The misalignments are drawn with the natural
     # scale of 1 deg; one that is fitted instead of left out is one more good score.
-    assert (square < stats.chi2.isf(1e-7, draws) / draws).all(), (square, entropy)
-    assert (square > 0.75 * stats.chi2.ppf(1e-7, draws) / draws).all(), (square, entropy)
+    assert (square < stats.chi2.isf(1e-7, draws) / draws).all(), square
+    assert (square > 0.75 * stats.chi2.ppf(1e-7, draws) / draws).all(), square
 
 
 def test_what_one_component_cannot_tell_is_taken_from_the_others():
@@ -340,19 +324,17 @@ def test_what_one_component_cannot_tell_is_taken_from_the_others():
     assert u > 0.9 * found.mass * G
 
 
-def test_components_that_differ_in_a_pitch_sweep():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_components_that_differ_in_a_pitch_sweep(rng):
     centres = {"RM": {**CENTRE, "right": 0.05}}
     for _ in range(20):
         angles = {name: rng.normal(0, np.radians(1)) for name in ANGLES}
         clean = read(SWEEP, 0 * SWEEP, angles=angles, masses={"NF": 8.0}, centres=centres)
         found = weigh_quietly(points(SWEEP, None, noisy(rng, clean)))
-        assert found.model.own_masses or found.model.own_centres, entropy
+        assert found.model.own_masses or found.model.own_centres
         off = np.abs(found.loads(pitch=SWEEP) - clean)
         # Within the sweep: noise of a dozen readings, weighted by a scatter known from 7 degrees of freedom only.
         # Student's t of those is above 12 with p = 6e-6, and 20 weighings have some thousand values between them.
-        assert (off < 12 * np.array(list(NOISE.values()))).all(), entropy
+        assert (off < 12 * np.array(list(NOISE.values()))).all()
 
 
 def test_roll_alone_without_pitch():
@@ -365,16 +347,14 @@ def test_roll_alone_without_pitch():
 
 
 @pytest.mark.parametrize("components", [("NF", "AF"), ("AF", "PM"), ("NF", "PM", "SF"), ("RM", "SF"), ("YM", "AF")])
-def test_any_components_with_a_force(components):
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_any_components_with_a_force(components, rng):
     pitch, roll = grid()
     found = weigh_quietly(points(pitch, roll, noisy(rng, read(pitch, roll, angles=ANGLES)), components))
     assert found.components == components
-    assert abs(found.mass - MASS) < 6 * found.u_mass, entropy
+    assert abs(found.mass - MASS) < 6 * found.u_mass
     for group, truth in (("centre_of_gravity", CENTRE), ("offsets", OFFSETS), ("misalignment", ANGLES)):
         for name, value in getattr(found, group).items():
-            assert abs(value - truth[name]) < 6 * getattr(found, f"u_{group}")[name], (group, name, entropy)
+            assert abs(value - truth[name]) < 6 * getattr(found, f"u_{group}")[name], (group, name)
     shown = {"PM": {"aft", "up"}, "YM": {"aft", "right"}, "RM": {"right", "up"}}
     assert set(found.centre_of_gravity) == set().union(*(shown.get(name, set()) for name in components))
 
@@ -393,9 +373,7 @@ def test_one_force_alone_gives_what_it_gives_by_itself():
         assert both.masses["AF"].u_misalignment[axis] == pytest.approx(alone.u_misalignment[axis], rel=1e-3)
 
 
-def test_taking_off_the_weight_leaves_the_noise():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_taking_off_the_weight_leaves_the_noise(rng):
     pitch, roll = grid()
     found = weigh_quietly(points(pitch, roll, noisy(rng, read(pitch, roll, angles=ANGLES))))
     later_pitch, later_roll = rng.uniform(-0.5, 0.5, 4000), rng.uniform(-np.pi, np.pi, 4000)
@@ -405,8 +383,8 @@ def test_taking_off_the_weight_leaves_the_noise():
     for column, (name, noise) in enumerate(NOISE.items()):
         # The scatter of 4000 readings is good to 1/90 of itself; what weighing adds is six times its uncertainty.
         bound = np.hypot(noise, 6 * u[:, column].max()) * (1 + 6 / 90)
-        assert noise * (1 - 6 / 90) < left[:, column].std() < bound, (name, entropy)
-        assert abs(left[:, column].mean()) < 6 * (u[:, column].max() + noise / np.sqrt(4000)), (name, entropy)
+        assert noise * (1 - 6 / 90) < left[:, column].std() < bound, name
+        assert abs(left[:, column].mean()) < 6 * (u[:, column].max() + noise / np.sqrt(4000)), name
     weight = found.loads(pitch=later_pitch, roll=later_roll, offsets=False)
     np.testing.assert_allclose(
         found.loads(pitch=later_pitch, roll=later_roll) - weight,
@@ -416,9 +394,7 @@ def test_taking_off_the_weight_leaves_the_noise():
     assert found.loads(pitch=0.1).shape == (1, 6)
 
 
-def test_weight_that_was_in_the_zero_counts_by_the_difference_of_attitudes():
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_weight_that_was_in_the_zero_counts_by_the_difference_of_attitudes(rng):
     pitch, roll = grid()
     clean = read(pitch, roll, angles=ANGLES)
     run = Attitudes(np.radians([2.0, 12.0, 30.0]), np.radians([0.0, 5.0, 160.0]))
@@ -437,13 +413,11 @@ def test_weight_that_was_in_the_zero_counts_by_the_difference_of_attitudes():
         off = counted(lambda pitch, roll, found=found: found.loads(pitch=pitch, roll=roll)) - expected
         scores.append((off / u).ravel())
         alone = found.uncertainty(pitch=run.pitch, roll=run.roll, offsets=False)
-        assert (u[0] < 0.5 * alone[0]).all(), (
-            entropy
-        )  # 0.2 deg and 1.5 deg from the zeros, where alone it counts whole
+        assert (u[0] < 0.5 * alone[0]).all()  # 0.2 deg and 1.5 deg from the zeros, where alone it counts whole
     square = np.mean(np.square(scores), axis=0)
     # as in the Monte Carlo above, for 18 scores
-    assert (square > stats.chi2.ppf(1e-7, draws) / draws).all(), (square, entropy)
-    assert (square < stats.chi2.isf(1e-7, draws) / draws * 57 / 55).all(), (square, entropy)
+    assert (square > stats.chi2.ppf(1e-7, draws) / draws).all(), square
+    assert (square < stats.chi2.isf(1e-7, draws) / draws * 57 / 55).all(), square
     same = found.uncertainty(pitch=0.1, roll=0.2, since=[Attitudes(np.array([0.1]), np.array([0.2]))])
     assert same == pytest.approx(np.zeros((1, 6)), abs=1e-9)
 

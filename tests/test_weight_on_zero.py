@@ -22,7 +22,6 @@ from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.gravity import gravity_share
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
-from seeds import fresh
 
 ANGLES = np.radians([-12.0, -8.0, -4.0, 0.0, 4.0, 8.0, 12.0])
 SHARE = 0.4
@@ -81,9 +80,8 @@ class Stand:
 @pytest.mark.parametrize("natural_zeros", [True, False])
 @pytest.mark.parametrize("component", [None, "AF"])
 def test_weighing_puts_back_the_weight_that_its_zero_was_read_under(
-    tmp_path: Path, natural_zeros: bool, component: str | None
+    tmp_path: Path, natural_zeros: bool, component: str | None, rng
 ) -> None:
-    rng, seed = fresh()
     stand = Stand(tmp_path, rng, natural_zeros=natural_zeros)
     paths = [stand.at_rest(f"pitch_{number}", angle) for number, angle in enumerate(ANGLES)]
     files = BalanceFiles.of(tmp_path / "balance.json", zero=[stand.at_rest("zero", 0.0)])
@@ -92,35 +90,32 @@ def test_weighing_puts_back_the_weight_that_its_zero_was_read_under(
         account = weigh(paths, tmp_path / "mass.json", component=component, files=files)
     found = account["mass"] if component else account["components"]["AF"]["mass"]
     # the matrix and the zero are exact but for the rounding
-    assert found["value"] == pytest.approx(stand.mass, rel=1e3 * ROUNDED), seed
+    assert found["value"] == pytest.approx(stand.mass, rel=1e3 * ROUNDED)
 
 
 @pytest.mark.parametrize("natural_zeros", [True, False])
-def test_weighing_knows_a_zero_of_the_bare_balance(tmp_path: Path, natural_zeros: bool) -> None:
-    rng, seed = fresh()
+def test_weighing_knows_a_zero_of_the_bare_balance(tmp_path: Path, natural_zeros: bool, rng) -> None:
     stand = Stand(tmp_path, rng, natural_zeros=natural_zeros)
     paths = [stand.at_rest(f"pitch_{number}", angle) for number, angle in enumerate(ANGLES)]
     bare = stand.record("zero", np.zeros((50, 6)), np.zeros(50))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         account = weigh(paths, None, files=BalanceFiles.of(tmp_path / "balance.json", zero=[bare]))
-    assert account["components"]["AF"]["mass"]["value"] == pytest.approx(stand.mass, rel=1e3 * ROUNDED), seed
-    assert [text for text in [*account["warnings"], *map(str, said)] if "model off" in text], seed
+    assert account["components"]["AF"]["mass"]["value"] == pytest.approx(stand.mass, rel=1e3 * ROUNDED)
+    assert [text for text in [*account["warnings"], *map(str, said)] if "model off" in text]
 
 
-def test_natural_zeros_tell_where_bridges_are_where_no_weighing_does(tmp_path: Path) -> None:
-    rng, seed = fresh()
+def test_natural_zeros_tell_where_bridges_are_where_no_weighing_does(tmp_path: Path, rng) -> None:
     stand = Stand(tmp_path, rng, natural_zeros=True)
     path, swing = stand.pulled()
     files = BalanceFiles.of(tmp_path / "balance.json", zero=[stand.at_rest("zero", 0.0)])
     felt, _ = reduced(read(path), files)
     error = float(np.max(np.abs(felt.values[:, 5] - swing))) / stand.balance.half_range[5]
     # the drift passes for a load of 0.1 % of range, over which sensitivities change by less than 10 % of that
-    assert error < 0.1 * DRIFT * 0.5, seed
+    assert error < 0.1 * DRIFT * 0.5
 
 
-def test_a_weight_that_nothing_tells_is_told(tmp_path: Path) -> None:
-    rng, _ = fresh()
+def test_a_weight_that_nothing_tells_is_told(tmp_path: Path, rng) -> None:
     stand = Stand(tmp_path, rng, natural_zeros=False)
     path, _ = stand.pulled()
     files = BalanceFiles.of(tmp_path / "balance.json", zero=[stand.at_rest("zero", 0.0)])
@@ -128,8 +123,7 @@ def test_a_weight_that_nothing_tells_is_told(tmp_path: Path) -> None:
         releases_felt([read(path)], files, None, channel_map=None, counted=False)
 
 
-def test_a_zero_of_the_bare_balance_is_no_weight(tmp_path: Path) -> None:
-    rng, seed = fresh()
+def test_a_zero_of_the_bare_balance_is_no_weight(tmp_path: Path, rng) -> None:
     stand = Stand(tmp_path, rng, natural_zeros=True)
     zero = stand.record("zero", np.zeros((50, 6)), np.zeros(50))
     path, swing = stand.pulled()
@@ -138,6 +132,4 @@ def test_a_zero_of_the_bare_balance_is_no_weight(tmp_path: Path) -> None:
     assert felt.zero.operating_point is None
     loads = stand.weight(np.zeros(400))
     loads[:, 5] += swing
-    np.testing.assert_allclose(
-        felt.values, loads, atol=1e3 * ROUNDED * stand.balance.half_range.max(), err_msg=str(seed)
-    )
+    np.testing.assert_allclose(felt.values, loads, atol=1e3 * ROUNDED * stand.balance.half_range.max())

@@ -20,7 +20,6 @@ from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError, ReadError
 from aerobalance.simulation.calibration_stand import random_balance
-from seeds import new_seed
 
 POUND = 4.4482216152605  # N, by the definition of the pound (0.45359237 kg) and standard gravity
 
@@ -90,8 +89,7 @@ def test_contacts_are_noted_at_the_same_samples(cut, closed, action) -> None:
         assert [tick for tick, kind in events(out) if kind == "contact over"] == ends
 
 
-def test_loads_of_gauge_outputs_are_watched() -> None:
-    seed = new_seed()
+def test_loads_of_gauge_outputs_are_watched(rng, seed) -> None:
     balance = random_balance(seed)
     setup = setup_from(
         {
@@ -102,14 +100,13 @@ def test_loads_of_gauge_outputs_are_watched() -> None:
     )
     channels = tuple(StoredChannel(name=f"r{name}", unit="uV/V") for name in balance.gauges)
     plan = plan_of(setup, channels, 1000.0, balance=balance)
-    rng = np.random.default_rng(seed)
     direction = rng.normal(size=6)
     shares = np.linspace(0.05, 1.3, 400)
     native = shares[:, None] * (direction / np.abs(direction).max()) * balance.load_scale
     zero = np.zeros(6) if balance.natural_zero is None else balance.natural_zero
     out = run(plan, 1e3 * (balance.outputs(native) + zero))
     # the step of the shares is 0.0031, and the iteration for the loads ends far below that
-    assert abs(recorded(out) - 1 - int(np.argmax(shares > 1))) <= 1, seed
+    assert abs(recorded(out) - 1 - int(np.argmax(shares > 1))) <= 1
     assert "of the load envelope" in next(item for item in out if isinstance(item, End)).reason
     # the limit of one load, which is none of the channels
     setup = setup_from({"files": {"balance": "b.json"}, "limits": {"AF": {"high": 1.0, "action": "stop"}}})
@@ -117,8 +114,7 @@ def test_loads_of_gauge_outputs_are_watched() -> None:
     assert (limit.column, limit.unit) == (6 + COMPONENTS.index("AF"), "N")
 
 
-def test_gauge_that_was_zeroed_has_no_natural_zero() -> None:
-    seed = new_seed()
+def test_gauge_that_was_zeroed_has_no_natural_zero(seed) -> None:
     balance = random_balance(seed)
     setup = setup_from({"files": {"balance": "b.json"}, "envelope": {"shape": "balance"}})
     channels = [StoredChannel(name=f"r{name}", unit="mV/V", offset=0.1 * k) for k, name in enumerate(balance.gauges)]

@@ -12,7 +12,6 @@ from aerobalance.acquisition.guards import Limit
 from aerobalance.acquisition.intake import AtLevel, AtOnce, AtTime, End, Intake, OnCall, Piece, Plan, Start
 from aerobalance.acquisition.source import Block
 from aerobalance.io.hdf5_layout import StoredChannel
-from seeds import new_seed
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N", sign=-1.0, scale=2.0, offset=1.0))
 
@@ -181,9 +180,8 @@ def test_restarted_count_goes_on_by_the_clock_of_the_computer() -> None:
     assert following.block.tick == 5310
 
 
-def drifting(ppm, seconds):
+def drifting(rng, ppm, seconds):
     rate, watch = 1000.0, Continuity(1000.0)
-    rng = np.random.default_rng(new_seed())
     events = []
     for number in range(int(seconds * 10)):
         # true time of the source's sample, and an arrival up to 40 ms later
@@ -193,13 +191,13 @@ def drifting(ppm, seconds):
     return events
 
 
-def test_drift_of_the_clock_is_noted_and_a_steady_clock_is_not() -> None:
-    assert drifting(0.0, 300) == []
+def test_drift_of_the_clock_is_noted_and_a_steady_clock_is_not(rng) -> None:
+    assert drifting(rng, 0.0, 300) == []
     # 1000 ppm are 0.05 s, the change that is noted, in 50 s
-    events = drifting(1000.0, 300)
+    events = drifting(rng, 1000.0, 300)
     assert events
     assert all(event.kind == "drift" and "behind" in event.text and "ppm" in event.text for event in events)
-    assert all("ahead of" in event.text for event in drifting(-1000.0, 300))
+    assert all("ahead of" in event.text for event in drifting(rng, -1000.0, 300))
 
 
 def test_block_goes_through_bytes_unchanged() -> None:

@@ -20,7 +20,6 @@ from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation.published import CABLE_CUT
-from seeds import new_seed
 
 SEED = 11
 RECORD = "[record]\nblock = 0.05\nkeep_free = 0.0\n[channels.AF]\n[channels.live_acceleration]\n"
@@ -125,7 +124,5 @@ def kill(kind, folder, count, seed):
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
-def test_thirty_kills_lose_nothing_acknowledged(kind, tmp_path) -> None:
-    seed = new_seed()
-    print(f"seed {seed}")  # noqa: T201 - shown on failure
+def test_thirty_kills_lose_nothing_acknowledged(kind, tmp_path, seed) -> None:
     kill(kind, tmp_path, 30, seed)

@@ -15,7 +15,6 @@ from at_work import blocks_of
 
 from aerobalance.app.cli import main
 from aerobalance.io.hdf5_file import read_blocks
-from seeds import new_seed
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")
 
@@ -86,8 +85,7 @@ def kill(folder, victim, number, enough):
     return before
 
 
-def kill_in_turn(folder, count):
-    rng = np.random.default_rng(new_seed())
+def kill_in_turn(rng, folder, count):
     killed = dict.fromkeys(VICTIMS, 0)
     for number in range(count):
         victim = VICTIMS[number % len(VICTIMS)]
@@ -105,10 +103,10 @@ def kill_in_turn(folder, count):
     print(f"killed {killed}: every block was in its file")  # noqa: T201 - shown with -s
 
 
-def test_each_is_killed_once(tmp_path) -> None:
-    kill_in_turn(tmp_path, len(VICTIMS))
+def test_each_is_killed_once(tmp_path, rng) -> None:
+    kill_in_turn(rng, tmp_path, len(VICTIMS))
 
 
 @pytest.mark.long
-def test_fifty_kills(tmp_path) -> None:
-    kill_in_turn(tmp_path, 50)
+def test_fifty_kills(tmp_path, rng) -> None:
+    kill_in_turn(rng, tmp_path, 50)

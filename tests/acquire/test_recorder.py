@@ -30,7 +30,6 @@ from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import Provenance, StoredChannel
 from aerobalance.recording.errors import DataQualityWarning, FitError
-from seeds import new_seed
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N"))
 
@@ -60,9 +59,7 @@ def stored(path):
     return found
 
 
-def test_what_the_source_gave_is_in_the_file_to_the_last_bit(tmp_path) -> None:
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_what_the_source_gave_is_in_the_file_to_the_last_bit(tmp_path, rng) -> None:
     take = Take(job(tmp_path / "run.h5"))
     given, tick = {}, 5_000_000_000
     for _ in range(60):
@@ -73,8 +70,8 @@ def test_what_the_source_gave_is_in_the_file_to_the_last_bit(tmp_path) -> None:
         tick += len(samples)
     take.end("done")
     found = stored(tmp_path / "run.h5")
-    assert list(found) == list(given), f"seed {entropy}"
-    assert all(found[tick].tobytes() == given[tick].tobytes() for tick in given), f"seed {entropy}"
+    assert list(found) == list(given)
+    assert all(found[tick].tobytes() == given[tick].tobytes() for tick in given)
     said = contents(tmp_path / "run.h5")
     assert (said.state, said.reason) == ("ended", "done")
     with h5py.File(tmp_path / "run.h5") as file:
@@ -184,16 +181,12 @@ def kill_recorders(folder, count, seed):
                 check_after_a_kill(file, recorder.progress)
 
 
-def test_kill_of_recorder_or_source_loses_nothing_acknowledged(tmp_path) -> None:
-    seed = new_seed()
-    print(f"seed {seed}")  # noqa: T201 - shown on failure
+def test_kill_of_recorder_or_source_loses_nothing_acknowledged(tmp_path, seed) -> None:
     kill_recorders(tmp_path, 10, seed)
 
 
 @pytest.mark.long
-def test_kill_of_recorder_or_source_a_hundred_times(tmp_path) -> None:
-    seed = new_seed()
-    print(f"seed {seed}")  # noqa: T201 - shown on failure
+def test_kill_of_recorder_or_source_a_hundred_times(tmp_path, seed) -> None:
     kill_recorders(tmp_path, 100, seed)
 
 

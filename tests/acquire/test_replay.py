@@ -11,7 +11,6 @@ from aerobalance.acquisition.source import SourceEndedError
 from aerobalance.io import read
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
 from aerobalance.recording.errors import DataQualityWarning, ReadError
-from seeds import new_seed
 
 CHANNELS = (
     StoredChannel("AF", "lbf", sign=-1.0, scale=2.0, offset=0.5),
@@ -38,9 +37,7 @@ def played(source):
     return found
 
 
-def test_a_record_is_played_as_it_would_be_read_with_its_gaps_and_units(tmp_path) -> None:
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
+def test_a_record_is_played_as_it_would_be_read_with_its_gaps_and_units(tmp_path, rng) -> None:
     blocks, tick = [], 7_000
     for _ in range(12):
         rows = int(rng.integers(1, 400))
@@ -58,12 +55,12 @@ def test_a_record_is_played_as_it_would_be_read_with_its_gaps_and_units(tmp_path
     found = np.full_like(expected, np.nan)
     due = 0
     for block in played(source):
-        assert block.tick >= due, f"seed {entropy}"
+        assert block.tick >= due
         assert len(block.samples) <= 100
         found[block.tick : block.end] = block.samples
         due = block.end
-    assert due == len(expected), f"seed {entropy}"
-    assert np.array_equal(found, expected, equal_nan=True), f"seed {entropy}"
+    assert due == len(expected)
+    assert np.array_equal(found, expected, equal_nan=True)
 
 
 def test_a_damaged_block_is_a_gap_that_says_why(tmp_path) -> None:

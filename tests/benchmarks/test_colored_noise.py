@@ -12,7 +12,6 @@ from test_estimator import SHARP, SOFT, T128, Shape, density, inner, rms_of, smo
 from aerobalance.estimation.force import noise_of, reconstruct
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.recording import Recording
-from seeds import generator
 
 RATE = 1600.0
 CORNER = 10.0
@@ -47,8 +46,7 @@ def bound(shape: Shape, *, seconds: float) -> float:
 
 
 @pytest.mark.parametrize("name", ["0-30 Hz", "0-120 Hz", "Gauss, 40 Hz"])
-def test_load_beside_one_over_f(name: str, record) -> None:
-    rng = generator()
+def test_load_beside_one_over_f(name: str, record, rng) -> None:
     shape = (SHARP | SOFT)[name]
     errors, covered = [], []
     for _ in range(60):
@@ -67,9 +65,8 @@ def test_load_beside_one_over_f(name: str, record) -> None:
     assert 0.93 <= average <= 0.97
 
 
-def test_step_beside_one_over_f(record) -> None:
+def test_step_beside_one_over_f(record, rng) -> None:
     """A step of 1020 N: found once, and the rest of the record as well as a constant and a step can be known."""
-    rng = generator()
     errors, found = [], []
     for _ in range(40):
         known = noise_of(record_of(noise(rng, 16_000)), T128)
@@ -87,8 +84,7 @@ def test_step_beside_one_over_f(record) -> None:
     assert rms_of(errors) < 0.4
 
 
-def test_no_step_is_found_in_one_over_f(record) -> None:
-    rng = generator()
+def test_no_step_is_found_in_one_over_f(record, rng) -> None:
     steps = 0
     for _ in range(100):
         known = noise_of(record_of(noise(rng, 16_000)), T128)

@@ -9,14 +9,12 @@ from test_estimator import SHARP, SOFT, T128, drawn, inner, smooth_run
 from aerobalance.estimation.force import reconstruct
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.recording import Recording
-from seeds import generator
 
 NOISES = (0.5, 2.0, 10.0)
 
 
 @pytest.mark.parametrize("kind", ["sharp", "soft"])
-def test_intervals_cover(kind: str, record) -> None:
-    rng = generator()
+def test_intervals_cover(kind: str, record, rng) -> None:
     shapes = list((SHARP if kind == "sharp" else SOFT).values())
     covered = []
     for k in range(200):
@@ -29,9 +27,8 @@ def test_intervals_cover(kind: str, record) -> None:
     assert 0.93 <= average <= 0.97
 
 
-def test_intervals_cover_after_an_event(record) -> None:
+def test_intervals_cover_after_an_event(record, rng) -> None:
     """The half second after a step of 1020 N under loads of 60 N rms, sharp and soft."""
-    rng = generator()
     shapes = list((SHARP | SOFT).values())
     covered = []
     for k in range(36):

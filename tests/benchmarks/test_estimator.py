@@ -18,7 +18,6 @@ from aerobalance.identification.free_decay.log_decrement import extrema_fit
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor, Simulation, band_noise
-from seeds import generator
 
 T128 = CableCut().dynamics
 RIG = Dynamics("AF", 0.68, 11.43e6, 371.98)
@@ -118,8 +117,7 @@ def rms_of(parts: list[Array]) -> float:
 
 @pytest.mark.parametrize("noise", [0.5, 2.0, 10.0])
 @pytest.mark.parametrize("name", [*SHARP, *SOFT])
-def test_smooth_load_at_the_bound(name: str, noise: float, record) -> None:
-    rng = generator()
+def test_smooth_load_at_the_bound(name: str, noise: float, record, rng) -> None:
     shape = (SHARP | SOFT)[name]
     errors, least = [], []
     for _ in range(RUNS):
@@ -147,8 +145,7 @@ def test_smooth_load_at_the_bound(name: str, noise: float, record) -> None:
 
 
 @pytest.mark.parametrize("noise", [0.05, 0.5, 2.0])
-def test_rig_at_the_bound(noise: float, record) -> None:
-    rng = generator()
+def test_rig_at_the_bound(noise: float, record, rng) -> None:
     setup = {"dynamics": RIG, "rate": 25_000.0, "rms": 100.0, "noise": noise}
     errors = []
     for _ in range(RUNS // 2):
@@ -187,8 +184,7 @@ def shaken_run(mass: float, rng: np.random.Generator) -> Simulation:
 
 
 @pytest.mark.parametrize("mass", [89.0, 178.0, 267.0])
-def test_shaken_ground_at_the_bound(mass: float, record) -> None:
-    rng = generator()
+def test_shaken_ground_at_the_bound(mass: float, record, rng) -> None:
     dynamics = Dynamics("AF", mass, T128.stiffness, T128.damping)
     run = shaken_run(mass, rng)
     error = inner(reconstruct(run.recording, dynamics).values - run.applied).std()
@@ -200,8 +196,7 @@ def test_shaken_ground_at_the_bound(mass: float, record) -> None:
     assert bound / error >= 1 / 1.1
 
 
-def test_differences_of_the_paper_beside_the_smoother(record) -> None:
-    rng = generator()
+def test_differences_of_the_paper_beside_the_smoother(record, rng) -> None:
     run = shaken_run(178.0, rng)
     dynamics = Dynamics("AF", 178.0, T128.stiffness, T128.damping)
     errors = {
@@ -212,8 +207,7 @@ def test_differences_of_the_paper_beside_the_smoother(record) -> None:
     assert errors["paper"] > 5 * errors["smoother"]
 
 
-def test_waveform_beside_the_extrema(record) -> None:
-    rng = generator()
+def test_waveform_beside_the_extrema(record, rng) -> None:
     waveform, extrema = [], []
     for _ in range(12):
         rig = CableCut(sensors={"AF": Sensor(noise=10.0)})
@@ -227,8 +221,7 @@ def test_waveform_beside_the_extrema(record) -> None:
 
 
 @pytest.mark.parametrize("what", ["step", "broadband load"])
-def test_a_hundred_thousand_samples_beside_the_clock(what: str, record) -> None:
-    rng = generator()
+def test_a_hundred_thousand_samples_beside_the_clock(what: str, record, rng) -> None:
     if what == "step":
         rig = CableCut(dynamics=RIG, cable_force=-50.0, release=2.0, rate=25_000.0, sensors={"AF": Sensor(noise=0.05)})
         run = rig.run(4.0, rng).recording

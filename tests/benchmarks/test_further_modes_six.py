@@ -28,7 +28,6 @@ from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_bending import Bending, bending_dynamics
 from aerobalance.simulation.six_components import Release, SixComponentRig, SixSimulation
 from aerobalance.simulation.six_signals import Band, broadband
-from seeds import generator
 
 RATE = 5000.0
 BALANCES = 12
@@ -134,8 +133,7 @@ def like_one_split(true: CoupledDynamics, *, half_range: Array) -> bool:
 
 
 @pytest.mark.parametrize("further", [1, 2])
-def test_modes_beyond_six_are_found(further, record) -> None:
-    rng = generator()
+def test_modes_beyond_six_are_found(further, record, rng) -> None:
     modes, responses, forces, rigidity, found = [], [], [], [], 0
     for _ in range(BALANCES):
         balance, true = bent(rng, modes=further)
@@ -179,13 +177,12 @@ def test_modes_beyond_six_are_found(further, record) -> None:
         assert low < rms < high, name
 
 
-def test_six_modes_alone_cost(record) -> None:
+def test_six_modes_alone_cost(record, rng) -> None:
     """Six modes take up six of the seven, and what is said names the one that they lack.
 
     Six modes alone are the six that ring most: nothing in them tells which mode is of the model or sting. So the one
     that they lack may be of the balance, and that is what is missing in the force.
     """
-    rng = generator()
     gains, far = [], []
     for _ in range(4):
         balance, true = bent(rng)
@@ -208,8 +205,7 @@ def lacking(six: CoupledIdentification, true: CoupledDynamics) -> float:
     return float(np.exp(np.delete(theirs, rows)[0]))
 
 
-def test_rigid_models_have_six_modes(record) -> None:
-    rng = generator()
+def test_rigid_models_have_six_modes(record, rng) -> None:
     kept = 0
     for _ in range(RIGID):
         balance = random_balance(rng)
@@ -220,14 +216,13 @@ def test_rigid_models_have_six_modes(record) -> None:
 
 
 @pytest.mark.parametrize("further", [1, 2])
-def test_the_force_with_bending_modes(further, record) -> None:
+def test_the_force_with_bending_modes(further, record, rng) -> None:
     """A gust through all modes: the force by what releases gave, against the truth and what is predicted of it.
 
     Noise of the run and errors of the dynamics are independent of each other, so that the square of the error is that
     with the true dynamics and the predicted square together, u^2, on average. The errors of one balance hang together:
     at worst one normal deviate makes all of them, and the mean over the balances is chi2 / BALANCES or less.
     """
-    rng = generator()
     squares = []
     for _ in range(GUSTS):
         balance, true = bent(rng, modes=further)

@@ -13,7 +13,6 @@ from aerobalance.estimation.spectra.line_noise import hum_lines
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
-from seeds import generator
 
 RATE = 1600.0
 NOISE = 2.0
@@ -36,8 +35,7 @@ def with_more(run: Recording, more: Array) -> Recording:
 
 @pytest.mark.parametrize("mains", [50.02, 59.97])
 @pytest.mark.parametrize("kind", ["0-30 Hz", "step"])
-def test_force_beside_hum(kind: str, mains: float, record) -> None:
-    rng = generator()
+def test_force_beside_hum(kind: str, mains: float, record, rng) -> None:
     clean, hummed = [], []
     for k in range(RUNS):
         instant = 2 + rng.uniform(0, 1) / RATE
@@ -59,8 +57,7 @@ def test_force_beside_hum(kind: str, mains: float, record) -> None:
     assert ratio > 1 / 1.1
 
 
-def test_no_hum_in_smooth_records(record) -> None:
-    rng = generator()
+def test_no_hum_in_smooth_records(record, rng) -> None:
     shapes = list((SHARP | SOFT).values())
     false = 0
     for k in range(100):

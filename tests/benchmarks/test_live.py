@@ -21,7 +21,6 @@ from aerobalance.recording.channel import Array
 from aerobalance.simulation import CableCut, Sensor
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_signals import Band, broadband
-from seeds import generator
 
 LEARNING = {1600.0: 20.0, 25_000.0: 4.0}
 """Seconds that the process is learned from, by sampling rate."""
@@ -42,8 +41,7 @@ def pushed(live: LiveForce, readings: Array, *, chunk: int = 53) -> tuple[Array,
 
 @pytest.mark.parametrize("noise", [0.5, 2.0, 10.0])
 @pytest.mark.parametrize("name", [*SHARP, *SOFT])
-def test_live_at_the_bound(name: str, noise: float, record) -> None:
-    rng = generator()
+def test_live_at_the_bound(name: str, noise: float, record, rng) -> None:
     shape = (SHARP | SOFT)[name]
     setup = {"dynamics": T128, "rate": 1600.0, "rms": 500.0, "noise": noise}
     errors = []
@@ -62,8 +60,7 @@ def test_live_at_the_bound(name: str, noise: float, record) -> None:
 
 
 @pytest.mark.parametrize("noise", [0.05, 0.5, 2.0])
-def test_live_rig_at_the_bound(noise: float, record) -> None:
-    rng = generator()
+def test_live_rig_at_the_bound(noise: float, record, rng) -> None:
     setup = {"dynamics": RIG, "rate": 25_000.0, "rms": 100.0, "noise": noise}
     errors = []
     for _ in range(RUNS // 2):
@@ -77,8 +74,7 @@ def test_live_rig_at_the_bound(noise: float, record) -> None:
 
 
 @pytest.mark.parametrize("kind", ["sharp", "soft"])
-def test_live_intervals_cover(kind: str, record) -> None:
-    rng = generator()
+def test_live_intervals_cover(kind: str, record, rng) -> None:
     covered = []
     for shape in (SHARP if kind == "sharp" else SOFT).values():
         for noise in (0.5, 2.0, 10.0):
@@ -98,9 +94,8 @@ def test_live_intervals_cover(kind: str, record) -> None:
 
 
 @pytest.mark.parametrize(("noise", "allowed"), [(2.0, 0.3), (10.0, 1.5)])
-def test_live_plateaus_of_a_cable_cut(noise: float, allowed: float, record) -> None:
+def test_live_plateaus_of_a_cable_cut(noise: float, allowed: float, record, rng) -> None:
     """Allowed is what 121 readings after the cut tell of it, its instant and level free too: 0.15 of the noise."""
-    rng = generator()
     errors, instants = [], []
     for _ in range(RUNS):
         rig = CableCut(release=3 + rng.uniform(0, 1) / 1600, sensors={"AF": Sensor(noise=noise)})
@@ -120,8 +115,7 @@ def test_live_plateaus_of_a_cable_cut(noise: float, allowed: float, record) -> N
 
 
 @pytest.mark.parametrize("noise", [2.0, 10.0])
-def test_live_step_under_a_broadband_load(noise: float, record) -> None:
-    rng = generator()
+def test_live_step_under_a_broadband_load(noise: float, record, rng) -> None:
     setup = {"dynamics": T128, "rate": 1600.0, "rms": 60.0, "noise": noise}
     errors = []
     for _ in range(RUNS):
@@ -141,9 +135,8 @@ def test_live_step_under_a_broadband_load(noise: float, record) -> None:
     assert ratio >= 1 / 1.15
 
 
-def test_no_false_step_live(record) -> None:
+def test_no_false_step_live(record, rng) -> None:
     """One a day is allowed: in 24 smooth records of 40 s chance brings 0.011, and two with a probability of 6e-5."""
-    rng = generator()
     found = 0
     for name in (*SHARP, *SOFT):
         shape = (SHARP | SOFT)[name]
@@ -157,8 +150,7 @@ def test_no_false_step_live(record) -> None:
     assert found <= 1
 
 
-def test_six_components_at_25_khz_on_one_core(record) -> None:
-    rng = generator()
+def test_six_components_at_25_khz_on_one_core(record, rng) -> None:
     run, _ = smooth_run(rng, WIDE["0-900 Hz"], dynamics=RIG, rate=25_000.0, rms=100.0, noise=0.05, seconds=8.0)
     process, readings, _ = learned_first(run.channel("AF").values, RIG, rate=25_000.0)
     pushed(LiveForce(RIG, interval=1 / 25_000, learned=process), readings[:5000], chunk=833)  # compiles the kernels
@@ -178,9 +170,8 @@ def test_six_components_at_25_khz_on_one_core(record) -> None:
 
 
 @pytest.mark.parametrize("rate", [12_500.0, 25_000.0])
-def test_six_coupled_components_on_one_core(rate: float, record) -> None:
+def test_six_coupled_components_on_one_core(rate: float, record, rng) -> None:
     """A balance with modes up to 600 Hz; the page thins 25 kHz to 12.5 kHz for it."""
-    rng = generator()
     balance = random_balance(rng)
     force = broadband(rng, Band(0, 300), rms=0.05 * balance.half_range, period=8.0)
     deviation = balance.noise * balance.half_range

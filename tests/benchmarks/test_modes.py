@@ -16,7 +16,6 @@ from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor, Simulation
 from aerobalance.validation.model_check import misfit_of
-from seeds import generator
 
 HALF_RANGE = 2000.0
 ALLOWED = 0.02e-2 * HALF_RANGE
@@ -42,8 +41,7 @@ def identified(truth: Dynamics, rng: np.random.Generator, *, noise: float, modes
 
 
 @pytest.mark.parametrize("noise", [2.0, 10.0])
-def test_a_second_mode_is_found_and_removed(noise: float, record) -> None:
-    rng = generator()
+def test_a_second_mode_is_found_and_removed(noise: float, record, rng) -> None:
     errors: list[Array] = []
     for share in SHARES:
         for _ in range(RUNS):
@@ -59,8 +57,7 @@ def test_a_second_mode_is_found_and_removed(noise: float, record) -> None:
 
 
 @pytest.mark.parametrize("noise", [2.0, 10.0])
-def test_broadband_loads_through_two_modes_at_the_bound(noise: float, record) -> None:
-    rng = generator()
+def test_broadband_loads_through_two_modes_at_the_bound(noise: float, record, rng) -> None:
     bounds, errors = [], []
     for share in SHARES:
         truth = balance(rng, share)
@@ -76,8 +73,7 @@ def test_broadband_loads_through_two_modes_at_the_bound(noise: float, record) ->
 
 
 @pytest.mark.parametrize("noise", [2.0, 10.0])
-def test_a_mode_left_out_is_named_after_a_release(noise: float, record) -> None:
-    rng = generator()
+def test_a_mode_left_out_is_named_after_a_release(noise: float, record, rng) -> None:
     worst = 0.0
     for share in SHARES:
         for _ in range(RUNS):
@@ -90,8 +86,7 @@ def test_a_mode_left_out_is_named_after_a_release(noise: float, record) -> None:
     assert worst < 0.01
 
 
-def test_a_mode_left_out_is_named_under_a_broadband_load(record) -> None:
-    rng = generator()
+def test_a_mode_left_out_is_named_under_a_broadband_load(record, rng) -> None:
     worst, named = 0.0, 0
     for share in (0.05, 0.08, -0.05, -0.08):
         for _ in range(RUNS):
@@ -108,8 +103,7 @@ def test_a_mode_left_out_is_named_under_a_broadband_load(record) -> None:
     assert worst < 0.01
 
 
-def test_smooth_loads_and_releases_raise_no_doubt(record) -> None:
-    rng = generator()
+def test_smooth_loads_and_releases_raise_no_doubt(record, rng) -> None:
     false = 0
     for shape in (SHARP | SOFT).values():
         for noise in (0.5, 2.0, 10.0):
@@ -123,8 +117,7 @@ def test_smooth_loads_and_releases_raise_no_doubt(record) -> None:
     assert false == 0
 
 
-def test_a_held_tone_is_no_mode() -> None:
-    rng = generator()
+def test_a_held_tone_is_no_mode(rng) -> None:
     time = np.arange(12_800) / 1600
     load = 500 * np.abs(T128.response(140.0)) * np.sin(2 * np.pi * 140 * time) + rng.normal(0, 2.0, time.size)
     run = Recording.from_columns(time, {"AF": Channel("AF", load, "N")}, name="tone")

@@ -15,7 +15,6 @@ from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
 from aerobalance.uncertainty.budget import scalars
 from aerobalance.uncertainty.monte_carlo import monte_carlo
-from seeds import generator
 
 DRAWS = 800
 RUNS = 25
@@ -48,8 +47,7 @@ def run(rng: np.random.Generator, name: str, true: Dynamics) -> tuple[Recording,
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_monte_carlo_and_first_order_agree(name: str, record) -> None:
-    rng = generator()
+def test_monte_carlo_and_first_order_agree(name: str, record, rng) -> None:
     balance = unsure(name)
     recording, _ = run(rng, name, balance)
     estimate = reconstruct(recording, balance)
@@ -62,8 +60,7 @@ def test_monte_carlo_and_first_order_agree(name: str, record) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*noise alone")  # what uncertain dynamics leave over is rightly doubted
-def test_intervals_of_the_scalars_cover(record) -> None:
-    rng = generator()
+def test_intervals_of_the_scalars_cover(record, rng) -> None:
     inside: dict[str, list[bool]] = {}
     for name in CASES:
         balance = unsure(name)

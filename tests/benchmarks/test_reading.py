@@ -11,7 +11,6 @@ import numpy as np
 from aerobalance.io import read, write_recording
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.recording import Recording
-from seeds import new_seed
 
 
 def with_csv_module(path):
@@ -28,10 +27,8 @@ def seconds(task):
     return perf_counter() - begin
 
 
-def test_csv_beside_a_plain_parser(tmp_path, record) -> None:
+def test_csv_beside_a_plain_parser(tmp_path, record, seed) -> None:
     path = tmp_path / "long.csv"
-    seed = new_seed()
-    print(f"seed {seed}")  # noqa: T201
     values = np.random.default_rng(seed).normal(size=150_000)
     stamps = np.arange(values.size) / 25_000
     write_recording(path, Recording.from_columns(stamps, {"AF": Channel("AF", values, "N")}))

@@ -18,7 +18,6 @@ from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import Release, SixComponentRig
-from seeds import generator
 
 SETS = {1: ("YM",), 2: ("NF", "YM"), 3: ("NF", "SF", "AF"), 6: COMPONENTS}
 BALANCES = 6
@@ -54,8 +53,7 @@ def squares_of(fit: CoupledIdentification, balance: CoupledBalance) -> float:
     return float(z @ np.linalg.solve(fit.dynamics.covariance / np.outer(u, u), z))
 
 
-def test_six_releases_reach_the_bound(record) -> None:
-    rng = generator()
+def test_six_releases_reach_the_bound(record, rng) -> None:
     squares, seconds, about_mass = [], [], []
     for _ in range(BALANCES):
         balance = random_balance(rng)
@@ -81,8 +79,7 @@ def test_six_releases_reach_the_bound(record) -> None:
 
 
 @pytest.mark.parametrize("number", SETS)
-def test_force_error_is_the_predicted_one(number: int, record) -> None:
-    rng = generator()
+def test_force_error_is_the_predicted_one(number: int, record, rng) -> None:
     real, predicted = [], []
     for _ in range(4 * BALANCES):
         balance = random_balance(rng)

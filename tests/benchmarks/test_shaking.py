@@ -25,7 +25,6 @@ from aerobalance.recording.recording import Recording
 from aerobalance.simulation import Band, BaseMotion, Sweep, broadband, driven_motion, random_motion
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import Release, SixComponentRig
-from seeds import generator
 
 BALANCES = int(os.environ.get("AEROBALANCE_BALANCES", "12"))
 """Random balances of the first test; a longer run can ask for more."""
@@ -76,8 +75,7 @@ def squares_of(dynamics: CoupledDynamics, true: CoupledDynamics) -> float:
 
 
 @pytest.mark.parametrize("rates", [False, True])
-def test_shaking_reaches_the_bound(rates: bool, record) -> None:
-    rng = generator()
+def test_shaking_reaches_the_bound(rates: bool, record, rng) -> None:
     number = BALANCES // 3 if rates else BALANCES
     total, about_mass, seconds, holds = [], [], [], 0
     for _ in range(number):
@@ -105,8 +103,7 @@ def test_shaking_reaches_the_bound(rates: bool, record) -> None:
     record(f"20 s over the processor time of a shake of 3 s, {sensors}", 20 / float(np.median(seconds)), 1.0)
 
 
-def test_a_sweep_and_releases_agree_and_a_gust_comes_out(record) -> None:
-    rng = generator()
+def test_a_sweep_and_releases_agree_and_a_gust_comes_out(record, rng) -> None:
     balance = random_balance(rng)
     true = balance.dynamics
     swept = []

@@ -22,7 +22,6 @@ from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_bending import Bending, bending_dynamics
 from aerobalance.simulation.six_components import Release, SixSimulation
 from aerobalance.simulation.six_signals import Band, broadband
-from seeds import generator
 
 BALANCES = 6
 RATE, DURATION, GUSTS = 25_000.0, 1.0, 0.1
@@ -65,8 +64,7 @@ def inner(values: Array) -> Array:
     return values[ends:-ends]
 
 
-def test_gusts_through_all_resonances(record) -> None:
-    rng = generator()
+def test_gusts_through_all_resonances(record, rng) -> None:
     worst, share, covered, alone = 0.0, 0.0, [], []
     for _ in range(BALANCES):
         balance = random_balance(rng)
@@ -121,10 +119,9 @@ def differently_coupled(rng: np.random.Generator) -> CoupledBalance:
 
 @pytest.mark.parametrize(("made_by", "maker"), [("one maker", random_balance), ("another maker", differently_coupled)])
 def test_gusts_that_fall_off_softly(
-    made_by: str, maker: Callable[[np.random.Generator], CoupledBalance], record
+    made_by: str, maker: Callable[[np.random.Generator], CoupledBalance], record, rng
 ) -> None:
     """Above the bands of the loads the channels show noise that the components have in common."""
-    rng = generator()
     ratios, rows, covered = [], [], []
     for _ in range(BALANCES):
         balance = maker(rng)
@@ -150,9 +147,8 @@ def test_gusts_that_fall_off_softly(
     assert 0.93 < cover < 0.97
 
 
-def test_gusts_on_a_model_or_sting_that_bends(record) -> None:
+def test_gusts_on_a_model_or_sting_that_bends(record, rng) -> None:
     """With the hidden coordinate known; the start, while its motion dies away, only has to be covered."""
-    rng = generator()
     worst, covered = 0.0, []
     for _ in range(BALANCES):
         balance = random_balance(rng)
@@ -180,8 +176,7 @@ def test_gusts_on_a_model_or_sting_that_bends(record) -> None:
     assert 0.93 < cover < 0.97
 
 
-def test_plateaus_after_a_release(record) -> None:
-    rng = generator()
+def test_plateaus_after_a_release(record, rng) -> None:
     worst = 0.0
     for _ in range(BALANCES):
         balance = random_balance(rng)
@@ -197,9 +192,8 @@ def test_plateaus_after_a_release(record) -> None:
     assert worst < 5e-4
 
 
-def test_parameters_as_uncertain_as_six_releases_leave_them(record) -> None:
+def test_parameters_as_uncertain_as_six_releases_leave_them(record, rng) -> None:
     """Matrices drawn from a covariance of the size that identification has: intervals still cover."""
-    rng = generator()
     covered = []
     for _ in range(BALANCES):
         balance = random_balance(rng)

@@ -16,7 +16,6 @@ from test_six_chain import chain
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import DataQualityWarning
-from seeds import generator
 
 BALANCES = 6
 
@@ -24,8 +23,7 @@ TESTS = ("rigidity", "reciprocity", "centre_of_gravity")
 """Tests that hold for the simulated balances."""
 
 
-def test_errors_of_dynamics_from_gauge_outputs(record, tmp_path: Path) -> None:
-    rng = generator()
+def test_errors_of_dynamics_from_gauge_outputs(record, tmp_path: Path, rng) -> None:
     squares: dict[str, list[Array]] = {"A": [], "D": [], "A by the readings": [], "D by the readings": []}
     whitened, passed = [], []
     with warnings.catch_warnings():

@@ -32,7 +32,6 @@ from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import Release, SixSimulation
 from aerobalance.simulation.six_signals import Band, broadband
-from seeds import generator
 
 BALANCES = 6
 RATE, DURATION = 25_000.0, 1.0
@@ -93,8 +92,7 @@ def chain(path: Path, rng: np.random.Generator) -> Chain:
 
 
 @pytest.mark.parametrize(("gusts", "edge", "order"), [("from mV/V", 1.2, 0), ("soft gusts, from mV/V", 0.5, 2)])
-def test_from_gauge_outputs_to_forces(gusts: str, edge: float, order: int, record, tmp_path: Path) -> None:
-    rng = generator()
+def test_from_gauge_outputs_to_forces(gusts: str, edge: float, order: int, record, tmp_path: Path, *, rng) -> None:
     with_matrix, share, plateau = 0.0, 0.0, 0.0
     covered, alone, ratios = [], [], []
     with warnings.catch_warnings():

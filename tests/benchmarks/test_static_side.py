@@ -16,14 +16,13 @@ from aerobalance.balance.schedule import Schedule
 from aerobalance.balance.terms import codes
 from aerobalance.recording.channel import Array
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
-from seeds import generator, seed_from
+from seeds import seed_from
 from tare_bound import tare_bound
 
 NOISE = 0.7e-3
 
 
-def test_tares_beside_the_bound(record) -> None:
-    rng = generator()
+def test_tares_beside_the_bound(record, rng) -> None:
     scores = []
     for _ in range(15):
         balance = random_balance(seed_from(rng))
@@ -37,8 +36,7 @@ def test_tares_beside_the_bound(record) -> None:
     assert ratio > 0.75
 
 
-def test_residuals_beside_the_noise(record) -> None:
-    rng = generator()
+def test_residuals_beside_the_noise(record, rng) -> None:
     balance = random_balance(seed_from(rng))
     run = CalibrationStand(balance, noise=NOISE).run(seed_from(rng))
     matrix = calibrate(run.schedule, model="96").matrix
@@ -48,8 +46,7 @@ def test_residuals_beside_the_noise(record) -> None:
 
 
 @pytest.mark.parametrize("truth", ["linear", "abs", "quadratic", "96"])
-def test_chosen_terms_beside_other_choices(record, truth: str) -> None:
-    rng = generator()
+def test_chosen_terms_beside_other_choices(record, truth: str, rng) -> None:
     ways = {"auto": [], "all of the 96": [], "elimination by Student's t": [], "the terms of the balance": []}
     for _ in range(8):
         balance = random_balance(seed_from(rng), model=truth)
@@ -92,8 +89,7 @@ def by_students_t(schedule: Schedule, tares: Array, matrix: BalanceMatrix) -> Ar
     return C
 
 
-def test_calibration_beside_the_clock(record) -> None:
-    rng = generator()
+def test_calibration_beside_the_clock(record, rng) -> None:
     run = CalibrationStand(random_balance(seed_from(rng))).run(seed_from(rng))
     calibrate(run.schedule, model="96")  # compiles the kernels
     begin = time.perf_counter()
@@ -103,8 +99,7 @@ def test_calibration_beside_the_clock(record) -> None:
     assert spent < 5
 
 
-def test_loads_beside_the_clock(record) -> None:
-    rng = generator()
+def test_loads_beside_the_clock(record, rng) -> None:
     balance = random_balance(seed_from(rng))
     rate, count = 25_000.0, 100_000
     outputs = balance.outputs(rng.uniform(-0.9, 0.9, (count, 6)) * CAPACITIES)

@@ -13,7 +13,6 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
-from seeds import generator
 
 RATE = 1600.0
 
@@ -52,8 +51,7 @@ def record_of(changes: list[Change], rng: np.random.Generator, *, noise: float) 
 
 
 @pytest.mark.parametrize(("noise", "allowed"), [(2.0, 0.1), (10.0, 0.3)])
-def test_plateaus_of_a_step(noise: float, allowed: float, record) -> None:
-    rng = generator()
+def test_plateaus_of_a_step(noise: float, allowed: float, record, rng) -> None:
     before, after, instants = [], [], []
     for _ in range(2 * RUNS):
         rig = CableCut(release=1 + rng.uniform(0, 1) / RATE, sensors={"AF": Sensor(noise=noise)})
@@ -93,8 +91,7 @@ SEVERAL = {
 
 @pytest.mark.parametrize("noise", [2.0, 10.0])
 @pytest.mark.parametrize("name", SEVERAL)
-def test_plateaus_of_several_steps(name: str, noise: float, record) -> None:
-    rng = generator()
+def test_plateaus_of_several_steps(name: str, noise: float, record, rng) -> None:
     errors, least, instants = [], [], []
     for _ in range(RUNS // 2 if len(SEVERAL[name]) > 2 else RUNS):
         changes = scattered(SEVERAL[name], rng)
@@ -116,8 +113,7 @@ def test_plateaus_of_several_steps(name: str, noise: float, record) -> None:
 
 
 @pytest.mark.parametrize("noise", [2.0, 10.0])
-def test_durations_of_a_release(noise: float, record) -> None:
-    rng = generator()
+def test_durations_of_a_release(noise: float, record, rng) -> None:
     errors, least, unseen = [], [], []
     for duration in (0.0, 0.5e-3, 1e-3, 2e-3, 3e-3, 4e-3, 5e-3):
         for _ in range(2):
@@ -141,8 +137,7 @@ def test_durations_of_a_release(noise: float, record) -> None:
 
 
 @pytest.mark.parametrize("noise", [2.0, 10.0])
-def test_step_under_a_broadband_load(noise: float, record) -> None:
-    rng = generator()
+def test_step_under_a_broadband_load(noise: float, record, rng) -> None:
     setup = {"dynamics": T128, "rate": RATE, "rms": 60.0, "noise": noise}
     errors, instants, scores = [], [], []
     for _ in range(3 * RUNS):
@@ -183,8 +178,7 @@ def instant_bound(height: float, *, dynamics, rate: float, rms: float, noise: fl
     return float(rate / np.sqrt(information))
 
 
-def test_no_step_in_a_hundred_smooth_records(record) -> None:
-    rng = generator()
+def test_no_step_in_a_hundred_smooth_records(record, rng) -> None:
     kinds = [(shape, noise) for shape in (SHARP | SOFT).values() for noise in (0.5, 2.0, 10.0)]
     false = 0
     for k in range(100):
@@ -197,10 +191,9 @@ def test_no_step_in_a_hundred_smooth_records(record) -> None:
 
 @pytest.mark.parametrize("detuned", [1.0, 1.001])
 @pytest.mark.parametrize("place", ["T-128", "rig"])
-def test_harmonic_force_at_resonance(place: str, detuned: float, record) -> None:
+def test_harmonic_force_at_resonance(place: str, detuned: float, record, rng) -> None:
     """Held for 3.5 s, switched on after half a second, at a tenth of the half range."""
     dynamics, rate, half_range, noise = {"T-128": (T128, RATE, 2000.0, 10.0), "rig": (RIG, 25e3, 100.0, 0.3)}[place]
-    rng = generator()
     frequency, amplitude, fine = detuned * dynamics.natural_frequency, 0.1 * half_range, 8
     time = np.arange(round(4 * rate) * fine) / (rate * fine)
     force = amplitude * np.sin(2 * np.pi * frequency * (time - 0.5)) * (time >= 0.5)

@@ -10,7 +10,6 @@ from nptdms import ChannelObject, TdmsWriter
 from aerobalance.io import read, read_table
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
 from aerobalance.recording.errors import DataQualityWarning, ReadError
-from seeds import new_seed
 
 GOOD = "time [s],AF [N]\n0,1\n0.1,2\n0.2,3\n"
 
@@ -171,10 +170,8 @@ def test_table_refuses_a_missing_cell_and_a_missing_column(tmp_path):
         read_table(path, required=("frequency", "phase"))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_damaged_files_never_end_in_anything_but_a_read_error(tmp_path, seed):
-    entropy = new_seed()
-    rng = np.random.default_rng([seed, entropy % 2**32])
+@pytest.mark.parametrize("_again", range(3))
+def test_damaged_files_never_end_in_anything_but_a_read_error(tmp_path, rng, _again):
     path = tmp_path / "damaged.csv"
     good = bytearray(b"time [s],AF [N],pitch [deg]\n" + b"".join(b"%d.5,%d,1e-3\n" % (i, i * i) for i in range(20)))
     with warnings.catch_warnings():
@@ -189,6 +186,6 @@ def test_damaged_files_never_end_in_anything_but_a_read_error(tmp_path, seed):
             except ReadError as error:
                 assert "damaged.csv" in str(error)
             except Exception as error:
-                raise AssertionError(f"seed {seed}, {entropy}: {bytes(content)!r}") from error
+                raise AssertionError(f"{bytes(content)!r}") from error
             else:
                 assert recording.samples >= 2

@@ -14,7 +14,6 @@ from aerobalance.io.dynamics_file import read_dynamics, write_dynamics
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import ReadError
 from aerobalance.simulation import random_balance
-from seeds import new_seed
 
 # printf 'time [s],AF [N]\n0,1\n1,2\n' | sha256sum
 SHA256 = "ef293ed0de57a6f4c463d425043e4eb566f80704df1763d9cf36760d3c6bf8ac"
@@ -41,15 +40,14 @@ def written(tmp_path, dynamics, **settings):
     return path
 
 
-def test_round_trip_is_exact(tmp_path):
-    seed = new_seed()
+def test_round_trip_is_exact(tmp_path, seed):
     given = full(seed)
     found = read_coupled(written(tmp_path, given))
     assert found.components == given.components
     for name in ("inertia", "damping", "covariance"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(given, name), err_msg=str(seed))
+        np.testing.assert_array_equal(getattr(found, name), getattr(given, name))
     for name in ("mass", "centre", "inertia", "covariance"):
-        np.testing.assert_array_equal(getattr(found.mass, name), getattr(given.mass, name), err_msg=str(seed))
+        np.testing.assert_array_equal(getattr(found.mass, name), getattr(given.mass, name))
 
 
 def test_what_is_not_known_stays_so(tmp_path):
@@ -227,16 +225,15 @@ def with_calibration(seed):
     return replace(given, covariance_of_calibration=symmetric(factor @ factor.T), balance=SHA256)
 
 
-def test_what_the_calibration_left_reads_back_exactly(tmp_path):
-    seed = new_seed()
+def test_what_the_calibration_left_reads_back_exactly(tmp_path, seed):
     given = with_calibration(seed)
     path = written(tmp_path, given)
     found = read_coupled(path)
     for name in ("covariance", "covariance_of_calibration", "balance"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(given, name), err_msg=str(seed))
+        np.testing.assert_array_equal(getattr(found, name), getattr(given, name))
     stated = json.loads(path.read_text())
     u = np.sqrt(np.diag(given.covariance + given.covariance_of_calibration))
-    np.testing.assert_array_equal(np.ravel(stated["inertia"]["u"]), u[:36], err_msg=str(seed))
+    np.testing.assert_array_equal(np.ravel(stated["inertia"]["u"]), u[:36])
     # what the readings leave may be nothing
     exact = replace(given, covariance=np.zeros((72, 72)))
     assert not read_coupled(written(tmp_path, exact)).covariance.any()

@@ -17,7 +17,6 @@ from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import headings, read_blocks
 from aerobalance.io.hdf5_layout import CHANNEL_1, BlockWriter, Provenance, StoredChannel, text_bytes
 from aerobalance.recording.errors import DataQualityWarning, ReadError
-from seeds import new_seed
 
 CHANNELS = (
     StoredChannel("AF", "kN", input="Dev1/ai0", sign=-1.0, scale=0.5, offset=3.0, noise=0.01, delay=2e-4),
@@ -118,18 +117,17 @@ def test_damaged_block_is_named_and_missing(tmp_path) -> None:
     assert [samples is None for _, samples in read_blocks(file)] == [False, False, True, False, False]
 
 
-def test_every_single_bit_of_the_samples_is_watched(tmp_path) -> None:
+def test_every_single_bit_of_the_samples_is_watched(tmp_path, seed) -> None:
     file = tmp_path / "a.h5"
     make(file, [(0, 20)], rows=20)
     with h5py.File(file, "r") as opened:
         place, size = opened["samples"].id.get_chunk_info(0).byte_offset, 20 * 3 * 8
     data = file.read_bytes()
-    entropy = new_seed()
-    for bit in np.random.default_rng(entropy).integers(0, size * 8, 40):
+    for bit in np.random.default_rng(seed).integers(0, size * 8, 40):
         damaged = bytearray(data)
         damaged[place + int(bit) // 8] ^= 1 << int(bit) % 8
         file.write_bytes(damaged)
-        assert [samples for _, samples in read_blocks(file)] == [None], f"seed {entropy}"
+        assert [samples for _, samples in read_blocks(file)] == [None]
 
 
 KILLED = """
@@ -218,12 +216,10 @@ def test_recordings_that_cannot_be_used(tmp_path) -> None:
         read(file)
 
 
-def test_damage_anywhere_is_a_clear_error_or_leaves_true_samples(tmp_path) -> None:
+def test_damage_anywhere_is_a_clear_error_or_leaves_true_samples(tmp_path, rng) -> None:
     file = tmp_path / "a.h5"
     make(file, [(0, 300)])
     data, original = file.read_bytes(), quietly(file)
-    entropy = new_seed()
-    rng = np.random.default_rng(entropy)
     for _ in range(60):
         damaged = bytearray(data)
         for at in rng.integers(12, len(data), 3):
@@ -236,7 +232,7 @@ def test_damage_anywhere_is_a_clear_error_or_leaves_true_samples(tmp_path) -> No
         for name in set(recording.channels) & set(original.channels):
             values = recording.channel(name).values
             known = ~np.isnan(values)
-            assert np.isin(values[known], original.channel(name).values).all(), f"seed {entropy}"
+            assert np.isin(values[known], original.channel(name).values).all()
 
 
 def test_live_file_is_read_while_it_grows(tmp_path) -> None:
