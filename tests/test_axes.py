@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from aerobalance.balance.weighing.model import misalignment_matrix
 from aerobalance.dynamics.coupled import RigidMass
 from aerobalance.recording.components import COMPONENTS, MOMENTS, VECTORS
 from aerobalance.recording.errors import DataQualityWarning
@@ -83,11 +82,6 @@ def test_angles_of_a_rotation_are_found_again(rng):
     angles = rng.uniform(-1.5, 1.5, 3)
     again = Frame.of_rotation(Frame(np.zeros(3), *angles).rotation)
     np.testing.assert_allclose([again.pitch, again.roll, again.yaw], angles, atol=1e-12)
-
-
-def test_angles_mean_what_they_mean_in_weighing(rng):
-    angles = rng.uniform(-1, 1, 3)
-    np.testing.assert_allclose(Frame(np.zeros(3), *angles).rotation, misalignment_matrix(angles)[0], atol=1e-15)
 
 
 def test_lift_and_drag_by_hand():

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from aerobalance.motion.sensors import row_of
-from aerobalance.recording.components import COMPONENTS, MOMENTS, VECTORS
+from aerobalance.recording.channel import AXES_BY_NAME
+from aerobalance.recording.components import ANGLES, COMPONENTS, FORCE_AXES, MOMENTS, VECTORS
 from aerobalance.recording.frames import Frame
 from aerobalance.recording.gravity import weight_direction
 
@@ -45,6 +46,17 @@ def test_directions_are_those_of_the_program(name):
         assert MOMENT_ROWS[name][0] == ALL_ROWS[name][0]
 
 
+def test_endings_of_accelerations_are_those_of_the_page():
+    text = " ".join((DOCS / "conventions.md").read_text(encoding="utf-8").split())
+    up_and_right = r"NF and `(\w+)` positive (\w+); SF and `(\w+)` positive to the (\w+)"
+    found = re.search(r"along the balance axis are positive (\w+); " + up_and_right, text)
+    assert found is not None
+    aft, z, up, y, right = found.groups()
+    endings = {f"ground_acceleration{ending}": WORDS[axis] for ending, axis in (("", aft), (z, up), (y, right))}
+    assert endings == AXES_BY_NAME
+    assert {"AF": aft, "NF": up, "SF": right} == FORCE_AXES
+
+
 @pytest.mark.parametrize("name", MOMENTS)
 def test_words_for_a_turn_are_its_right_handed_vector(name):
     part, _, way = MOMENT_ROWS[name][0].rpartition(" ")
@@ -54,17 +66,22 @@ def test_words_for_a_turn_are_its_right_handed_vector(name):
 
 @pytest.mark.parametrize("name", MOMENTS)
 def test_channels_and_angles_have_the_sign_of_their_moment(name):
-    turns = re.findall(r"`(\w+)`", MOMENT_ROWS[name][2])
+    turns = re.findall(r"\w+", MOMENT_ROWS[name][2])
+    assert [ANGLES[turn] for turn in turns if turn in ANGLES] == [name]
     for channel in (turn for turn in turns if turn.startswith("ground_turn")):
         np.testing.assert_array_equal(
             row_of(channel, np.zeros(3), np.zeros(3)), [one == name for one in COMPONENTS], err_msg=channel
         )
-    for angle in (turn for turn in turns if turn in ("pitch", "roll")):
-        small = {"pitch": 0.0, "roll": 0.0, angle: 1e-6}
-        # a balance turned by an angle about v sees down turned by as much the other way; second order is 1e-12
-        seen = weight_direction(**small)
-        np.testing.assert_allclose(seen, WORDS["down"] - 1e-6 * np.cross(VECTORS[name], WORDS["down"]), atol=1e-11)
-    assert len(turns) == (3 if name != "YM" else 2)
+    for angle in (turn for turn in turns if turn in ANGLES):
+        # a balance turned by an angle about v sees a fixed vector turned as much the other way; second order is 1e-12
+        fixed = np.array([WORDS["forward"], WORDS["right"], WORDS["down"]])
+        expected = fixed - 1e-6 * np.cross(VECTORS[name], fixed)
+        np.testing.assert_allclose(fixed @ Frame(**{angle: 1e-6}).rotation.T, expected, atol=1e-11)
+        if angle != "yaw":
+            np.testing.assert_allclose(
+                weight_direction(**{"pitch": 0.0, "roll": 0.0, angle: 1e-6}), expected[2], atol=1e-11
+            )
+    assert len(turns) == 3
 
 
 def test_a_force_off_the_centre_makes_the_moments_that_the_page_names():

@@ -11,7 +11,7 @@ from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.platform import PlatformMotion
 from aerobalance.motion.sensors import ground_sensors
 from aerobalance.motion.single_axis import GroundMotion
-from aerobalance.recording.channel import AXES_BY_NAME, Channel
+from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, VECTORS
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
@@ -509,11 +509,3 @@ def test_impossible_mountings_are_refused(settings, words):
 def test_only_accelerometers_have_a_mounting():
     with pytest.raises(ValueError, match="place and axis are for"):
         Channel("AF", np.zeros(4), "N", place=(0.0, 0.0, 0.0))
-
-
-def test_named_axes_are_aft_right_and_up():
-    assert AXES_BY_NAME == {
-        "ground_acceleration": (1, 0, 0),
-        "ground_acceleration_y": (0, 1, 0),
-        "ground_acceleration_z": (0, 0, 1),
-    }

@@ -7,7 +7,6 @@ import pytest
 from scipy import stats
 
 from aerobalance.balance.weighing import (
-    DIRECTIONS,
     LoadPoints,
     Weighing,
     WeightModel,
@@ -16,10 +15,10 @@ from aerobalance.balance.weighing import (
     weigh_components,
 )
 from aerobalance.balance.weighing.advice import PROPOSALS
-from aerobalance.balance.weighing.model import misalignment_matrix
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.recording.components import AXES, COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.frames import rotation
 from aerobalance.recording.gravity import Attitudes, weight_direction
 from aerobalance.recording.recording import Recording
 from seeds import trials
@@ -134,10 +133,10 @@ def test_jacobian_is_the_slope_of_the_loads():
 
 
 def test_misalignment_is_a_rotation():
-    matrix, _ = misalignment_matrix(np.array([0.1, -0.2, 0.3]))
+    matrix, _ = rotation(0.1, -0.2, 0.3)
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-15)
     assert np.linalg.det(matrix) == pytest.approx(1, rel=1e-14)
-    lifted, _ = misalignment_matrix(np.array([0.1, 0, 0]))
+    lifted, _ = rotation(0.1, 0, 0)
     np.testing.assert_allclose(lifted @ weight_direction(0.2, 0.0), weight_direction(0.3, 0.0), atol=1e-15)
 
 
@@ -532,4 +531,4 @@ def test_recordings_give_all_components_at_once():
     assert found.mass == pytest.approx(MASS, abs=6 * found.u_mass)
     one = points_from_recordings(recordings, "PM")
     np.testing.assert_array_equal(one.load, given.loads[:, COMPONENTS.index("PM")])
-    assert set(found.centre_of_gravity) == set(DIRECTIONS)
+    assert set(found.centre_of_gravity) == set(AXES)

@@ -21,12 +21,12 @@ from scipy.signal import lfilter
 
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, VECTORS
+from aerobalance.recording.components import AXES, COMPONENTS, DIRECTIONS, FROM_VECTORS, MOMENT_ROWS, STANDARD_GRAVITY
 from aerobalance.recording.gravity import pull_of_gravity
 
 MASS_PARAMETERS: Final = (
     "mass",
-    *(f"centre {axis}" for axis in ("aft", "right", "up")),
+    *(f"centre {axis}" for axis in AXES),
     *(f"inertia {axes}" for axes in ("aft-aft", "right-right", "up-up", "aft-right", "aft-up", "right-up")),
 )
 """Order of the rows and columns of `RigidMass.covariance`."""
@@ -87,8 +87,7 @@ class RigidMass:
         whole[:3, 3:] = self.mass * across.T
         whole[3:, :3] = self.mass * across
         whole[3:, 3:] = self.inertia + self.mass * across @ across.T
-        turn = _directions()
-        return turn @ whole @ turn.T
+        return FROM_VECTORS @ whole @ FROM_VECTORS.T
 
     def weight(self, pitch: ArrayLike, roll: ArrayLike = 0.0, *, gravity: float = STANDARD_GRAVITY) -> Array:
         """Loads of the weight about the balance's centre, shape (n, 6) [N, N*m].
@@ -117,18 +116,10 @@ class RigidMass:
         loads
             Shape (n, 6) [N, N*m].
         """
-        w = rate @ np.array([VECTORS[name] for name in MOMENTS])
+        w = rate @ DIRECTIONS[list(MOMENT_ROWS)]
         force = self.mass * np.cross(w, np.cross(w, self.centre))
         moment = np.cross(self.centre, force) + np.cross(w, w @ self.inertia)
-        return np.asarray(np.hstack([force, moment]) @ _directions().T)
-
-
-def _directions() -> Array:
-    """Matrix from force and moment along aft, right, up to the order and signs of `COMPONENTS`, shape (6, 6)."""
-    turn = np.zeros((6, 6))
-    for row, name in enumerate(COMPONENTS):
-        turn[row, slice(3, 6) if name in MOMENTS else slice(0, 3)] = VECTORS[name]
-    return turn
+        return np.asarray(np.hstack([force, moment]) @ FROM_VECTORS.T)
 
 
 def hidden_names(count: int) -> tuple[str, ...]:

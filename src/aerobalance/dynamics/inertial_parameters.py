@@ -8,7 +8,7 @@ import numpy as np
 
 from aerobalance.dynamics.coupled import RigidMass
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS, MOMENTS, VECTORS
+from aerobalance.recording.components import FROM_VECTORS
 
 NUMBERS: Final = 10
 """How many: mass [kg], mass times centre [kg*m], and the inertia's aa, rr, uu, ar, au, ru about the balance's centre
@@ -20,9 +20,6 @@ SYMMETRIC: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 def mass_basis() -> Array:
     """Mass matrices of a unit of every number, shape (10, 6, 6)."""
-    turn = np.zeros((6, 6))
-    for row, name in enumerate(COMPONENTS):
-        turn[row, slice(3, 6) if name in MOMENTS else slice(0, 3)] = VECTORS[name]
     wholes = np.zeros((NUMBERS, 6, 6))
     wholes[0, :3, :3] = np.eye(3)
     for axis in range(3):
@@ -31,7 +28,7 @@ def mass_basis() -> Array:
         wholes[1 + axis, 3:, :3] = across
     for number, (i, j) in enumerate(SYMMETRIC):
         wholes[4 + number, 3 + i, 3 + j] = wholes[4 + number, 3 + j, 3 + i] = 1.0
-    return np.asarray(turn @ wholes @ turn.T)
+    return np.asarray(FROM_VECTORS @ wholes @ FROM_VECTORS.T)
 
 
 def turning_basis(rate: Array) -> Array:

@@ -15,8 +15,9 @@ from aerobalance.estimation.prior import Learned, Reading
 from aerobalance.estimation.spectra.line_noise import Line
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.estimation.steps import Step
-from aerobalance.motion.single_axis import AXES, GroundMotion, Unknown, load_from_ground
+from aerobalance.motion.single_axis import GroundMotion, Unknown, load_from_ground
 from aerobalance.recording.channel import Array
+from aerobalance.recording.components import acceleration_name
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
@@ -184,8 +185,8 @@ class Job:
     @property
     def motion_source(self) -> str:
         """Channels that the noise of the ground's motion comes from."""
-        axis = AXES.get(self.dynamics.component, "")
-        names = [name for name in (f"ground_acceleration{axis}", "pitch") if name in self.recording]
+        given = (acceleration_name("ground", self.dynamics.component), "pitch")
+        names = [name for name in given if name in self.recording]
         return " and ".join(names) or "ground_acceleration"
 
     def reading(self, *, hum: tuple[float, ...] = ()) -> Reading:

@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from aerobalance.io.text_cells import LARGEST
-from aerobalance.recording.channel import AXES_BY_NAME, DIRECTIONS, Coupling, is_ground_acceleration, unit_inside
+from aerobalance.recording.channel import AXES_BY_NAME, Coupling, is_ground_acceleration, unit_inside
+from aerobalance.recording.components import AXIS_VECTORS
 
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 NotBelow = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
@@ -53,11 +54,11 @@ class ChannelSettings(Strict):
     def _three_numbers(cls, given: object, info: ValidationInfo) -> object:
         """Take a list or text for three numbers, and the name of a direction for an axis."""
         axis = info.field_name == "axis"
-        if axis and isinstance(given, str) and given in DIRECTIONS:
-            return DIRECTIONS[given]
+        if axis and isinstance(given, str) and given in AXIS_VECTORS:
+            return AXIS_VECTORS[given]
         numbers = _numbers(given)
         if numbers is None and axis and isinstance(given, str):
-            raise ValueError(f"must be one of {', '.join(DIRECTIONS)}, or [aft, right, up] of length 1")
+            raise ValueError(f"must be one of {', '.join(AXIS_VECTORS)}, or [aft, right, up] of length 1")
         if numbers is None:
             raise ValueError("must be three numbers [aft, right, up]" + ("" if axis else " in m"))
         if axis and abs(float(np.linalg.norm(numbers)) - 1) > 1e-3:
@@ -76,7 +77,7 @@ class ChannelSettings(Strict):
                 None if bare else ("", "place and axis are for accelerometers on the ground end, ground_acceleration*")
             )
         if self.axis is None and name not in AXES_BY_NAME:
-            known = ", ".join(DIRECTIONS)
+            known = ", ".join(AXIS_VECTORS)
             return "axis", f"is needed: the name says no direction; {known} or [aft, right, up]"
         if self.place is None and self.place_uncertainty:
             return "place_uncertainty", "goes with a place"

@@ -28,7 +28,7 @@ from aerobalance.io.artefacts import (
 )
 from aerobalance.io.dynamics_file import ListedMode, check_mode, read_dynamics
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS, si_unit
+from aerobalance.recording.components import AXES, COMPONENTS, si_unit
 from aerobalance.recording.errors import ReadError
 
 KIND: Final = "coupled dynamics"
@@ -38,7 +38,6 @@ Kind = Literal["axial", "coupled"]
 Matrix = Literal["inertia", "damping"]
 
 _TIMES: Final[Mapping[Matrix, str]] = {"inertia": "s^2", "damping": "s"}
-_CENTRE: Final = ("aft", "right", "up")
 _INERTIA: Final = {"aa": (0, 0), "rr": (1, 1), "uu": (2, 2), "ar": (0, 1), "au": (0, 2), "ru": (1, 2)}
 """Moments of inertia by axes: aft, right, up."""
 
@@ -168,7 +167,7 @@ def _mass_payload(mass: RigidMass) -> dict[str, object]:
     ]
     payload: dict[str, object] = {
         "mass": entries[0],
-        "centre": dict(zip(_CENTRE, entries[1:4], strict=True)),
+        "centre": dict(zip(AXES, entries[1:4], strict=True)),
         "inertia": dict(zip(_INERTIA, entries[4:], strict=True)),
     }
     if mass.covariance.any():
@@ -177,7 +176,7 @@ def _mass_payload(mass: RigidMass) -> dict[str, object]:
 
 
 def _mass_names() -> tuple[str, ...]:
-    return ("mass", *(f"centre.{axis}" for axis in _CENTRE), *(f"inertia.{axes}" for axes in _INERTIA))
+    return ("mass", *(f"centre.{axis}" for axis in AXES), *(f"inertia.{axes}" for axes in _INERTIA))
 
 
 def write_coupled(
@@ -299,7 +298,7 @@ def rigid_mass_from(path: Path, given: RigidMassPart) -> RigidMass:
         A unit is not the one inside, or the covariance contradicts the uncertainties.
     """
     entries: dict[str, Value] = {"mass": given.mass}
-    entries |= {f"centre.{axis}": getattr(given.centre, axis) for axis in _CENTRE}
+    entries |= {f"centre.{axis}": getattr(given.centre, axis) for axis in AXES}
     entries |= {f"inertia.{axes}": getattr(given.inertia, axes) for axes in _INERTIA}
     for name, entry in entries.items():
         unit = "kg" if name == "mass" else "m" if name.startswith("centre") else "kg*m^2"
@@ -310,7 +309,7 @@ def rigid_mass_from(path: Path, given: RigidMassPart) -> RigidMass:
         inertia[i, j] = inertia[j, i] = entries[f"inertia.{axes}"].value
     return RigidMass(
         given.mass.value,
-        np.array([entries[f"centre.{axis}"].value for axis in _CENTRE]),
+        np.array([entries[f"centre.{axis}"].value for axis in AXES]),
         inertia,
         checked_covariance(path, "mass.covariance", given.covariance, deviations),
     )

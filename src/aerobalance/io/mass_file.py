@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Unpack
 import numpy as np
 from pydantic import Field
 
-from aerobalance.balance.weighing import AXES, MovingMass
+from aerobalance.balance.weighing import MovingMass
 from aerobalance.io.artefacts import (
     IN_EVERY_FILE,
     Covariance,
@@ -24,7 +24,7 @@ from aerobalance.io.artefacts import (
     load,
     write_artefact,
 )
-from aerobalance.recording.components import STANDARD_GRAVITY, mass_unit, si_unit
+from aerobalance.recording.components import FORCE_AXES, STANDARD_GRAVITY, mass_unit, si_unit
 
 
 class _ComponentMass(Loose):
@@ -100,7 +100,7 @@ def read_mass(path: Path | str) -> dict[str, MovingMass]:
     file = Path(path)
     contents = load(file, "mass", MassFile)
     result = {}
-    for name, key, entry in entries_of(file, contents.components, AXES, what="component that can be weighed"):
+    for name, key, entry in entries_of(file, contents.components, FORCE_AXES, what="component that can be weighed"):
         check_unit(file, f"{key}.mass.unit", entry.mass, mass_unit(name))
         check_unit(file, f"{key}.offset.unit", entry.offset, si_unit(name))
         others = dict(entry.misalignment)

@@ -11,11 +11,11 @@ import numpy as np
 from aerobalance.dynamics.coupled import RigidMass
 from aerobalance.motion.consistency import Effect, check_agreement
 from aerobalance.motion.least_squares import GroundFit
-from aerobalance.motion.rotation import TURNS, Turning
-from aerobalance.motion.sensors import DIRECTIONS, STRAIGHT, ground_sensors, motion_name, unseen
+from aerobalance.motion.rotation import Turning
+from aerobalance.motion.sensors import ground_sensors, motion_name, unseen
 from aerobalance.motion.single_axis import AT_REST, Unknown, bridged, tones
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.recording.components import AXES, COMPONENTS, DIRECTIONS, IS_FORCE, MOMENT_ROWS, STANDARD_GRAVITY
 from aerobalance.recording.gravity import Pull
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
@@ -155,7 +155,7 @@ def _kinematic(fit: GroundFit, pull: _Gravity, samples: int) -> Array:
 def _felt(fit: GroundFit, pull: Array) -> Array:
     """What the sensors that read specific force lack of a pull of shape (n, 6), shape (n, m)."""
     reading = np.array([sensor.reads_gravity for sensor in fit.sensors], dtype=np.float64)
-    return np.asarray(pull @ (fit.rows * STRAIGHT * reading[:, None]).T)
+    return np.asarray(pull @ (fit.rows * IS_FORCE * reading[:, None]).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,7 +217,7 @@ class _Job:
             [np.eye(6) - band.gains @ fit.rows for band in fit.bands], variance=variance
         )
         reading = np.array([sensor.reads_gravity for sensor in fit.sensors], dtype=np.float64)
-        maps = [band.gains @ (fit.rows * STRAIGHT * reading[:, None]) - np.eye(6) for band in fit.bands]
+        maps = [band.gains @ (fit.rows * IS_FORCE * reading[:, None]) - np.eye(6) for band in fit.bands]
         for name, slope in self.pull.slopes.items():
             size, shapes = np.linalg.eigh(slope.T @ slope / slope.shape[0])
             turned = [one @ shapes for one in maps]
@@ -227,7 +227,7 @@ class _Job:
     def _effects(self, found: Turning, gravity_uncertainty: float) -> Iterator[Effect]:
         """What holds along the record and is not known exactly, as changes of readings and of gravity."""
         fit, samples = self.first, self.readings.shape[0]
-        turn, w = (part @ DIRECTIONS[list(TURNS)] for part in (found.motion[:, TURNS], found.rate))
+        turn, w = (part @ DIRECTIONS[list(MOMENT_ROWS)] for part in (found.motion[:, MOMENT_ROWS], found.rate))
         for index, sensor in enumerate(fit.sensors):
             channel, straight = sensor.channel, sensor.kind == "acceleration"
             raw = self.readings[:, index] - _felt(fit, self.pull.acceleration)[:, index]
@@ -239,7 +239,7 @@ class _Job:
                     channel.zero_uncertainty,
                     {index: np.ones(samples)},
                 )
-            for axis, name in enumerate(("aft", "right", "up")):
+            for axis, name in enumerate(AXES):
                 by = np.eye(3)[axis]
                 moved = (np.cross(turn, by) + np.cross(w, np.cross(w, by))) @ sensor.axis
                 yield Effect(f"place {name}", channel.name, channel.place_uncertainty, {index: moved})
@@ -298,7 +298,7 @@ def _told(first: GroundFit, found: Turning) -> Iterator[str]:
         lost = [motion_name(column) for column in first.columns if column not in band.columns]
         if lost:
             yield f"the ground's {', '.join(lost)} is taken as zero above {band.low:.3g} Hz, where no sensor shows it"
-    turns = any(turn in first.columns for turn in TURNS)
+    turns = any(turn in first.columns for turn in MOMENT_ROWS)
     bare = [s.channel.name for s in first.sensors if s.kind == "acceleration" and s.channel.place is None]
     if turns and bare:
         yield f"{', '.join(bare)}: no place is given, so the balance's centre is taken for it"

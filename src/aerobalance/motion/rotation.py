@@ -15,12 +15,8 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.signal.windows import hann
 
 from aerobalance.motion.least_squares import GroundFit
-from aerobalance.motion.sensors import DIRECTIONS
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS, MOMENTS
-
-TURNS: Final = tuple(COMPONENTS.index(name) for name in MOMENTS)
-"""Places of the turns in the order of the components."""
+from aerobalance.recording.components import DIRECTIONS, MOMENT_ROWS, MOMENTS
 
 ROUNDS: Final = 5
 """Times that rate of turn and acceleration are worked out from each other; each adds an order of w^2 r."""
@@ -81,9 +77,9 @@ class Turning:
         readings = readings - known @ fit.rows.T
         start = motion = fit.motion(readings) + known
         felt, rate = np.zeros_like(readings), np.zeros((known.shape[0], 3))
-        if not start[:, TURNS].any():
+        if not start[:, MOMENT_ROWS].any():
             return cls(start, rate, felt, True, 0.0, ())
-        walk = WALK * np.sqrt(np.diag(fit.covariance)[list(TURNS)] * known.shape[0]) / fit.rate
+        walk = WALK * np.sqrt(np.diag(fit.covariance)[list(MOMENT_ROWS)] * known.shape[0]) / fit.rate
         settled, noise = False, np.zeros(3)
         for _ in range(ROUNDS):
             rate, noise = _rate(fit, motion, walk)
@@ -104,13 +100,13 @@ class Turning:
 
 
 def _recorded(fit: GroundFit) -> set[int]:
-    return {TURNS.index(int(np.argmax(sensor.row))) for sensor in fit.sensors if sensor.kind == "rate"}
+    return {MOMENT_ROWS.index(int(np.argmax(sensor.row))) for sensor in fit.sensors if sensor.kind == "rate"}
 
 
 def _rate(fit: GroundFit, motion: Array, walk: Array) -> tuple[Array, Array]:
     """Rate of turn, shape (n, 3), as read or else integrated, and the share of noise in what is integrated."""
     found, noise = np.zeros((motion.shape[0], 3)), np.zeros(3)
-    for place, turn in enumerate(TURNS):
+    for place, turn in enumerate(MOMENT_ROWS):
         read = [s for s, row in zip(fit.sensors, fit.rows, strict=True) if s.kind == "rate" and row[turn]]
         if read:
             weights = np.array([1 / max(sensor.noise, 1e-12) ** 2 for sensor in read])
@@ -133,7 +129,7 @@ def _integrated(values: Array, rate: float) -> Array:
 
 def centripetal(fit: GroundFit, rate: Array) -> Array:
     """What the sensors read of w x (w x r), shape (n, m) [m/s^2]."""
-    w = rate @ DIRECTIONS[list(TURNS)]
+    w = rate @ DIRECTIONS[list(MOMENT_ROWS)]
     square = np.sum(w**2, axis=1)
     return np.column_stack([(w @ s.place) * (w @ s.axis) - square * float(s.place @ s.axis) for s in fit.sensors])
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from aerobalance.motion.single_axis import bridged
 from aerobalance.recording.channel import AXES_BY_NAME, Array, Channel, is_ground_acceleration
-from aerobalance.recording.components import COMPONENTS, MOMENTS, VECTORS
+from aerobalance.recording.components import COMPONENTS, DIRECTIONS, FORCE_AXES, IS_FORCE, MOMENTS
 from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
@@ -23,16 +23,10 @@ from aerobalance.recording.sensors import divided, filtered, high_pass
 
 Kind = Literal["acceleration", "turn", "rate"]
 
-DIRECTIONS: Final[Array] = np.array([VECTORS[name] for name in COMPONENTS], dtype=np.float64)
-"""Directions of the components along aft, right, up, shape (6, 3)."""
-
-STRAIGHT: Final[Array] = np.array([0.0 if name in MOMENTS else 1.0 for name in COMPONENTS])
-"""1 for the components along an axis, 0 for turns."""
-
 INDEPENDENT: Final = 1e-6
 """Share of a motion's readings that no other motion can make, from which the two are told apart."""
 
-ORDER: Final = tuple(COMPONENTS.index(name) for name in ("AF", "SF", "NF", "PM", "YM", "RM"))
+ORDER: Final = tuple(COMPONENTS.index(name) for name in (*FORCE_AXES, *MOMENTS))
 """Where sensors cannot tell two motions apart, the one that comes later is taken as zero: turns, mostly."""
 
 
@@ -104,7 +98,7 @@ def row_of(name: str, axis: Array, place: Array) -> Array:
     """What a channel reads of the six motions, shape (6,); axis and place are those of an accelerometer."""
     if sensor_kind(name) != "acceleration":
         return np.array([float(component == name.rpartition("_")[2]) for component in COMPONENTS])
-    return np.where(STRAIGHT > 0, DIRECTIONS @ axis, np.cross(DIRECTIONS, place) @ axis)
+    return np.where(IS_FORCE > 0, DIRECTIONS @ axis, np.cross(DIRECTIONS, place) @ axis)
 
 
 def sensor_kind(name: str) -> Kind | None:

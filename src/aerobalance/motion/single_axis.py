@@ -12,7 +12,13 @@ from scipy.signal import resample_poly
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.recording.components import (
+    AXES,
+    FORCE_ROWS,
+    STANDARD_GRAVITY,
+    acceleration_name,
+    driving_axis,
+)
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.gravity import Pull
 from aerobalance.recording.noise import channel_noise
@@ -28,9 +34,6 @@ AT_REST: Final = 1.25
 
 CHANCE: Final = 1e-6
 """Probability with which the noise of an accelerometer may pass for a tone."""
-
-AXES: Final = {"NF": "_z", "SF": "_y"}
-"""Ending of the acceleration channel that drives a component; the others are driven along the balance axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +113,7 @@ class GroundMotion:
             Local acceleration of gravity and its standard uncertainty [m/s^2].
         """
         recording = corrected(recording)
-        name = f"ground_acceleration{AXES.get(component, '')}"
+        name = acceleration_name("ground", component)
         if name not in recording and "ground_acceleration" in recording:
             name = "ground_acceleration"
         acceleration = np.zeros(recording.samples)
@@ -232,7 +235,7 @@ def _of_gravity(
 
 def _column(component: str) -> int:
     """Column of the pull that drives a component."""
-    return COMPONENTS.index(component if component in AXES else "AF")
+    return FORCE_ROWS[AXES.index(driving_axis(component))]
 
 
 def _across(recording: Recording, channel: Channel) -> list[Unknown]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.recording.analog_filter import AntiAlias
-from aerobalance.recording.components import COMPONENTS, MOMENTS, is_gauge, si_unit
+from aerobalance.recording.components import AXIS_VECTORS, COMPONENTS, ENDINGS, MOMENTS, is_gauge, si_unit
 
 Array = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ Coupling = Literal["kinematic", "dc", "ac"]
 QUANTITIES: Final[Mapping[str, str]] = {
     **{name: si_unit(name) for name in COMPONENTS},
     **{f"r{name}": "mV/V" for name in COMPONENTS},
-    **{f"{end}_acceleration{axis}": "m/s^2" for end in ("ground", "live") for axis in ("", "_y", "_z")},
+    **{f"{end}_acceleration{axis}": "m/s^2" for end in ("ground", "live") for axis in ENDINGS.values()},
     **{f"ground_turn_{name}": "rad/s^2" for name in MOMENTS},
     **{f"ground_turn_rate_{name}": "rad/s" for name in MOMENTS},
     "pitch": "rad",
@@ -37,17 +37,8 @@ right side down; ``ground_turn_rate_PM`` and its like are their integrals. ``gro
 ending is an accelerometer on the ground end whose channel says where it sits and which way it looks.
 """
 
-DIRECTIONS: Final[Mapping[str, tuple[float, float, float]]] = {
-    "aft": (1.0, 0.0, 0.0),
-    "right": (0.0, 1.0, 0.0),
-    "up": (0.0, 0.0, 1.0),
-}
-"""Unit vectors of the balance's axes, in their own coordinates."""
-
 AXES_BY_NAME: Final[Mapping[str, tuple[float, float, float]]] = {
-    "ground_acceleration": DIRECTIONS["aft"],
-    "ground_acceleration_y": DIRECTIONS["right"],
-    "ground_acceleration_z": DIRECTIONS["up"],
+    f"ground_acceleration{ending}": AXIS_VECTORS[axis] for axis, ending in ENDINGS.items()
 }
 """Axes of the accelerometers whose names tell them."""
 

@@ -1,19 +1,26 @@
-"""The six components of a balance: their order, their units and what they measure.
+"""The six components of a balance, and the one table of its axes and signs, from which all others follow.
 
-Order is the direct-read order of AIAA R-091. Signs: AF, force and acceleration along the balance axis are
-positive aft; NF is positive up, SF positive to the right, pitch is positive nose up.
+Order is the direct-read order of AIAA R-091. Axes are aft, right, up, a right-handed triple. AF, force and
+acceleration along the balance are positive aft; NF is positive up, SF to the right, pitch nose up.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 COMPONENTS: Final = ("NF", "PM", "SF", "YM", "RM", "AF")
 """Normal force, pitching moment, side force, yawing moment, rolling moment, axial force."""
 
 MOMENTS: Final = ("PM", "YM", "RM")
 """The components that are moments [N*m]; the others are forces [N]."""
+
+AXES: Final = ("aft", "right", "up")
+"""The balance's axes, in the order of all vectors."""
 
 VECTORS: Final = {
     "NF": (0, 0, 1),
@@ -24,6 +31,41 @@ VECTORS: Final = {
     "RM": (-1, 0, 0),
 }
 """Direction of every component along aft, right, up: of the force, or of the right-handed turn of the moment."""
+
+ANGLES: Final[Mapping[str, str]] = {"pitch": "PM", "roll": "RM", "yaw": "YM"}
+"""Angles of the balance, and the moment that turns it by each: nose up, right side down, nose right."""
+
+ENDINGS: Final[Mapping[str, str]] = {"aft": "", "right": "_y", "up": "_z"}
+"""Ending of the name of an acceleration's channel, by axis."""
+
+AXIS_VECTORS: Final[Mapping[str, tuple[float, float, float]]] = {
+    "aft": (1.0, 0.0, 0.0),
+    "right": (0.0, 1.0, 0.0),
+    "up": (0.0, 0.0, 1.0),
+}
+"""Unit vectors of the axes, in their own coordinates."""
+
+FORCE_AXES: Final[Mapping[str, str]] = {
+    name: axis for axis in AXES for name in COMPONENTS if name not in MOMENTS and VECTORS[name] == AXIS_VECTORS[axis]
+}
+"""The axis along which each force is positive, in the order of the axes."""
+
+FORCE_ROWS: Final = tuple(COMPONENTS.index(name) for name in FORCE_AXES)
+"""Places of the forces among the components, in the order of the axes."""
+
+MOMENT_ROWS: Final = tuple(COMPONENTS.index(name) for name in MOMENTS)
+"""Places of the moments among the components."""
+
+IS_FORCE: Final[NDArray[np.float64]] = np.array([float(name not in MOMENTS) for name in COMPONENTS])
+"""1 for the forces, 0 for the moments, shape (6,)."""
+
+DIRECTIONS: Final[NDArray[np.float64]] = np.array([VECTORS[name] for name in COMPONENTS], dtype=np.float64)
+"""Directions of the components along aft, right, up, shape (6, 3)."""
+
+FROM_VECTORS: Final[NDArray[np.float64]] = np.hstack(
+    [DIRECTIONS * IS_FORCE[:, None], DIRECTIONS * (1 - IS_FORCE)[:, None]]
+)
+"""Matrix from force and moment along aft, right, up to the components, shape (6, 6); orthogonal."""
 
 STANDARD_GRAVITY: Final = 9.80665
 """Standard acceleration of gravity [m/s^2] (3rd CGPM, 1901); used where no local value is given."""
@@ -48,3 +90,13 @@ def mass_unit(component: str) -> str:
     For a moment on one axis of motion the mass carries its lever: kg*m.
     """
     return "kg*m" if component in MOMENTS else "kg"
+
+
+def driving_axis(component: str) -> str:
+    """Return the axis along which the ground drives a component taken alone: a force's own, aft for moments."""
+    return FORCE_AXES.get(component, "aft")
+
+
+def acceleration_name(end: str, component: str) -> str:
+    """Return the channel of the acceleration, of the ``"ground"`` or the ``"live"`` end, that drives a component."""
+    return f"{end}_acceleration{ENDINGS[driving_axis(component)]}"

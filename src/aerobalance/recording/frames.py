@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS, MOMENTS, VECTORS
+from aerobalance.recording.components import ANGLES, AXES, COMPONENTS, FROM_VECTORS, VECTORS
 from aerobalance.recording.errors import warn_quality
 
 WIND_NAMES: Final[Mapping[str, str]] = {"NF": "L", "SF": "Y", "AF": "D", "PM": "PM", "YM": "YM", "RM": "RM"}
@@ -27,16 +27,8 @@ BODY_COEFFICIENTS: Final = ("CN", "Cm", "CY", "Cn", "Cl", "CA")
 WIND_COEFFICIENTS: Final = ("CL", "Cm", "CY", "Cn", "Cl", "CD")
 """The same in wind axes."""
 
-PLACEMENT: Final = ("aft", "right", "up", "pitch", "roll", "yaw")
+PLACEMENT: Final = (*AXES, *ANGLES)
 """Order of the rows of a frame's covariance."""
-
-_SPREAD: Final[Array] = np.array(
-    [[*VECTORS[n], 0, 0, 0] if n not in MOMENTS else [0, 0, 0, *VECTORS[n]] for n in COMPONENTS], dtype=np.float64
-)
-"""From force and moment along aft, right, up to the components; orthogonal."""
-
-_PLANES: Final = {"pitch": (0, 2), "roll": (1, 2), "yaw": (0, 1)}
-"""Axes that an angle turns into each other."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,8 +167,7 @@ class Frame:
     @property
     def rotation(self) -> Array:
         """Matrix from the other frame's axes to its own, shape (3, 3)."""
-        turns = {name: _turn(name, getattr(self, name))[0] for name in _PLANES}
-        return np.asarray(turns["roll"] @ turns["pitch"] @ turns["yaw"])
+        return rotation(self.pitch, self.roll, self.yaw)[0]
 
     @property
     def matrix(self) -> Array:
@@ -205,14 +196,12 @@ class Frame:
 
     def _slopes(self, values: Array) -> Array:
         """Change of the loads with point and angles, shape (n, 6, 6)."""
-        turns = {name: _turn(name, getattr(self, name)) for name in _PLANES}
+        turned, by_angles = rotation(self.pitch, self.roll, self.yaw)
         slopes = []
         for axis in range(3):
-            moved = _SPREAD[:, 3:] @ self.rotation @ _cross(np.eye(3)[axis]) @ _SPREAD[:, :3].T
+            moved = FROM_VECTORS[:, 3:] @ turned @ _cross(np.eye(3)[axis]) @ FROM_VECTORS[:, :3].T
             slopes.append(values @ -moved.T)
-        for name in PLACEMENT[3:]:
-            parts = {key: turn[1] if key == name else turn[0] for key, turn in turns.items()}
-            slopes.append(values @ _load_matrix(parts["roll"] @ parts["pitch"] @ parts["yaw"], self.point).T)
+        slopes += [values @ _load_matrix(by_angle, self.point).T for by_angle in by_angles]
         return np.stack(slopes, axis=2)
 
 
@@ -243,7 +232,7 @@ def wind_loads(
     alpha, beta = (
         np.broadcast_to(np.asarray(angle, dtype=np.float64), (samples,)) for angle in (angle_of_attack, sideslip)
     )
-    (pitch, by_pitch), (yaw, by_yaw) = _turn("pitch", alpha), _turn("yaw", -beta)
+    (pitch, by_pitch), (yaw, by_yaw) = _about("pitch", alpha), _about("yaw", -beta)
     back, by_alpha = np.swapaxes(pitch, -1, -2), np.swapaxes(by_pitch, -1, -2)
     aside, by_beta = np.swapaxes(yaw, -1, -2), -np.swapaxes(by_yaw, -1, -2)
     matrix = _load_matrix(aside @ back, np.zeros(3))
@@ -320,22 +309,34 @@ def coefficients(
     return ResolvedLoads(values, covariance + relative**2 * values[:, :, None] * values[:, None, :])
 
 
-def _turn(name: str, angle: ArrayLike) -> tuple[Array, Array]:
-    """Matrices that take a fixed vector into axes turned by angles, and their derivatives, shape (..., 3, 3)."""
-    given = np.asarray(angle, dtype=np.float64)
-    first, second = _PLANES[name]
-    cosine, sine = np.cos(given), np.sin(given)
-    matrix, slope = np.zeros((*given.shape, 3, 3)), np.zeros((*given.shape, 3, 3))
-    still = 3 - first - second
-    matrix[..., still, still] = 1.0
-    for row, column, value, by in (
-        (first, first, cosine, -sine),
-        (first, second, -sine, -cosine),
-        (second, first, sine, cosine),
-        (second, second, cosine, -sine),
-    ):
-        matrix[..., row, column], slope[..., row, column] = value, by
-    return matrix, slope
+def rotation(pitch: float, roll: float, yaw: float) -> tuple[Array, Array]:
+    """Return the matrix from fixed axes to those of a body, and its derivatives by the three angles.
+
+    The body is turned nose right by yaw, then nose up by pitch, then right side down by roll [rad].
+
+    Returns
+    -------
+    matrix, derivatives
+        Shapes (3, 3) and (3, 3, 3) [1, 1/rad], the derivatives in the order of `ANGLES`.
+    """
+    (pitched, by_pitch), (rolled, by_roll), (yawed, by_yaw) = (
+        _about(name, angle) for name, angle in zip(ANGLES, (pitch, roll, yaw), strict=True)
+    )
+    by_angles = [rolled @ by_pitch @ yawed, by_roll @ pitched @ yawed, rolled @ pitched @ by_yaw]
+    return np.asarray(rolled @ pitched @ yawed), np.stack(by_angles)
+
+
+def _about(name: str, angle: ArrayLike) -> tuple[Array, Array]:
+    """Matrices that take a fixed vector into axes turned by angles, and their derivatives, shape (..., 3, 3).
+
+    Rodrigues' formula for the turn of the balance by the other way, as the fixed vector is seen from it.
+    """
+    axis = np.array(VECTORS[ANGLES[name]], dtype=np.float64)
+    given = np.asarray(angle, dtype=np.float64)[..., None, None]
+    along, across = np.outer(axis, axis), _cross(axis)
+    plane = np.eye(3) - along
+    matrix = along + np.cos(given) * plane - np.sin(given) * across
+    return matrix, -np.sin(given) * plane - np.cos(given) * across
 
 
 def _cross(vector: Array) -> Array:
@@ -349,4 +350,4 @@ def _load_matrix(rotation: Array, point: Array) -> Array:
     whole[..., :3, :3] = rotation
     whole[..., 3:, 3:] = rotation
     whole[..., 3:, :3] = -rotation @ _cross(point)
-    return np.asarray(_SPREAD @ whole @ _SPREAD.T)
+    return np.asarray(FROM_VECTORS @ whole @ FROM_VECTORS.T)

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS
-
-_AFT_RIGHT_UP = [COMPONENTS.index(name) for name in ("AF", "SF", "NF")]
+from aerobalance.recording.components import AXES, COMPONENTS, FORCE_ROWS, driving_axis
 
 
 class Attitudes(NamedTuple):
@@ -33,7 +31,7 @@ def weight_direction(pitch: ArrayLike, roll: ArrayLike) -> Array:
 
 def gravity_share(component: str, *, pitch: Array, roll: Array) -> Array:
     """Share of gravity along a component, of the shape of the angles [1]; moments are driven along the balance."""
-    share = weight_direction(pitch, roll)[..., {"SF": 1, "NF": 2}.get(component, 0)]
+    share = weight_direction(pitch, roll)[..., AXES.index(driving_axis(component))]
     return np.asarray(share)
 
 
@@ -41,7 +39,7 @@ def pull_of_gravity(pitch: ArrayLike, roll: ArrayLike, *, gravity: float) -> Arr
     """Pull of gravity, per mass, in the order of the components, shape (n, 6) [m/s^2]; 0 for moments."""
     shares = np.atleast_2d(weight_direction(pitch, roll))
     pull = np.zeros((shares.shape[0], len(COMPONENTS)))
-    pull[:, _AFT_RIGHT_UP] = gravity * shares
+    pull[:, FORCE_ROWS] = gravity * shares
     return pull
 
 
@@ -64,8 +62,8 @@ class Pull(NamedTuple):
         """Take angles of shape (n,) [rad] and the local acceleration of gravity [m/s^2]."""
         by_pitch, by_roll = np.zeros((2, pitch.size, len(COMPONENTS)))
         sine, cosine, nothing = np.sin(pitch), np.cos(pitch), np.zeros_like(pitch)
-        by_pitch[:, _AFT_RIGHT_UP] = np.column_stack([cosine, -sine * np.sin(roll), sine * np.cos(roll)])
-        by_roll[:, _AFT_RIGHT_UP] = np.column_stack([nothing, cosine * np.cos(roll), cosine * np.sin(roll)])
+        by_pitch[:, FORCE_ROWS] = np.column_stack([cosine, -sine * np.sin(roll), sine * np.cos(roll)])
+        by_roll[:, FORCE_ROWS] = np.column_stack([nothing, cosine * np.cos(roll), cosine * np.sin(roll)])
         slopes = {"pitch": gravity * by_pitch, "roll": gravity * by_roll}
         return cls(pull_of_gravity(pitch, roll, gravity=gravity), slopes)
 

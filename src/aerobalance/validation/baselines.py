@@ -18,9 +18,9 @@ from scipy.signal import butter, filtfilt, iirnotch, sosfiltfilt
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import reconstruct
-from aerobalance.motion.single_axis import AXES, GroundMotion
+from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.components import STANDARD_GRAVITY, acceleration_name
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.gravity import gravity_share
 from aerobalance.recording.recording import Recording
@@ -140,7 +140,7 @@ def accelerometer_correction(recording: Recording, dynamics: Dynamics, settings:
 
     A dc-coupled accelerometer reads x2'' - g sin(theta), so that the weight is in its reading already.
     """
-    name = f"live_acceleration{AXES.get(dynamics.component, '')}"
+    name = acceleration_name("live", dynamics.component)
     name = name if name in recording else "live_acceleration"
     channel = recording.channel(name)
     load = recording.channel(dynamics.component)

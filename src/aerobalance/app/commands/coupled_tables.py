@@ -14,9 +14,7 @@ from aerobalance.identification.rigid_body import Departure, centre_agreement
 from aerobalance.identification.step_relaxation.experiment_design import combination_text
 from aerobalance.identification.step_relaxation.internal_coordinates import slow_matrices
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import si_unit
-
-AXES = ("aft", "right", "up")
+from aerobalance.recording.components import AXES, si_unit
 
 
 def common_details(found: CoupledResult) -> Account:

@@ -29,9 +29,8 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.text_cells import LARGEST
 from aerobalance.io.units import Conversion, conversion_for
-from aerobalance.motion.single_axis import AXES
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import COMPONENTS, is_gauge, si_unit
+from aerobalance.recording.components import COMPONENTS, acceleration_name, is_gauge, si_unit
 
 FINEST: Final = 1e-3
 """Length of the shortest bin of a chart [s]."""
@@ -396,7 +395,7 @@ def _followed(panel: Panel) -> tuple[list[Stream], dict[str, Line]]:
 
 def _line(panel: Panel, name: str, dynamics: Dynamics) -> ForceLine:
     places = {channel: place for place, channel in enumerate(panel.names)}
-    ground = places.get(f"ground_acceleration{AXES.get(name, '')}", places.get("ground_acceleration"))
+    ground = places.get(acceleration_name("ground", name), places.get("ground_acceleration"))
     coupling = "kinematic" if ground is None else panel.channels[ground].coupling
     delays = panel.delays
     late = 0.0 if ground is None else delays[ground] - delays[places[name]]

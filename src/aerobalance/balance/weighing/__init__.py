@@ -1,15 +1,12 @@
 """Weighing: mass, centre of gravity and offsets from static readings over pitch and roll, Eq. (1)."""
 
 from aerobalance.balance.weighing.fit import weigh_components
-from aerobalance.balance.weighing.model import ANGLES, AXES, DIRECTIONS, WeightModel
+from aerobalance.balance.weighing.model import WeightModel
 from aerobalance.balance.weighing.points import LoadPoints, StaticPoints, points_from_recordings
 from aerobalance.balance.weighing.result import Agreement, Weighing
 from aerobalance.balance.weighing.single import MovingMass, weigh
 
 __all__ = [
-    "ANGLES",
-    "AXES",
-    "DIRECTIONS",
     "Agreement",
     "LoadPoints",
     "MovingMass",

@@ -21,12 +21,12 @@ from scipy import stats
 
 from aerobalance.balance.weighing.adjustment import Adjustment, Readings, adjust
 from aerobalance.balance.weighing.advice import unidentified, what_would_help
-from aerobalance.balance.weighing.model import AXES, DIRECTIONS, LEVERS, WeightModel
+from aerobalance.balance.weighing.model import LEVERS, WeightModel
 from aerobalance.balance.weighing.points import LoadPoints
 from aerobalance.balance.weighing.result import Agreement, Weighing, centre_of
 from aerobalance.balance.weighing.single import MovingMass
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.components import AXES, FORCE_AXES, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.gravity import weight_direction
 
@@ -72,7 +72,7 @@ def weigh_components(points: LoadPoints, *, gravity: float = STANDARD_GRAVITY) -
         The masses or the centres of gravity of the components differ.
     """
     components = points.components
-    if not any(name in AXES for name in components):
+    if not any(name in FORCE_AXES for name in components):
         raise ValueError(f"no force among {', '.join(components)}; the mass needs AF, SF or NF")
     separate_model = WeightModel(components, own_masses=True, own_centres=True, gravity=gravity)
     common_model = WeightModel(components, gravity=gravity)
@@ -107,7 +107,7 @@ def _readings(points: LoadPoints, gravity: float) -> tuple[str, Readings]:
     directions = weight_direction(points.pitch, rolls)
     if points.pitch.size < 2:
         raise FitError(f"{points.pitch.size} point(s) cannot tell weight from offset; {_basic_advice(points)}")
-    shares = {name: directions[:, DIRECTIONS.index(AXES[name])] for name in points.components if name in AXES}
+    shares = {name: directions[:, AXES.index(FORCE_AXES[name])] for name in points.components if name in FORCE_AXES}
     lead = max(shares, key=lambda name: float(np.std(shares[name])))
     if float(np.std(shares[lead])) < LEAST_SHARE:
         raise FitError(
@@ -157,7 +157,7 @@ def _mass_pairs(separate: Adjustment) -> list[tuple[str, str]]:
 
 def _centre_pairs(separate: Adjustment) -> list[tuple[str, str]]:
     pairs = []
-    for axis in DIRECTIONS:
+    for axis in AXES:
         names = [f"moment.{moment}.{axis}" for moment, levers in LEVERS.items() if axis in levers]
         if all(name in separate.parameters for name in names):
             pairs.append((names[0], names[1]))

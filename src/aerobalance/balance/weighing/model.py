@@ -11,66 +11,37 @@ With the static moments M a, M y, M u in place of r, all six loads are linear in
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
+from aerobalance.recording.components import (
+    ANGLES,
+    AXES,
+    AXIS_VECTORS,
+    COMPONENTS,
+    FORCE_AXES,
+    MOMENTS,
+    STANDARD_GRAVITY,
+    VECTORS,
+)
+from aerobalance.recording.frames import rotation
 
-AXES: Final[Mapping[str, str]] = {"AF": "aft", "SF": "right", "NF": "up"}
-"""Direction that each force component measures, positive."""
 
-DIRECTIONS: Final = ("aft", "right", "up")
-"""Order of vectors."""
+def _levers(moment: str) -> dict[str, tuple[float, str]]:
+    found = {}
+    for lever, pull in itertools.product(reversed(AXES), AXES):
+        sign = float(np.dot(VECTORS[moment], np.cross(AXIS_VECTORS[lever], AXIS_VECTORS[pull])))
+        if sign:
+            found[lever] = sign, pull
+    return found
 
-ANGLES: Final = ("pitch", "roll", "yaw")
-"""Misalignment of the balance against the inclinometer: nose up, right side down, nose right."""
 
-LEVERS: Final[Mapping[str, Mapping[str, tuple[float, str]]]] = {
-    "PM": {"up": (1.0, "aft"), "aft": (-1.0, "up")},
-    "YM": {"right": (1.0, "aft"), "aft": (-1.0, "right")},
-    "RM": {"up": (1.0, "right"), "right": (-1.0, "up")},
-}
+LEVERS: Final = {moment: _levers(moment) for moment in MOMENTS}
 """Moment by coordinate of the centre of gravity: sign, and the share of the weight that pulls on this lever."""
-
-
-_PLANES: Final = {"pitch": (0, 2), "roll": (1, 2), "yaw": (0, 1)}
-
-
-def _turn(name: str, angle: float) -> tuple[Array, Array]:
-    """Matrix that takes a fixed vector into axes turned by an angle, and its derivative."""
-    first, second = _PLANES[name]
-    matrix, derivative = np.eye(3), np.zeros((3, 3))
-    cosine, sine = np.cos(angle), np.sin(angle)
-    pair = np.ix_([first, second], [first, second])
-    matrix[pair] = [[cosine, -sine], [sine, cosine]]
-    derivative[pair] = [[-sine, -cosine], [cosine, -sine]]
-    return matrix, derivative
-
-
-def misalignment_matrix(angles: Array) -> tuple[Array, Array]:
-    """Matrix from the inclinometer's axes to the balance's, and its derivatives by the three angles.
-
-    The balance is turned nose right by yaw, then nose up by pitch, then right side down by roll; for small angles
-    the order does not matter.
-
-    Parameters
-    ----------
-    angles
-        Pitch, roll and yaw, shape (3,) [rad].
-
-    Returns
-    -------
-    matrix, derivatives
-        Shapes (3, 3) and (3, 3, 3), the derivatives in the order of the angles.
-    """
-    (pitch, by_pitch), (roll, by_roll), (yaw, by_yaw) = (
-        _turn(name, float(angle)) for name, angle in zip(ANGLES, angles, strict=True)
-    )
-    return roll @ pitch @ yaw, np.stack([roll @ by_pitch @ yaw, by_roll @ pitch @ yaw, roll @ pitch @ by_yaw])
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,9 +79,9 @@ class WeightModel:
         """Parameters that carry the weight into a component: sign, and index of the share of gravity."""
         if component not in MOMENTS:
             name = f"mass.{component}" if self.own_masses else "mass"
-            return {name: (1.0, DIRECTIONS.index(AXES[component]))}
+            return {name: (1.0, AXES.index(FORCE_AXES[component]))}
         stem = f"moment.{component}" if self.own_centres else "moment"
-        return {f"{stem}.{lever}": (sign, DIRECTIONS.index(pull)) for lever, (sign, pull) in LEVERS[component].items()}
+        return {f"{stem}.{lever}": (sign, AXES.index(pull)) for lever, (sign, pull) in LEVERS[component].items()}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -122,14 +93,14 @@ class WeightModel:
 
     def loads(self, directions: Array, values: Array) -> Array:
         """Loads, shape (n, c) [N, N*m], from `weight_direction` and all parameters, shape (p,)."""
-        turn, _ = misalignment_matrix(values[-3:])
+        turn, _ = rotation(*values[-3:])
         weights, offsets = self._structure()
         result: Array = directions @ (turn.T @ (weights @ values)) + offsets @ values
         return result
 
     def jacobian(self, directions: Array, values: Array) -> Array:
         """Derivatives of the loads by all parameters, shape (n, c, p)."""
-        turn, derivatives = misalignment_matrix(values[-3:])
+        turn, derivatives = rotation(*values[-3:])
         weights, offsets = self._structure()
         result: Array = np.einsum("nk,kcp->ncp", directions @ turn.T, weights) + offsets
         for index, derivative in enumerate(derivatives):

@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aerobalance.balance.weighing.model import DIRECTIONS, WeightModel
+from aerobalance.balance.weighing.model import WeightModel
 from aerobalance.balance.weighing.single import MovingMass
 from aerobalance.recording.channel import Array
+from aerobalance.recording.components import AXES
 from aerobalance.recording.gravity import Attitudes, weight_direction
 
 LEAST_PROBABILITY: Final = 0.001
@@ -243,7 +244,7 @@ def centre_of(adjusted: Mapping[str, float], covariance: Array) -> tuple[dict[st
     names = list(adjusted)
     mass, place = adjusted["mass"], names.index("mass")
     coordinates, uncertainties = {}, {}
-    for axis in DIRECTIONS:
+    for axis in AXES:
         name = f"moment.{axis}"
         if name in adjusted:
             coordinates[axis] = adjusted[name] / mass

@@ -23,9 +23,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aerobalance.balance.weighing.model import AXES, DIRECTIONS
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.components import AXES, FORCE_AXES, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.gravity import weight_direction
 
@@ -79,8 +78,8 @@ class MovingMass:
     gravity: float = STANDARD_GRAVITY
 
     def __post_init__(self) -> None:
-        if self.component not in AXES:
-            raise ValueError(f"component must be one of {', '.join(AXES)}, not {self.component!r}")
+        if self.component not in FORCE_AXES:
+            raise ValueError(f"component must be one of {', '.join(FORCE_AXES)}, not {self.component!r}")
         for name in ("mass", "gravity"):
             if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be positive and finite, not {getattr(self, name)}")
@@ -124,11 +123,11 @@ def weigh(
         The arguments do not fit together.
     """
     angles, readings, rolls, given = _arguments(pitch, load, roll, noise)
-    if component not in AXES:
-        raise ValueError(f"component must be one of {', '.join(AXES)} (moments need the centre of gravity too)")
+    if component not in FORCE_AXES:
+        raise ValueError(f"component must be one of {', '.join(FORCE_AXES)} (moments need the centre of gravity too)")
     if not 0 < gravity < np.inf:
         raise ValueError(f"gravity must be positive and finite, not {gravity}")
-    names, design = _design(angles, rolls, AXES[component], gravity)
+    names, design = _design(angles, rolls, FORCE_AXES[component], gravity)
     count, size = design.shape
     if count < size:
         raise FitError(f"{count} point(s) for {size} parameters ({', '.join(names)}); {_more_angles(component)}")
@@ -175,7 +174,7 @@ def _arguments(
 
 def _design(pitch: Array, roll: Array, axis: str, gravity: float) -> tuple[tuple[str, ...], Array]:
     """Names of the parameters, and the design matrix: M, offset, and M times the misalignments that can show."""
-    weight = dict(zip(DIRECTIONS, gravity * weight_direction(pitch, roll).T, strict=True))
+    weight = dict(zip(AXES, gravity * weight_direction(pitch, roll).T, strict=True))
     names, columns = ["mass", "offset"], [weight[axis], np.ones_like(pitch)]
     if np.ptp(roll) < ROLL_NEEDED if roll.size else True:
         return tuple(names), np.column_stack(columns)

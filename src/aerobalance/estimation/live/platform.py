@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.motion.sensors import STRAIGHT, least_squares, row_of, sensor_kind, told_apart
+from aerobalance.motion.sensors import least_squares, row_of, sensor_kind, told_apart
 from aerobalance.recording.channel import AXES_BY_NAME, Array
-from aerobalance.recording.components import MOMENTS, STANDARD_GRAVITY
+from aerobalance.recording.components import IS_FORCE, MOMENTS, STANDARD_GRAVITY
 from aerobalance.recording.gravity import pull_of_gravity
 
 UNIT_LEVER: Final = 0.1
@@ -75,7 +75,7 @@ class LivePlatform:
         names = [sensor.name for sensor in sensors]
         turns = [f"ground_turn_rate_{name}" for name in MOMENTS]
         rates = tuple(names.index(name) if name in names else None for name in turns)
-        return cls(gains, rows * STRAIGHT * specific[:, None], rates)
+        return cls(gains, rows * IS_FORCE * specific[:, None], rates)
 
     def acceleration(self, readings: Array, *, pitch: Array | None = None, roll: Array | None = None) -> Array:
         """Acceleration of the balance's centre and turning, shape (k, 6), from readings of shape (k, m).

@@ -17,8 +17,9 @@ from aerobalance.identification.step_relaxation.free_response import Complex
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.platform import PlatformMotion
 from aerobalance.motion.rotation import centripetal
-from aerobalance.motion.sensors import STRAIGHT, ground_sensors, told_apart
+from aerobalance.motion.sensors import ground_sensors, told_apart
 from aerobalance.recording.channel import Array
+from aerobalance.recording.components import IS_FORCE
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
 
@@ -72,7 +73,7 @@ class GroundReadings:
         moving = size > EXACT * size.max()
         whole = np.array([sensor.row for sensor in sensors])
         pull = platform.acceleration - platform.specific_force
-        gravity = whole * STRAIGHT * np.array([[sensor.reads_gravity] for sensor in sensors])
+        gravity = whole * IS_FORCE * np.array([[sensor.reads_gravity] for sensor in sensors])
         values = np.column_stack([sensor.values for sensor in sensors]) + pull @ gravity.T
         straight = np.array([sensor.kind != "rate" for sensor in sensors])
         values -= centripetal(GroundFit.of(sensors, rate=recording.rate), platform.turn_rate) * straight
