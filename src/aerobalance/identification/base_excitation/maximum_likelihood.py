@@ -22,6 +22,7 @@ from aerobalance.identification.base_excitation.frf_model import (
     response,
 )
 from aerobalance.identification.base_excitation.spectra import Complex
+from aerobalance.identification.levenberg_marquardt import Settings, Step, levenberg_marquardt
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 
@@ -30,6 +31,17 @@ HIGHEST: Final = 50
 
 LARGEST_LOSS: Final = 4.0
 """Largest loss b w0 / k that is tried: twice critical damping."""
+
+SETTINGS: Final = Settings(
+    most_steps=200,
+    enough=1e-6,  # a thousandth of a standard deviation
+    barely=1e-6,
+    last=True,
+    damping=1e-3,
+    negligible=3e-12,
+    lowest=1e-12,
+)
+"""How the fit is damped, and when it has settled."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,39 +187,36 @@ def _free(problem: Problem, parameters: Parameters) -> NDArray[np.intp]:
 
 
 def descend(problem: Problem, parameters: Parameters, *, weights: Weights, name: str) -> Parameters:
-    """Minimise by damped Gauss-Newton steps.
+    """Return the most likely parameters under given weights, by the Levenberg-Marquardt method.
 
     Raises
     ------
     FitError
         The fit does not settle.
     """
-    caution = 1e-3
     top = float(problem.spectra.frequency[-1])
     highest = float(np.log(2 * np.pi * HIGHEST * top))
-    here = point(problem, parameters, weights=weights)
-    costs = []
-    for _ in range(200):
-        costs.append(here.cost)
+
+    def step(state: tuple[Parameters, Point], damping: float) -> Step[tuple[Parameters, Point]]:
+        parameters, here = state
         slope = np.real(here.jacobian.conj().T @ (here.residual * np.sqrt(weights.weight / here.variance)))
         free = _movable(_free(problem, parameters), parameters, slope=slope, highest=highest)
         jacobian, score = here.jacobian[:, free], slope[free]
         curvature = np.real(jacobian.conj().T @ jacobian)
         scale = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
         scaled = curvature / np.outer(scale, scale)
-        step = np.linalg.lstsq(scaled + caution * np.eye(free.size), score / scale, rcond=1e-14)[0]
-        trial = _moved(parameters, free, step / scale, highest=highest)
-        candidate = point(problem, trial, weights=weights)
-        gain = here.cost - candidate.cost
-        if gain >= 0:
-            parameters, here, caution = trial, candidate, max(caution / 10, 1e-12)
-            if np.max(np.abs(step)) < 1e-3:  # in standard deviations
-                return parameters
-        elif np.max(np.abs(step)) < 1e-3 or caution > 1e12:
-            return parameters
-        else:
-            caution *= 10
-    if costs[100] - here.cost < 1:  # a valley as flat as this is for the covariance to tell
+        move = np.linalg.lstsq(scaled + damping * np.eye(free.size), score / scale, rcond=1e-14)[0]
+        trial = _moved(parameters, free, move / scale, highest=highest)
+
+        def take() -> tuple[tuple[Parameters, Point], float]:
+            found = point(problem, trial, weights=weights)
+            return (trial, found), found.cost
+
+        return Step(float(np.max(move**2)), take)
+
+    here = point(problem, parameters, weights=weights)
+    (parameters, here), costs, settled = levenberg_marquardt((parameters, here), here.cost, step, SETTINGS)
+    if settled or costs[100] - here.cost < 1:  # a valley as flat as this is for the covariance to tell
         return parameters
     if np.exp(parameters.values[1]) > 3 * np.pi * top:
         raise FitError(

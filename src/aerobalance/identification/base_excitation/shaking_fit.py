@@ -17,6 +17,7 @@ import numpy as np
 
 from aerobalance.dynamics.inertial_parameters import NUMBERS, mass_basis
 from aerobalance.identification.base_excitation.shaking_record import ShakeRecord
+from aerobalance.identification.levenberg_marquardt import Settings, Step, levenberg_marquardt
 from aerobalance.identification.step_relaxation.free_response import Complex
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
@@ -30,14 +31,14 @@ DELAY: Final = MATRICES + NUMBERS
 CHUNK: Final = 2048
 """Frequencies that are worked on at once."""
 
-MOST_STEPS: Final = 40
-"""Gauss-Newton steps after which the fit is given up."""
-
-ENOUGH: Final = 1e-3
-"""Promised drop of the squares, in variances, at which a fit has settled."""
-
-BARELY: Final = 0.1
-"""The same where the step does not bring it: far below what the covariance could tell."""
+SETTINGS: Final = Settings(
+    most_steps=40,
+    enough=1e-3,
+    enough_of_cost=1e-10,
+    barely=0.1,  # far below what the covariance could tell
+    raised=1e-4,
+)
+"""How the fit is damped, and when it has settled."""
 
 MOST_LIKELY: Final = 2.0
 """Most likely motion over that read beyond which it is noise that was read."""
@@ -255,12 +256,12 @@ def squares_of(records: Sequence[ShakeRecord], tried: Shaken) -> float:
     return total
 
 
-def least_squares(rows: Array, caution: float = 0.0) -> Array:
+def least_squares(rows: Array, damping: float = 0.0) -> Array:
     """Solution of triangular rows, its columns brought to one size; what they do not tell stays at zero."""
     table, target = rows[:, :-1], rows[:, -1]
     scale = np.linalg.norm(table, axis=0)
     scale[scale == 0] = 1.0
-    full = np.vstack([table / scale, caution * np.eye(scale.size)])
+    full = np.vstack([table / scale, damping * np.eye(scale.size)])
     aim = np.concatenate([target, np.zeros(scale.size)])
     return np.asarray(np.linalg.lstsq(full, aim, rcond=UNTOLD)[0] / scale)
 
@@ -299,29 +300,24 @@ def _plain_products(record: ShakeRecord, weight: Complex) -> Array:
 
 
 def settle(records: Sequence[ShakeRecord], start: Shaken) -> Shaken:
-    """Minimise over all parameters by damped Gauss-Newton steps.
+    """Return the most likely parameters, by the Levenberg-Marquardt method.
 
     Raises
     ------
     FitError
         The fit does not settle.
     """
-    here, caution = start, 0.0
-    squares = squares_of(records, here)
-    for _ in range(MOST_STEPS):
+
+    def step(here: Shaken, damping: float) -> Step[Shaken]:
         rows = information_rows(records, here)
-        move = least_squares(rows, caution)
+        move = least_squares(rows, damping)
         promised = float(rows[:, -1] @ rows[:, -1] - np.sum((rows[:, -1] - rows[:, :-1] @ move) ** 2))
-        if promised < max(ENOUGH, 1e-10 * squares):
-            return here
         trial = here.at(here.values + move)
-        found = squares_of(records, trial)
-        if found < squares:
-            here, squares, caution = trial, found, caution / 10 if caution > 1e-6 else 0.0
-        elif promised < BARELY:
-            return here
-        else:
-            caution = max(10 * caution, 1e-4)
+        return Step(promised, lambda: (trial, squares_of(records, trial)))
+
+    found = levenberg_marquardt(start, squares_of(records, start), step, SETTINGS)
+    if found.settled:
+        return found.state
     raise FitError(
         f"{', '.join(record.name for record in records)}: the fit of the shaken records does not settle; are all of "
         "one and the same balance and model, with no wind and nothing touching it?"

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cho_factor, solve_triangular
 
+from aerobalance.identification.levenberg_marquardt import Settings, Step, levenberg_marquardt
 from aerobalance.identification.step_relaxation.free_response import FreeMotion
 from aerobalance.identification.step_relaxation.internal_coordinates import coordinates_of, invariances, pinned
 from aerobalance.identification.step_relaxation.model import Linear, Piece, damped, linearise, of_matrices
@@ -23,6 +24,16 @@ ENOUGH: Final = 1e-3
 
 VALLEY: Final = 20
 """Steps over which a fit that gains less than one variance has settled, or at the end less than one of the misfit."""
+
+SETTINGS: Final = Settings(
+    MOST_STEPS,
+    ENOUGH,
+    enough_of_cost=1e-12,
+    barely_of_cost=1e-9,  # rounding is all that is left
+    raised=1e-3,
+    valley=VALLEY,
+)
+"""How the fit is damped, and when it has settled."""
 
 LARGEST_GROWTH: Final = 20.0
 """Logarithm of the growth of a trial motion over a record beyond which it is not tried."""
@@ -163,7 +174,9 @@ def settle(
     enough: float = ENOUGH,
     flat: float = 1.0,
 ) -> ReleaseFit:
-    """Minimise over all parameters by damped Gauss-Newton steps, until `VALLEY` of them gain less than `flat`.
+    """Return the most likely matrices and own parameters, by the Levenberg-Marquardt method.
+
+    The fit has settled too when `VALLEY` steps gain less than `flat` variances.
 
     Raises
     ------
@@ -173,31 +186,27 @@ def settle(
     pieces, own = tuple(pieces), tuple(own)
     n, whitener = pieces[0].values.shape[1], whitener_of(noise)
     known = known or Known(np.zeros((0, matrices.size)), np.zeros(0), matrices)
-    caution = 0.0
-    here = _linears(pieces, matrices, own, whitener)
-    squares = total_squares(here, known, matrices)
-    history = []
-    for _ in range(steps * (1 + coordinates_of(matrices) - n)):  # valleys bend more with hidden coordinates
-        history.append(squares)
-        if len(history) > VALLEY and history[-VALLEY] - squares < flat:  # for the covariance to tell
-            return ReleaseFit(pieces, matrices, own, noise, here)
-        unseen = invariances(matrices, n, loads=loads_let_go(pieces, own))
-        move, moves, promised = _step(pieces, here, caution, known=known, matrices=matrices, unseen=unseen)
-        if promised < max(enough, 1e-12 * squares):
-            return ReleaseFit(pieces, matrices, own, noise, here)
-        trial = matrices + move
-        tried = tuple(old + change for old, change in zip(own, moves, strict=True))
-        found, tried = _tried(pieces, trial, tried, whitener=whitener, known=known, enough=squares)
-        if found < squares:
-            matrices, own, caution = trial, tried, caution / 10 if caution > 1e-6 else 0.0
-            here = _linears(pieces, matrices, own, whitener)
-            squares = found
-        elif promised < 1e-9 * squares:  # rounding is all that is left
-            return ReleaseFit(pieces, matrices, own, noise, here)
-        else:
-            caution = max(10 * caution, 1e-3)
-    if history[-VALLEY] - squares < _worth(here, whitener):
-        return ReleaseFit(pieces, matrices, own, noise, here)
+    start = ReleaseFit(pieces, matrices, own, noise, _linears(pieces, matrices, own, whitener))
+
+    def step(here: ReleaseFit, damping: float) -> Step[ReleaseFit]:
+        unseen = invariances(here.matrices, n, loads=loads_let_go(pieces, here.own))
+        move, moves, promised = _step(here, damping, known=known, unseen=unseen)
+
+        def take() -> tuple[ReleaseFit, float]:
+            squares = total_squares(here.linears, known, here.matrices)
+            trial = here.matrices + move
+            tried = tuple(old + change for old, change in zip(here.own, moves, strict=True))
+            found, tried = _tried(pieces, trial, tried, whitener=whitener, known=known, enough=squares)
+            linears = _linears(pieces, trial, tried, whitener) if found < squares else here.linears
+            return replace(here, matrices=trial, own=tried, linears=linears), found
+
+        return Step(promised, take)
+
+    most = steps * (1 + coordinates_of(matrices) - n)  # valleys bend more with hidden coordinates
+    settings = replace(SETTINGS, most_steps=most, enough=enough, flat=flat)
+    fit, costs, settled = levenberg_marquardt(start, total_squares(start.linears, known, matrices), step, settings)
+    if settled or costs[-1 - VALLEY] - costs[-1] < _worth(fit.linears, whitener):
+        return fit
     raise FitError(
         f"{', '.join(piece.name for piece in pieces)}: the fit of the decays does not settle; are these releases of "
         "one and the same balance and model, with nothing touching it?"
@@ -271,27 +280,20 @@ def _linears(
     )
 
 
-def _step(
-    pieces: tuple[Piece, ...],
-    linears: tuple[Linear, ...],
-    caution: float,
-    *,
-    known: Known,
-    matrices: Array,
-    unseen: Array,
-) -> tuple[Array, list[Array], float]:
+def _step(here: ReleaseFit, damping: float, *, known: Known, unseen: Array) -> tuple[Array, list[Array], float]:
     """Step of the matrices and of each record's own parameters, and the drop of squares that it promises.
 
     Nothing moves along the directions (rows of `unseen`) that change no reading.
     """
-    blocks = [damped(linear.block, piece.own, caution) for linear, piece in zip(linears, pieces, strict=True)]
+    pieces = here.pieces
+    blocks = [damped(linear.block, piece.own, damping) for linear, piece in zip(here.linears, pieces, strict=True)]
     common = np.vstack([of_matrices(block, piece.own) for block, piece in zip(blocks, pieces, strict=True)])
     table = np.vstack([common[:, :-1], known.rows])
-    target = np.concatenate([common[:, -1], known.left(matrices)])
+    target = np.concatenate([common[:, -1], known.left(here.matrices)])
     scale = np.linalg.norm(table, axis=0)
     scale[scale == 0] = 1.0
     hold = pinned(unseen, scale)
-    full = np.vstack([table / scale, hold, caution * np.eye(scale.size)])
+    full = np.vstack([table / scale, hold, damping * np.eye(scale.size)])
     aim = np.concatenate([target, np.zeros(len(hold) + scale.size)])
     move = np.linalg.lstsq(full, aim, rcond=1e-14)[0] / scale
     moves = []

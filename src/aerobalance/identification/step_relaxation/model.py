@@ -266,10 +266,10 @@ def of_matrices(block: Array, own: int) -> Array:
     return block[own:, own:]
 
 
-def damped(block: Array, own: int, caution: float) -> Array:
+def damped(block: Array, own: int, damping: float) -> Array:
     """The factor with its own parameters held back by a share of their information."""
-    if caution == 0:
+    if damping == 0:
         return block
     hold = np.zeros((own, block.shape[1]))
-    hold[:, :own] = caution * np.diag(np.linalg.norm(block[:, :own], axis=0))
+    hold[:, :own] = damping * np.diag(np.linalg.norm(block[:, :own], axis=0))
     return np.asarray(qr(np.vstack([block, hold]), mode="r", check_finite=False)[0][: block.shape[1]])
