@@ -12,8 +12,8 @@ import pytest
 from aerobalance.app.cli import main
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.io.balance_file import read_balance
+from aerobalance.io.mass_file import read_weighing, write_weighing
 from aerobalance.io.schedule import read_schedule, write_balfit_schedule
-from aerobalance.io.weighing_file import read_weighing, write_weighing
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.gravity import Attitudes

@@ -62,7 +62,18 @@ COMMANDS = {
 }
 
 
-NOT_PINNED = {"provenance", "outputs", "replaced", "warnings", "seconds", "spectrum", "covariance", "residuals", "p"}
+NOT_PINNED = {
+    "provenance",
+    "outputs",
+    "replaced",
+    "warnings",
+    "seconds",
+    "spectrum",
+    "covariance",
+    "residuals",
+    "p",
+    "absorbed",
+}
 """Words, files and times; and numbers that are nothing but rounding in places."""
 
 

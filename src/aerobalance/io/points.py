@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import overload
 
 import numpy as np
 
-from aerobalance.balance.weighing import LoadPoints, StaticPoints, points_from_recordings
+from aerobalance.balance.weighing import LoadPoints, points_from_recordings
 from aerobalance.io import read, read_table, states_times
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.table import Table
@@ -20,24 +19,10 @@ from aerobalance.recording.recording import GAUGES_BECOME_LOADS
 Names = tuple[str, ...]
 
 
-@overload
 def read_points(
-    paths: Sequence[Path | str], components: str, *, channel_map: ChannelMap | None = None
-) -> StaticPoints: ...
-@overload
-def read_points(
-    paths: Sequence[Path | str],
-    components: tuple[str, ...] | list[str] | None = None,
-    *,
-    channel_map: ChannelMap | None = None,
-) -> LoadPoints: ...
-def read_points(
-    paths: Sequence[Path | str],
-    components: str | tuple[str, ...] | list[str] | None = None,
-    *,
-    channel_map: ChannelMap | None = None,
-) -> StaticPoints | LoadPoints:
-    """Read static points from files.
+    paths: Sequence[Path | str], components: Sequence[str] | None = None, *, channel_map: ChannelMap | None = None
+) -> LoadPoints:
+    """Return static loads [N, N*m] and their attitudes [rad] from files.
 
     A file with a column ``time`` (or any file, with a channel map) is a recording and gives one point for every
     stretch of steady pitch and roll; any other is a table of points ``pitch [deg],AF [N]`` with, where known,
@@ -48,15 +33,14 @@ def read_points(
     paths
         The files.
     components
-        Which component to take, or several; all loads that the files have if left out.
+        Which loads to take; all that the files have if left out.
     channel_map
         What the columns of foreign files are.
 
     Returns
     -------
-    StaticPoints or LoadPoints
-        All points, in the order of the files, of one component (given as a string) or of several; the noise is zero
-        where a table does not give it.
+    LoadPoints
+        All points, in the order of the files; the noise is zero where a table does not give it.
 
     Raises
     ------
@@ -69,19 +53,18 @@ def read_points(
     """
     if not paths:
         raise ValueError("no files to take points from; give at least one")
-    names = (components,) if isinstance(components, str) else None if components is None else tuple(components)
+    names = None if components is None else tuple(components)
     files = [Path(path) for path in paths]
     parts = [_points(file, names, channel_map) for file in files]
     _check_alike(files, parts)
     rolls = [part.roll for part in parts if part.roll is not None]
-    points = LoadPoints(
+    return LoadPoints(
         parts[0].components,
         np.concatenate([part.pitch for part in parts]),
         np.concatenate([part.loads for part in parts]),
         np.concatenate(rolls) if rolls else None,
         np.concatenate([_noise(part) for part in parts]),
     )
-    return points.of(components) if isinstance(components, str) else points
 
 
 def _noise(points: LoadPoints) -> Array:

@@ -22,7 +22,7 @@ from aerobalance.balance.zeros import (
     seen_on_zero,
     without_weight,
 )
-from aerobalance.io.weighing_file import read_weighing
+from aerobalance.io.mass_file import read_weighing
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.errors import FitError, warn_quality

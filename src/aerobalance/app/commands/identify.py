@@ -25,7 +25,7 @@ from aerobalance.io import (
     read_table,
 )
 from aerobalance.io.dynamics_file import dynamics_payload, write_dynamics
-from aerobalance.io.weighing_file import read_weighing
+from aerobalance.io.mass_file import read_weighing
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.errors import FitError, ReadError, warn_quality
 from aerobalance.recording.recording import Recording
@@ -74,7 +74,7 @@ def identify_decay(
 
 
 def _weighing(mass: str | None) -> Weighing | None:
-    """What a mass.json says that hangs on the balance; None where the mass is a number, or of one component."""
+    """Weighing of a mass.json; None where the mass is a number, or the file holds masses alone."""
     file = mass_file(mass)
     if file is None:
         return None

@@ -31,8 +31,7 @@ from aerobalance.identification.result import CoupledIdentification, CoupledResu
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.io.artefacts import digest
 from aerobalance.io.coupled_file import coupled_payload, write_coupled
-from aerobalance.io.mass_file import read_mass
-from aerobalance.io.weighing_file import read_weighing
+from aerobalance.io.mass_file import read_masses, read_weighing
 from aerobalance.recording.components import COMPONENTS, MOMENTS, si_unit
 from aerobalance.recording.errors import ReadError
 
@@ -169,7 +168,7 @@ def weighed_mass(mass: str | None) -> tuple[tuple[float, float] | None, Weighing
     try:
         weighing = read_weighing(Path(mass))
     except ReadError:
-        masses = {name: found for name, found in read_mass(Path(mass)).items() if name not in MOMENTS}
+        masses = {name: found for name, found in read_masses(Path(mass)).items() if name not in MOMENTS}
         if not masses:
             raise ValueError(f"{mass} holds no mass of a force component") from None
         found = min(masses.values(), key=lambda one: one.u)

@@ -26,14 +26,14 @@ from aerobalance.app.commands.shared import Account, check_out, doubts, recordin
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import LoadsFelt, loads_felt, smooth_variance, wind_off_loads, with_loads
 from aerobalance.balance.matrix import TOLERANCE, BalanceMatrix
-from aerobalance.balance.weighing import LoadPoints, Weighing, points_from_recordings, weigh_components
+from aerobalance.balance.weighing import LoadPoints, Weighing, points_from_recordings, weigh
 from aerobalance.balance.zeros import CLEARLY, GaugeZero
 from aerobalance.io import check_output, write_loads
 from aerobalance.io.balance_file import write_balance
 from aerobalance.io.balfit_matrix import write_balfit_matrix
 from aerobalance.io.kinds import TABLE
+from aerobalance.io.mass_file import read_weighing
 from aerobalance.io.matrix_file import read_matrix
-from aerobalance.io.weighing_file import read_weighing
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError, warn_quality
@@ -371,7 +371,7 @@ def _settled(
             felt = _felt(recordings, matrix, zero)
             components = tuple(name for name in felt[0].components if name in COMPONENTS)
             try:
-                known = Hanging(weigh_components(_points(recordings, felt, components), gravity=gravity))
+                known = Hanging(weigh(_points(recordings, felt, components), gravity=gravity))
             except (FitError, ValueError):
                 return Hanging(None)
             if not np.isfinite(last).all() and files.model_on_zero == "auto" and _bare(known.weighing, before, matrix):

@@ -13,15 +13,11 @@ from aerobalance.app.commands.answers import quantities, quantity_table, short
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.loads import weighed_loads
 from aerobalance.app.commands.shared import Account, check_out, doubts, known_component
-from aerobalance.balance.weighing import weigh as fit_mass
-from aerobalance.balance.weighing import weigh_components
-from aerobalance.io import (
-    load_channel_map,
-)
-from aerobalance.io.mass_file import mass_payload, read_mass, write_mass
+from aerobalance.balance.weighing import weigh as weigh_points
+from aerobalance.io import load_channel_map
+from aerobalance.io.mass_file import read_masses, weighing_payload, write_weighing
 from aerobalance.io.points import read_points
 from aerobalance.io.units import conversion
-from aerobalance.io.weighing_file import weighing_payload, write_weighing
 from aerobalance.recording.components import STANDARD_GRAVITY, mass_unit
 
 _AMOUNT: Final = re.compile(
@@ -39,7 +35,7 @@ def weigh(
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
 ) -> Account:
-    """Weight, and with several loads centre of gravity, from points or recordings over pitch (and roll).
+    """Return mass, offsets and tilt, and with moments the centre of gravity, from points or recordings at rest.
 
     Takes all loads that the files have, unless one component is named. With a balance, the recordings are of gauge
     outputs.
@@ -54,42 +50,35 @@ def weigh(
             points = read_points(paths, names, channel_map=chosen)
         else:
             points = weighed_loads(paths, files, gravity=gravity, channel_map=channel_map, names=names)
-        if len(points.components) > 1:
-            weighing = weigh_components(points, gravity=gravity)
-            settings: Account = {"components": points.components, "gravity": gravity}
-            account = weighing_payload(weighing)
-        else:
-            (single,) = points.components
-            pitch, load, roll, noise = points.of(single)
-            mass = fit_mass(pitch, load, roll=roll, component=single, gravity=gravity, noise=noise)
-            settings = {"component": single, "gravity": gravity}
-            account = {"component": single, **mass_payload(mass)}
-    inputs = [*paths, *(() if files is None else files.paths)]
-    if out is not None and len(points.components) > 1:
+        weighing = weigh_points(points, gravity=gravity)
+    if out is not None:
+        inputs = [*paths, *(() if files is None else files.paths)]
+        settings: Account = {"components": points.components, "gravity": gravity}
         write_weighing(out, weighing, inputs=inputs, settings=settings, warnings=collected)
-    elif out is not None:
-        write_mass(out, {single: mass}, inputs=inputs, settings=settings, warnings=collected)
-    return {**account, "warnings": collected, "summary": summary(paths, account)}
+    account: Account = weighing_payload(weighing)
+    text = summary(paths, account)
+    if len(weighing.components) == 1:  # what is found of one force stands at the top as well
+        (single,) = weighing.components
+        account = {**account, "component": single, **account["components"][single]}
+    return {**account, "warnings": collected, "summary": text}
 
 
 def summary(paths: Sequence[Path], account: Account) -> str:
-    """Short answer for people: mass, centre of gravity, offsets and tilts with their uncertainties."""
-    named = {"common_mass": "mass", "mass": "mass", "offset": "offset"}
-    rows = quantities(account, {key: word for key, word in named.items() if key in account})
-    if "component" not in account and len(account["components"]) > 1:
+    """Return a short answer for people: mass, centre of gravity, offsets and tilts with their uncertainties."""
+    rows = quantities(account, {"common_mass": "mass"})
+    if len(account["components"]) > 1:
         masses = {name: entry["mass"] for name, entry in account["components"].items()}
         rows += quantities(masses, {name: f"mass by {name}" for name in masses})
     for key, word in (("centre_of_gravity", "centre of gravity"), ("offsets", "offset"), ("misalignment", "tilt")):
-        found = account.get(key, {})
-        rows += quantities(found, {name: f"{word} {name}" for name in found})
+        rows += quantities(account[key], {name: f"{word} {name}" for name in account[key]})
     lines = [quantity_table(f"{_of(paths)}: weighing", rows)]
-    for key, agreement in account.get("agreement", {}).items():
+    for key, agreement in account["agreement"].items():
         if agreement is not None:
             lines.append(
                 f"{key.replace('_', ' ')} by the components: {'agree' if agreement['agree'] else 'do NOT agree'} "
                 f"(p = {short(agreement['p_value'], 2)})"
             )
-    lines += [f"not found: {name}: {reason}" for name, reason in account.get("unidentified", {}).items()]
+    lines += [f"not found: {name}: {reason}" for name, reason in account["unidentified"].items()]
     return "\n".join(lines) + "\n"
 
 
@@ -104,7 +93,7 @@ def parse_mass(text: str | None, component: str) -> tuple[float, float] | None:
     value = mass_number(text, unit=mass_unit(component))
     if value is not None:
         return value, 0.0
-    masses = read_mass(Path(text))
+    masses = read_masses(Path(text))
     if component not in masses:
         raise ValueError(f"{text} holds no mass of {component}; it has {', '.join(masses)}")
     return masses[component].mass, masses[component].u

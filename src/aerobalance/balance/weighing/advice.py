@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.balance.weighing.adjustment import (
     Adjustment,
@@ -87,7 +88,7 @@ def unidentified(
     found: dict[str, str] = {}
     for adjustment in (chosen, common, separate):
         model = adjustment.model
-        for index in adjustment.left_out:
+        for index in adjustment.left_out[_shows(adjustment)]:
             name = model.names[index]
             title = name.replace("moment", "centre_of_gravity")
             if title not in found and (adjustment is chosen or not name.startswith("misalignment")):
@@ -95,3 +96,11 @@ def unidentified(
                     model, readings, values=adjustment.values, sigma=adjustment.sigma, name=name
                 )
     return found
+
+
+def _shows(adjustment: Adjustment) -> NDArray[np.bool_]:
+    """Which of the parameters left out change any load at any attitude: AF does not feel a turn about its own axis."""
+    straight = adjustment.values.copy()
+    straight[-3:] = 0.0
+    slopes = adjustment.model.jacobian(np.eye(3), straight)  # with the weight along each axis
+    return np.asarray(slopes[:, :, adjustment.left_out].any(axis=(0, 1)))

@@ -1,9 +1,10 @@
-r"""Weighing with several components at once, the full form of Eq. (1) of [Gorbushin2020]_.
+r"""Weighing: the moving mass from static loads at several pitch and roll angles, Eq. (1) of [Gorbushin2020]_.
 
-Each force reads M g times its share of gravity, each moment reads the moment of that weight about the centre of the
-balance, all with offsets and with the balance turned against the inclinometer by small angles. Each component has a
-live end of its own mass, so the mass of every force and the centre of gravity of every moment are found by
-themselves, tested for agreement, and replaced by common ones where they agree.
+At rest every force reads the weight along its own axis: AF = M g sin(pitch), SF = M g cos(pitch) sin(roll) and
+NF = -M g cos(pitch) cos(roll), each with an offset; every moment reads the moment of that weight about the centre of
+the balance. The balance may be turned against the inclinometer by small angles. Each component has a live end of its
+own mass, so the mass of every force and the centre of gravity of every moment are found by themselves, tested for
+agreement, and replaced by common ones where they agree. One force alone is the same with one component.
 
 References
 ----------
@@ -23,8 +24,7 @@ from aerobalance.balance.weighing.adjustment import Adjustment, Readings, adjust
 from aerobalance.balance.weighing.advice import unidentified, what_would_help
 from aerobalance.balance.weighing.model import LEVERS, WeightModel
 from aerobalance.balance.weighing.points import LoadPoints
-from aerobalance.balance.weighing.result import Agreement, Weighing, centre_of
-from aerobalance.balance.weighing.single import MovingMass
+from aerobalance.balance.weighing.result import Agreement, MovingMass, Weighing, centre_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, FORCE_AXES, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, warn_quality
@@ -32,6 +32,12 @@ from aerobalance.recording.gravity import weight_direction
 
 LEAST_SHARE: Final = 1e-4
 """Least rms change of a force's share of gravity from which a mass can be guessed [g]."""
+
+WHOLE: Final = 1e-6
+"""Rounding of degrees of freedom that are a whole number."""
+
+LARGEST_RELATIVE_UNCERTAINTY: Final = 0.5
+"""Standard uncertainty of the mass, over the mass, from which the readings do not carry it."""
 
 LEANS: Final[Mapping[str, Mapping[str, tuple[float, str]]]] = {
     "AF": {"right": (-1.0, "yaw"), "up": (-1.0, "pitch")},
@@ -41,16 +47,17 @@ LEANS: Final[Mapping[str, Mapping[str, tuple[float, str]]]] = {
 """Lean of every force's axis toward the other axes when the balance is turned: sign and angle."""
 
 
-def weigh_components(points: LoadPoints, *, gravity: float = STANDARD_GRAVITY) -> Weighing:
-    """Find weight, centre of gravity, offsets and misalignment from static readings of several components.
+def weigh(points: LoadPoints, *, gravity: float = STANDARD_GRAVITY) -> Weighing:
+    """Return mass [kg], centre of gravity [m], offsets [N, N*m] and tilt [rad] from static loads.
 
-    Weighted non-linear least squares over all points and components; every component is weighted by its own scatter,
-    or by the given noise where that is larger. What the attitudes cannot show is left out and named.
+    Eq. (1) of [Gorbushin2020]_, by weighted non-linear least squares over all points and components; every component
+    is weighted by its own scatter, or by the given noise where that is larger. A parameter that the attitudes cannot
+    show is left out, named, and counted in the uncertainty of the others with the size that it may well have.
 
     Parameters
     ----------
     points
-        Readings of at least one force, and any others.
+        Loads at rest of one force at least, and of any other components.
     gravity
         Local acceleration of gravity [m/s^2].
 
@@ -137,11 +144,21 @@ def _wrong_sign(component: str, mass: float) -> FitError:
 
 
 def _check_carried(adjustment: Adjustment, readings: Readings, name: str) -> None:
-    if name not in adjustment.parameters:
+    """Refuse readings that cannot carry a mass: by their attitudes, or by how they scatter about the fit."""
+    found = name in adjustment.parameters
+    value = adjustment.values[adjustment.model.names.index(name)]
+    u = np.sqrt(adjustment.covariance.diagonal()[adjustment.parameters.index(name)]) if found else np.inf
+    said = name.replace(".", " of ")
+    if not found:
         advice = what_would_help(
             adjustment.model, readings, values=adjustment.values, sigma=adjustment.sigma, name=name
         )
-        raise FitError(f"these attitudes cannot tell the {name.replace('.', ' of ')} from the offset; {advice}")
+        raise FitError(f"these attitudes cannot tell the {said} from the offset; {advice}")
+    if 0 < LARGEST_RELATIVE_UNCERTAINTY * value < u:
+        raise FitError(
+            f"the {said} comes out as {value:.4g} kg with a standard uncertainty of {u:.4g} kg, so much do the points "
+            "scatter; check their loads and angles, or add points at angles further apart"
+        )
 
 
 def _check_signs(separate: Adjustment) -> None:
@@ -255,7 +272,7 @@ def _moving_masses(separate: Adjustment) -> dict[str, MovingMass]:
             parameters=("mass", "offset", *leans),
             covariance=(covariance + covariance.T) / 2,
             residuals=separate.residuals[:, column].copy(),
-            degrees_of_freedom=int(max(np.floor(separate.freedom[column]), 0)),
+            degrees_of_freedom=int(max(np.floor(separate.freedom[column] + WHOLE), 0)),
             gravity=separate.model.gravity,
         )
     return result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple, overload
+from typing import Final
 
 import numpy as np
 
@@ -12,24 +12,6 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
-
-
-class StaticPoints(NamedTuple):
-    """Static readings of one component: n points.
-
-    Attributes
-    ----------
-    pitch, load, roll
-        Angles [rad] and readings [N], shape (n,); roll is None where it was not recorded.
-    noise
-        Standard uncertainty of each mean reading, shape (n,) [N].
-    """
-
-    pitch: Array
-    load: Array
-    roll: Array | None
-    noise: Array
-
 
 PITCH_STEADY: Final = np.radians(0.02)
 """Change of the mean pitch from block to block that still counts as standing still [rad]."""
@@ -83,41 +65,29 @@ class LoadPoints:
         if self.noise is not None and not (np.isfinite(self.noise) & (self.noise >= 0)).all():
             raise ValueError("noise must be zero or more and finite")
 
-    def of(self, component: str) -> StaticPoints:
-        """Return the points of one component."""
-        column = self.components.index(component)
-        noise = np.zeros_like(self.pitch) if self.noise is None else self.noise[:, column]
-        return StaticPoints(self.pitch, self.loads[:, column], self.roll, noise)
 
-
-@overload
-def points_from_recordings(recordings: Sequence[Recording], components: str) -> StaticPoints: ...
-@overload
-def points_from_recordings(recordings: Sequence[Recording], components: tuple[str, ...] | list[str]) -> LoadPoints: ...
-def points_from_recordings(
-    recordings: Sequence[Recording], components: str | tuple[str, ...] | list[str]
-) -> StaticPoints | LoadPoints:
-    """Average recordings at rest into static points, one for every stretch of steady pitch and roll.
+def points_from_recordings(recordings: Sequence[Recording], components: Sequence[str]) -> LoadPoints:
+    """Return the mean loads [N, N*m] of recordings at rest, one point for every stretch of steady pitch and roll.
 
     Parameters
     ----------
     recordings
         Recordings with the components and ``pitch``, and ``roll`` in all or none of them.
     components
-        The component to average, or several.
+        Names of the loads to average.
 
     Returns
     -------
-    StaticPoints or LoadPoints
-        Means of the stretches, of one component or of several; the uncertainty of each comes from the means of
-        twenty parts of it, so it holds for correlated noise (ringing, hum) too.
+    LoadPoints
+        Means of the stretches; the standard uncertainty of each comes from the means of twenty parts of it, so it
+        holds for correlated noise (ringing, hum) too.
 
     Raises
     ------
     FitError
         A channel is missing, or pitch is nowhere steady.
     """
-    names = (components,) if isinstance(components, str) else tuple(components)
+    names = tuple(components)
     with_roll = [recording for recording in recordings if "roll" in recording]
     if with_roll and len(with_roll) < len(recordings):
         lacking = next(recording.name for recording in recordings if "roll" not in recording)
@@ -125,10 +95,8 @@ def points_from_recordings(
     parts = [_stretches(recording, names, with_roll=bool(with_roll)) for recording in recordings]
     size = len(names)
     table = np.concatenate([np.zeros((0, 2 + 2 * size)), *parts])
-    points = LoadPoints(
-        names, table[:, 0], table[:, 2 : 2 + size], table[:, 1] if with_roll else None, table[:, 2 + size :]
-    )
-    return points.of(components) if isinstance(components, str) else points
+    rolls = table[:, 1] if with_roll else None
+    return LoadPoints(names, table[:, 0], table[:, 2 : 2 + size], rolls, table[:, 2 + size :])
 
 
 def _stretches(recording: Recording, names: tuple[str, ...], *, with_roll: bool) -> Array:

@@ -1,4 +1,4 @@
-"""What weighing with several components finds, and the loads that the weight gives at other attitudes."""
+"""Result of a weighing, and the loads [N, N*m] that the weight gives at other attitudes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aerobalance.balance.weighing.model import WeightModel
-from aerobalance.balance.weighing.single import MovingMass
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import AXES
+from aerobalance.recording.components import AXES, FORCE_AXES, STANDARD_GRAVITY
 from aerobalance.recording.gravity import Attitudes, weight_direction
 
 LEAST_PROBABILITY: Final = 0.001
@@ -53,8 +52,57 @@ class Agreement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class MovingMass:
+    """Moving mass of one force component [kg], with the offset of its reading [N] and the lean of its axis [rad].
+
+    Attributes
+    ----------
+    component
+        Force component that was read.
+    mass, u
+        Mass M and its standard uncertainty [kg].
+    offset, u_offset
+        Reading without weight and its standard uncertainty [N].
+    misalignment, u_misalignment
+        Angles by which the measuring axis leans toward the other axes (``"aft"``, ``"right"``, ``"up"``), and their
+        standard uncertainties [rad]; without those that the attitudes cannot show.
+    parameters, covariance
+        Names of the fitted parameters and their covariance, shape (p, p), in the units above.
+    residuals
+        Reading less fit at every point, shape (n,) [N].
+    degrees_of_freedom
+        Number of points less the parameters that they went into; the uncertainties are not widened for few of them
+        (multiply by the factor of Student's distribution for an interval).
+    gravity
+        Acceleration of gravity used [m/s^2].
+    """
+
+    component: str
+    mass: float
+    u: float
+    offset: float
+    u_offset: float
+    misalignment: Mapping[str, float]
+    u_misalignment: Mapping[str, float]
+    parameters: tuple[str, ...]
+    covariance: Array
+    residuals: Array
+    degrees_of_freedom: int
+    gravity: float = STANDARD_GRAVITY
+
+    def __post_init__(self) -> None:
+        if self.component not in FORCE_AXES:
+            raise ValueError(f"component must be one of {', '.join(FORCE_AXES)}, not {self.component!r}")
+        for name in ("mass", "gravity"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be positive and finite, not {getattr(self, name)}")
+        if not 0 <= self.u < np.inf:
+            raise ValueError(f"u must be zero or more and finite, not {self.u}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Weighing:
-    """Weight, centre of gravity, offsets and misalignment, from several components at once.
+    """Mass [kg], centre of gravity [m], offsets [N, N*m] and misalignment [rad] of a weighing: one force or more.
 
     Mappings hold what was identified only; `unidentified` names the rest.
 
