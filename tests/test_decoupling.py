@@ -11,7 +11,7 @@ from scipy.linalg import matrix_balance
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import LoneComponent
 from aerobalance.recording.channel import Array
-from aerobalance.recording.resampling import finer, later
+from aerobalance.recording.resampling import fractional_delay, upsample_compensated
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_bending import Bending, bending_dynamics
 from seeds import new_seed
@@ -122,7 +122,7 @@ def test_slopes_are_those_of_differences(drawn: Drawn, rng) -> None:
 def test_straight_lines_do_a_sine_no_harm(frequency: float) -> None:
     """The transform of straight lines between samples is sinc^2: with what `finer` gives back it is 1 + O(x^4)."""
     time = np.arange(2000) / RATE
-    fine = finer(np.sin(2 * np.pi * frequency * time)[:, None])[:, 0]
+    fine = upsample_compensated(np.sin(2 * np.pi * frequency * time)[:, None])[:, 0]
     x = np.pi * frequency / (4 * RATE)
     middle = slice(2000, 6000)
     clock = np.arange(fine.size) / (4 * RATE)
@@ -158,6 +158,6 @@ def test_readings_are_brought_to_other_instants_up_to_the_ends(rng) -> None:
     interval, by = 1 / 25_000, rng.uniform(-1, 1) / 25_000
     w, phase = 2 * np.pi * rng.uniform(50, 200), rng.uniform(0, 2 * np.pi)
     time = np.arange(500) * interval
-    moved = later(np.sin(w * time + phase)[:, None], by, interval=interval)[:, 0]
+    moved = fractional_delay(np.sin(w * time + phase)[:, None], delay=-by, interval=interval)[:, 0]
     expected = np.sin(w * (time + by) + phase)
     np.testing.assert_allclose(moved, expected, rtol=0, atol=10 * (w * interval) ** 4 + 3e-6)

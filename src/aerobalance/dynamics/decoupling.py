@@ -29,7 +29,7 @@ from aerobalance.dynamics.condensation import Eliminated, modes_of, shares_of, s
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.recording.channel import Array
-from aerobalance.recording.resampling import FINE, finer
+from aerobalance.recording.resampling import FINE, upsample_compensated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +63,7 @@ class Fractions:
         if not self.modes:
             return np.asarray(found)
         driving = series @ np.vstack([self.by_value, self.by_rate]).T
-        fine, step = finer(driving), interval / FINE
+        fine, step = upsample_compensated(driving), interval / FINE
         for place, mode in enumerate(self.modes):
             value, rate = fine[:, place], fine[:, len(self.modes) + place]
             found = found + mode.driven(value, interval=step)[0][::FINE] + mode.driven(rate, interval=step)[1][::FINE]
@@ -182,7 +182,7 @@ class LoneComponent:
         """Change of `reading` with each element of `rows`: of A, equation by equation, then of D; (samples, k)."""
         hidden = [self._inside(loads, place, interval=interval) for place in range(len(self.still))]
         coordinates = np.column_stack([loads, *hidden])
-        fine, step = finer(coordinates), interval / FINE
+        fine, step = upsample_compensated(coordinates), interval / FINE
         behind = []
         for mode in self.dynamics.modes:
             motion = [mode.driven(series, interval=step) for series in fine.T]

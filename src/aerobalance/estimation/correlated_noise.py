@@ -27,12 +27,12 @@ from scipy.signal import oaconvolve
 
 from aerobalance.dynamics.decoupling import LoneComponent
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.prior import Learned, Reading, bridged
+from aerobalance.estimation.prior import BESIDE_A_GAP, Learned, Reading
 from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
 from aerobalance.estimation.spectra.periodogram import Periodogram
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.channel import Array
-from aerobalance.recording.resampling import EDGE
+from aerobalance.recording.resampling import EDGE, interpolate_gaps_linearly
 
 WORTHWHILE: Final = 0.02
 """Decrease of the expected error, as a share of it, from which on noise is taken off."""
@@ -285,7 +285,7 @@ def as_expected(reading: Reading, before: Learned) -> bool:
         raise ValueError("the noise that is left has to be known")
     values, color = reading.values - np.nanmean(reading.values), reading.color
     seen = Periodogram.of(
-        values if reading.present.all() else bridged(values, reading.present),
+        interpolate_gaps_linearly(np.where(reading.present, values, np.nan), beside=BESIDE_A_GAP),
         reading.dynamics,
         interval=reading.interval,
         input_density=reading.input_density,

@@ -25,7 +25,7 @@ from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import at_instants, bridged
+from aerobalance.recording.resampling import align_channels, interpolate_gaps
 
 PASSES: Final = 2
 """Most times that gaps are filled anew by what the forces found make the balance read."""
@@ -104,7 +104,7 @@ def _with_gaps_filled(
     noises
         Spectra of the noise of the components taken apart, where they are known.
     """
-    filled = bridged(record.loads)
+    filled = interpolate_gaps(record.loads)
     found = {name: work(job) for name, job in record.jobs(filled, noises=noises).items()}
     for _ in range(PASSES if record.has_gaps else 0):
         facts = {name: known(one) for name, one in found.items()}
@@ -144,7 +144,7 @@ def noise_shared(fits: Mapping[str, Fitted], record: CoupledRecord, *, filled: A
         one = shared_noise(
             spectra,
             place,
-            residuals=at_instants(residuals, record.channels, to=channel, interval=record.interval),
+            residuals=align_channels(residuals, record.channels, to=channel, interval=record.interval),
             present=present,
             readings=partial(record.reading, on_clock_of=place, filled=filled),
         )
@@ -186,7 +186,7 @@ def noise_of_coupled(
     settings = {"gravity": gravity, "gravity_uncertainty": gravity_uncertainty}
     noise = CoupledRecord.of(run, dynamics, **settings).noise
     record = CoupledRecord.of(calm, dynamics, **settings).taken_with(dynamics, noise=noise)
-    return {name: noise_of_job(job) for name, job in record.jobs(bridged(record.loads)).items()}
+    return {name: noise_of_job(job) for name, job in record.jobs(interpolate_gaps(record.loads)).items()}
 
 
 def filled_by(forces: Mapping[str, Array], record: CoupledRecord, *, filled: Array) -> Array:

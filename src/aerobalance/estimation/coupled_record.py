@@ -25,7 +25,7 @@ from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import EXACT, at_instants, bridged, later
+from aerobalance.recording.resampling import EXACT, align_channels, fractional_delay, interpolate_gaps
 from aerobalance.recording.sensors import corrected
 
 
@@ -87,7 +87,7 @@ class CoupledRecord:
         channels = _channels(recording, dynamics)
         platform = PlatformMotion.of(recording, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
         loads = np.column_stack([np.where(channel.at_limit, np.nan, channel.values) for channel in channels])
-        noise = noise_covariance(channels, bridged(loads))
+        noise = noise_covariance(channels, interpolate_gaps(loads))
         nothing, on_zero = np.zeros_like(loads), _weight_on_zero(platform, dynamics)
         return cls(recording, dynamics, platform, channels, loads, noise, nothing, on_zero, ()).taken_with(dynamics)
 
@@ -100,7 +100,7 @@ class CoupledRecord:
             self,
             dynamics=dynamics,
             noise=noise,
-            from_ground=later(from_ground, self.platform.delay, interval=self.interval) + shift,
+            from_ground=fractional_delay(from_ground, delay=-self.platform.delay, interval=self.interval) + shift,
             lones=tuple(LoneComponent.of(dynamics, name, noise=noise) for name in dynamics.components),
         )
 
@@ -144,7 +144,7 @@ class CoupledRecord:
         """One component taken apart; the arguments are those of `jobs`, and the noise that is to be taken off."""
         lone = self.lones[self.dynamics.components.index(component)]
         channel = self.channels[lone.place]
-        own = at_instants(filled, self.channels, to=channel, interval=self.interval)
+        own = align_channels(filled, self.channels, to=channel, interval=self.interval)
         reading = self.reading(lone.place, on_clock_of=lone.place, filled=filled)
         others = () if shared is None else shared.others
         gap = ~np.isfinite(self.loads[:, lone.partners]).all(axis=1)
@@ -183,8 +183,8 @@ class CoupledRecord:
             Another balance in the place of the component's own.
         """
         channel = self.channels[on_clock_of]
-        own = at_instants(filled, self.channels, to=channel, interval=self.interval)
-        ground = later(self.from_ground, -channel.delay, interval=self.interval)
+        own = align_channels(filled, self.channels, to=channel, interval=self.interval)
+        ground = fractional_delay(self.from_ground, delay=channel.delay, interval=self.interval)
         lone = self.lones[place] if balance is None else replace(self.lones[place], dynamics=balance)
         return lone.reading(own - ground, interval=self.interval)
 

@@ -22,7 +22,7 @@ from aerobalance.motion.single_axis import Unknown
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.linalg import covariance_root
-from aerobalance.recording.resampling import FINE, finer
+from aerobalance.recording.resampling import FINE, upsample_compensated
 
 FAINT: Final = 1e-3
 """Rms of an error in a reading over its noise that is nothing beside it."""
@@ -165,7 +165,7 @@ def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Arra
     """Loads felt under loads on the moving mass that are band-limited, both (samples, n)."""
     if not net.any():
         return np.zeros_like(net)
-    return dynamics.load_felt(finer(net), interval=interval / FINE)[::FINE]
+    return dynamics.load_felt(upsample_compensated(net), interval=interval / FINE)[::FINE]
 
 
 def mass_slopes(mass: RigidMass) -> list[Array]:

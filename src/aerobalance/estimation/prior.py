@@ -16,6 +16,7 @@ from aerobalance.estimation.statespace.kalman import LOAD, Filter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
+from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 BACKGROUND: Final = 1e-2
 """Variance of the force's background, over the variance of the estimate's error: nothing is taken as impossible."""
@@ -146,31 +147,13 @@ def learn(reading: Reading, *, columns: Array, before: Learned | None = None) ->
     if before is not None:
         return _learned_beside(reading, before, columns)
     sizes, *_ = np.linalg.lstsq(columns[present], reading.values[present], rcond=None)
-    left = reading.values - columns @ sizes
-    if not present.all():
-        left = bridged(left, present)
+    left = np.where(present, reading.values - columns @ sizes, np.nan)
+    left = interpolate_gaps_linearly(left, beside=BESIDE_A_GAP)
     learned = _learn(reading, left)
     if not present.all():
         # what a straight line leaves in a gap is noise to this first answer, and to the bridge that follows from it
         return _learned_beside(reading, _learned_beside(reading, learned, columns), columns)
     return learned if columns.shape[1] == 1 else _learned_beside(reading, learned, columns)
-
-
-def bridged(left: Array, present: NDArray[np.bool_]) -> Array:
-    """Gaps filled by straight lines between the means of some readings on either side.
-
-    A line between two single readings is as uncertain as they are, and looks like a slow force.
-    """
-    filled = left.copy()
-    place, known = np.arange(left.size), np.flatnonzero(present)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~present, [False]]))).reshape(-1, 2)
-    for first, last in edges:
-        count = int(np.clip((last - first) // 4, 1, BESIDE_A_GAP))
-        middle = int(np.searchsorted(known, first))
-        before, after = known[max(middle - count, 0) : middle], known[middle : middle + count]
-        ends = np.array([(side.mean(), left[side].mean()) for side in (before, after) if side.size])
-        filled[first:last] = np.interp(place[first:last], ends[:, 0], ends[:, 1])
-    return filled
 
 
 def _learned_beside(reading: Reading, learned: Learned, columns: Array) -> Learned:

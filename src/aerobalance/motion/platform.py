@@ -13,7 +13,7 @@ from aerobalance.motion.consistency import Effect, check_agreement
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.rotation import Turning
 from aerobalance.motion.sensors import ground_sensors, motion_name, unseen
-from aerobalance.motion.single_axis import AT_REST, Unknown, bridged, tones
+from aerobalance.motion.single_axis import AT_REST, Unknown, tones, without_gaps
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, COMPONENTS, DIRECTIONS, IS_FORCE, MOMENT_ROWS, STANDARD_GRAVITY
 from aerobalance.recording.gravity import Pull
@@ -141,7 +141,7 @@ class _Gravity:
             said = "pitch is not recorded and taken as constant; a constant weight is left out"
             return cls(np.zeros((recording.samples, 6)), gravity, {}, {}, {}, (said,))
         names = [name for name in ("pitch", "roll") if name in recording]
-        angles = {name: bridged(recording, recording.channel(name)) for name in names}
+        angles = {name: without_gaps(recording.channel(name)) for name in names}
         pull = Pull.of(angles["pitch"], angles.get("roll", nothing), gravity=gravity)
         noise = {name: channel_noise(recording.channel(name)) for name in names}
         return cls(pull.acceleration, gravity, angles, {name: pull.slopes[name] for name in names}, noise, ())

@@ -13,7 +13,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.motion.single_axis import bridged
+from aerobalance.motion.single_axis import without_gaps
 from aerobalance.recording.channel import AXES_BY_NAME, Array, Channel, is_ground_acceleration
 from aerobalance.recording.components import COMPONENTS, DIRECTIONS, FORCE_AXES, IS_FORCE, MOMENTS
 from aerobalance.recording.errors import FitError, warn_quality
@@ -124,7 +124,7 @@ def _mounting(channel: Channel, recording: Recording) -> tuple[Array, Array]:
 
 def _on_clock(recording: Recording, channel: Channel, delay: float) -> Array:
     """Readings without gaps or high-pass, as if they lagged the clock by this delay [s]."""
-    values = bridged(recording, channel)
+    values = without_gaps(channel)
     if channel.coupling == "ac":
         values = divided(values, high_pass(channel.corner), rate=recording.rate)
         warn_quality(

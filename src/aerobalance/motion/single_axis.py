@@ -23,7 +23,7 @@ from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.gravity import Pull
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import SHARPNESS
+from aerobalance.recording.resampling import SHARPNESS, interpolate_gaps_linearly
 from aerobalance.recording.sensors import corrected, divided, high_pass
 
 FINE: Final = 8
@@ -123,7 +123,7 @@ class GroundMotion:
         unknowns: list[Unknown] = []
         if name in recording:
             channel = recording.channel(name)
-            acceleration = bridged(recording, channel)
+            acceleration = without_gaps(channel)
             noise, relative, delay = channel_noise(channel), channel.relative_uncertainty, channel.delay
             coupling = channel.coupling
             if coupling == "kinematic" and float(np.nanvar(channel.values)) < AT_REST * noise**2:
@@ -205,7 +205,7 @@ def _gravity(recording: Recording, component: str, gravity: float, assumptions: 
         assumptions.append("pitch is not recorded and taken as zero")
         return _Pulled(nothing, 0.0, {})
     channels = {name: recording.channel(name) for name in ("pitch", "roll") if name in recording}
-    angles = {name: bridged(recording, channel) for name, channel in channels.items()}
+    angles = {name: without_gaps(channel) for name, channel in channels.items()}
     pitch, roll = angles["pitch"], angles.get("roll", nothing)
     noise = gravity * channel_noise(channels["pitch"])
     if component != "SF":
@@ -252,8 +252,8 @@ def _across(recording: Recording, channel: Channel) -> list[Unknown]:
     ]
 
 
-def bridged(recording: Recording, channel: Channel) -> Array:
-    """Values of a channel with missing samples filled by straight lines, shape (n,), and said so."""
+def without_gaps(channel: Channel) -> Array:
+    """Return the values of a channel with straight lines across gaps, shape (n,) [its unit], and warn of them."""
     missing = channel.missing
     if not missing.any():
         return channel.values
@@ -261,8 +261,7 @@ def bridged(recording: Recording, channel: Channel) -> Array:
         f"{channel.name}: {int(missing.sum())} missing sample(s) are filled by straight lines; the ground motion "
         "within them stays in the force"
     )
-    index = np.arange(recording.samples)
-    return np.interp(index, index[~missing], channel.values[~missing])
+    return interpolate_gaps_linearly(channel.values)
 
 
 def load_from_ground(motion: GroundMotion, dynamics: Dynamics, *, rate: float, load_delay: float = 0.0) -> Array:

@@ -1,4 +1,4 @@
-"""Series at other instants: on a finer clock, later by parts of a sample, across gaps."""
+"""Series at other instants: on a finer clock, delayed by parts of a sample, across gaps."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
 from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.errors import FitError
 
 FINE: Final = 4
 """Steps into which a sampling interval is divided where readings drive a balance between samples."""
@@ -26,14 +27,14 @@ EDGE: Final = 12
 """Samples at either end of a record that the window of the band-limited interpolation reaches beyond."""
 
 AROUND: Final = 200
-"""Samples either side of a gap from which it is filled at first."""
+"""Samples either side of a gap that its readings are predicted from."""
 
 EXACT: Final = 1e-9
 """Share of a channel's variance that its samples are taken to be exact to when a gap is filled."""
 
 
-def interpolated(series: Array) -> Array:
-    """Series (samples, c) on a clock `FINE` times as fast, band-limited; shape (FINE samples, c)."""
+def upsample(series: Array) -> Array:
+    """Return a band-limited series of shape (samples, c) on a clock `FINE` times as fast, shape (FINE samples, c)."""
     first = series[:1]
     fine = np.asarray(
         first + resample_poly(series - first, FINE, 1, axis=0, window=("kaiser", SHARPNESS), padtype="line")
@@ -48,23 +49,76 @@ def interpolated(series: Array) -> Array:
     return fine
 
 
-def finer(series: Array) -> Array:
-    """The same, such that straight lines between its points do it no harm.
+def upsample_compensated(series: Array) -> Array:
+    """Return the upsampled series, compensated for a first-order hold, shape (FINE samples, c).
 
-    Straight lines between samples lose (w h)^2 / 12 of a sine of angular frequency w; a twelfth of the second
-    difference, taken off beforehand, gives it back, and what is lost is (w h)^4 / 240.
+    A system that takes straight lines between the points (a first-order hold) then answers as to the series itself:
+    straight lines lose (w h)^2 / 12 of a sine of angular frequency w; a twelfth of the second difference, taken off
+    beforehand, gives it back, and what is lost is (w h)^4 / 240.
     """
     count = series.shape[0]
-    fine = interpolated(series)
+    fine = upsample(series)
     bend = np.diff(fine[: FINE * (count - 1) + 1], 2, axis=0) / 12
     fine[: FINE * (count - 1) + 1] -= np.concatenate([bend[:1], bend, bend[-1:]])
     return fine
 
 
-def bridged(loads: Array) -> Array:
-    """Loads with their gaps filled from the samples around them, shape (samples, n).
+def fractional_delay(series: Array, *, delay: float, interval: float) -> Array:
+    """Return a band-limited series, shape (samples, ...), delayed by any time [s].
 
-    The best guess of a process with the record's own autocovariance: straight lines would look like sudden forces.
+    Less than a sample beyond its ends it goes on as it goes there; farther out it is held.
+
+    Parameters
+    ----------
+    series
+        Samples without gaps.
+    delay
+        Time by which the result lags the series; negative where it leads [s].
+    interval
+        Time between samples [s].
+    """
+    if not delay or not series.any():
+        return series
+    count = series.shape[0]
+    fine = upsample(series)[: FINE * (count - 1) + 1]
+    place = np.clip(np.arange(count) - delay / interval, -1.0, float(count))
+    return np.asarray(CubicSpline(np.arange(fine.shape[0]) / FINE, fine)(place))
+
+
+def align_channels(loads: Array, channels: Sequence[Channel], *, to: Channel, interval: float) -> Array:
+    """Return loads at the instants at which one channel was sampled, shape (samples, n).
+
+    Parameters
+    ----------
+    loads
+        Readings without gaps, shape (samples, n).
+    channels
+        The n channels, with the times by which they lag the clock.
+    to
+        The channel whose instants are wanted.
+    interval
+        Time between samples [s].
+    """
+    delays = [to.delay - channel.delay for channel in channels]
+    if not any(delays):
+        return loads
+    return np.column_stack(
+        [
+            fractional_delay(column, delay=delay, interval=interval)
+            for column, delay in zip(loads.T, delays, strict=True)
+        ]
+    )
+
+
+# Gaps are filled in three ways, as three things differ. A load is divided by the balance's response, so straight lines
+# would look like sudden forces: it is predicted. Motions, angles and spectra only need something harmless: straight
+# lines. A stream does not know what comes after a gap: it holds.
+
+
+def interpolate_gaps(loads: Array) -> Array:
+    """Return loads with their gaps filled from the samples around them, shape (samples, n).
+
+    The best linear prediction of a process with the record's own autocovariance.
     """
     filled = loads.copy()
     index = np.arange(loads.shape[0])
@@ -85,28 +139,57 @@ def bridged(loads: Array) -> Array:
     return filled
 
 
+def interpolate_gaps_linearly(values: Array, *, beside: int = 1) -> Array:
+    """Return readings with straight lines across their gaps, the first or last reading held at the ends, shape (n,).
+
+    Parameters
+    ----------
+    values
+        Readings, shape (n,); NaN where one is missing.
+    beside
+        Readings on either side of a gap, at most, whose means the line joins, up to a quarter of the gap's length: a
+        line between two single readings is as uncertain as they are.
+
+    Raises
+    ------
+    FitError
+        There is no reading.
+    """
+    present = np.isfinite(values)
+    if present.all():
+        return values
+    place, known = np.arange(values.size), np.flatnonzero(present)
+    if not known.size:
+        raise FitError("no reading is present")
+    filled = np.interp(place, known, values[known])
+    for first, last in _runs(~present) if beside > 1 else []:
+        count = int(np.clip((last - first) // 4, 1, beside))
+        middle = int(np.searchsorted(known, first))
+        sides = known[max(middle - count, 0) : middle], known[middle : middle + count]
+        ends = np.array([(side.mean(), values[side].mean()) for side in sides if side.size])
+        filled[first:last] = np.interp(place[first:last], ends[:, 0], ends[:, 1])
+    return filled
+
+
+def hold_over_gaps(values: Array, last: Array) -> Array:
+    """Return samples with missing ones held at the last that was there (a zero-order hold), shape (m, c).
+
+    Parameters
+    ----------
+    values
+        Samples of c channels, shape (m, c); NaN where one is missing.
+    last
+        What to hold before the first, shape (c,).
+    """
+    there = np.isfinite(values)
+    if there.all():
+        return values
+    whole = np.vstack([last, values])
+    place = np.where(np.vstack([np.ones_like(there[:1]), there]), np.arange(whole.shape[0])[:, None], 0)
+    return np.asarray(np.take_along_axis(whole, np.maximum.accumulate(place, axis=0), axis=0)[1:])
+
+
 def _runs(gap: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """First sample of every gap and the first one after it."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], gap, [False]])))
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
-
-
-def at_instants(loads: Array, channels: Sequence[Channel], *, to: Channel, interval: float) -> Array:
-    """Loads at the instants at which one channel was sampled, shape (samples, n)."""
-    late = [channel.delay - to.delay for channel in channels]
-    if not any(late):
-        return loads
-    return np.column_stack([later(column, by, interval=interval) for column, by in zip(loads.T, late, strict=True)])
-
-
-def later(series: Array, by: float, *, interval: float) -> Array:
-    """A band-limited series, shape (samples, ...), at instants that are later by so much [s].
-
-    Less than a sample beyond its ends it goes on as it goes there; farther out it is held.
-    """
-    if not by or not series.any():
-        return series
-    count = series.shape[0]
-    fine = interpolated(series)[: FINE * (count - 1) + 1]
-    place = np.clip(np.arange(count) + by / interval, -1.0, float(count))
-    return np.asarray(CubicSpline(np.arange(fine.shape[0]) / FINE, fine)(place))

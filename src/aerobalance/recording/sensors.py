@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from aerobalance.recording.channel import Array, Channel, unit_inside
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import fractional_delay, interpolate_gaps_linearly
 
 LEAST_GAIN: Final = 0.5
 """Gain down to which a motion's magnitude is undone in full; from its square on it is left as it is."""
@@ -59,8 +60,7 @@ def _unfiltered(channel: Channel, rate: float) -> Channel:
     known = ~channel.missing
     if not known.any():
         raise FitError(f"channel {channel.name} has no reading, so its filter cannot be undone")
-    index = np.arange(known.size)
-    filled = np.interp(index, index[known], channel.values[known])
+    filled = interpolate_gaps_linearly(channel.values)
     motion = unit_inside(channel.name) in ("m/s^2", "rad/s^2", "rad/s", "rad")
     least = LEAST_GAIN if motion else LEAST_LOAD_GAIN
     values = divided(filled, channel.filter.response, rate=rate, least=least)
@@ -86,16 +86,12 @@ def _straightened(channel: Channel, channels: dict[str, Channel], recording: Rec
     for part in felt:
         other = channels[part.channel]
         lag = channel.delay - other.delay
-        across = other.values if not lag else _later(other.values, lag, recording.rate)
+        across = other.values
+        if lag and np.isfinite(across).any():
+            across = fractional_delay(interpolate_gaps_linearly(across), delay=lag, interval=1 / recording.rate)
         values -= part.sensitivity * np.where(np.isfinite(across), across, 0.0)
     left = tuple(replace(part, sensitivity=0.0) for part in channel.cross_axis)
     return replace(channel, values=values, cross_axis=left)
-
-
-def _later(values: Array, lag: float, rate: float) -> Array:
-    clock = np.arange(values.size) / rate
-    known = np.isfinite(values)
-    return np.interp(clock - lag, clock[known], values[known])
 
 
 def divided(values: Array, transfer: Transfer, *, rate: float, least: float = LEAST_GAIN) -> Array:

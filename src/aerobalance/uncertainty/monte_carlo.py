@@ -40,7 +40,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import bridged
+from aerobalance.recording.resampling import interpolate_gaps
 from aerobalance.uncertainty.budget import noise_power, scalars
 from aerobalance.uncertainty.sampling import drawn_coupled, drawn_dynamics, drawn_numbers
 
@@ -207,7 +207,7 @@ def monte_carlo_of_coupled(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)  # said when the force was worked out
         record = CoupledRecord.of(recording, dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
-        filled = bridged(record.loads)
+        filled = interpolate_gaps(record.loads)
         if record.has_gaps:
             filled = filled_by({name: one.values for name, one in estimates.items()}, record, filled=filled)
         found = {}

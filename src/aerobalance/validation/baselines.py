@@ -12,7 +12,6 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 from scipy.signal import butter, filtfilt, iirnotch, sosfiltfilt
 
@@ -24,6 +23,7 @@ from aerobalance.recording.components import STANDARD_GRAVITY, acceleration_name
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.gravity import gravity_share
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import fractional_delay, interpolate_gaps_linearly
 from aerobalance.recording.sensors import corrected
 from aerobalance.validation.fir_inverse import ORDER, MeasuredResponse, fir_inverse, fit_frequencies, undo
 from aerobalance.validation.scores import Truth
@@ -144,8 +144,10 @@ def accelerometer_correction(recording: Recording, dynamics: Dynamics, settings:
     name = name if name in recording else "live_acceleration"
     channel = recording.channel(name)
     load = recording.channel(dynamics.component)
-    acceleration = _moved(_filled(channel.values), dynamics.delay + load.delay - channel.delay, recording.rate)
-    values = _filled(load.values) + dynamics.mass * acceleration
+    lag = dynamics.delay + load.delay - channel.delay
+    acceleration = interpolate_gaps_linearly(channel.values)
+    acceleration = fractional_delay(acceleration, delay=lag, interval=1 / recording.rate)
+    values = interpolate_gaps_linearly(load.values) + dynamics.mass * acceleration
     weight = None if channel.coupling == "dc" else _weight(recording, dynamics, settings)
     words = f"M = {dynamics.mass:.5g} kg, {name} {channel.coupling}"
     delay = f"no delay{_one_mode(dynamics, 'the live end moves as one mass')}"
@@ -182,7 +184,7 @@ def factor_and_phase(recording: Recording, dynamics: Dynamics, settings: Setting
     return replace(
         plain,
         name="correction factor and phase",
-        values=_moved(plain.values + known, -lag, recording.rate) - known,
+        values=fractional_delay(plain.values + known, delay=-lag, interval=1 / recording.rate) - known,
         settings=f"{plain.settings}, {1e3 * lag:.4g} ms earlier",
         note=f"the last {1e3 * lag:.3g} ms repeat the last reading",
     )
@@ -373,7 +375,7 @@ def _one_mode(dynamics: Dynamics, why: str) -> str:
 
 def _load(recording: Recording, dynamics: Dynamics) -> Array:
     """Load felt, without gaps."""
-    return _filled(recording.channel(dynamics.component).values)
+    return interpolate_gaps_linearly(recording.channel(dynamics.component).values)
 
 
 def _known(recording: Recording, dynamics: Dynamics, settings: Settings) -> Array:
@@ -386,7 +388,7 @@ def _known_force(recording: Recording, dynamics: Dynamics, gravity: float) -> Ar
     """Known force of one record; the search for the best corner asks for it again and again."""
     motion = GroundMotion.of(recording, dynamics.component, gravity=gravity)
     lag = dynamics.delay + recording.channel(dynamics.component).delay - motion.delay
-    force = _moved(motion.force(dynamics.mass), lag, recording.rate)
+    force = fractional_delay(motion.force(dynamics.mass), delay=lag, interval=1 / recording.rate)
     force.setflags(write=False)
     return force
 
@@ -400,8 +402,8 @@ def _weight(recording: Recording, dynamics: Dynamics, settings: Settings) -> Arr
     """Weight along the component [N]; None where the pitch is not known."""
     if "pitch" not in recording:
         return None
-    pitch = _filled(recording.channel("pitch").values)
-    roll = _filled(recording.channel("roll").values) if "roll" in recording else np.zeros(pitch.size)
+    pitch = interpolate_gaps_linearly(recording.channel("pitch").values)
+    roll = interpolate_gaps_linearly(recording.channel("roll").values) if "roll" in recording else np.zeros(pitch.size)
     return np.asarray(dynamics.mass * settings.gravity * gravity_share(dynamics.component, pitch=pitch, roll=roll))
 
 
@@ -410,26 +412,8 @@ def without_gaps(recording: Recording, component: str) -> Recording:
     channel = recording.channel(component)
     if not channel.missing.any():
         return recording
-    channels = {**recording.channels, channel.name: replace(channel, values=_filled(channel.values))}
+    channels = {**recording.channels, channel.name: replace(channel, values=interpolate_gaps_linearly(channel.values))}
     return replace(recording, channels=channels)
-
-
-def _filled(values: Array) -> Array:
-    present = np.isfinite(values)
-    if present.all():
-        return values
-    if not present.any():
-        raise FitError("no reading is present")
-    index = np.arange(values.size)
-    return np.interp(index, index[present], values[present])
-
-
-def _moved(values: Array, lag: float, rate: float) -> Array:
-    """Values later by `lag` [s], the first or last one held."""
-    if not lag:
-        return values
-    clock = np.arange(values.size) / rate
-    return np.asarray(CubicSpline(clock, values)(np.clip(clock - lag, clock[0], clock[-1])))
 
 
 def _corner(recording: Recording, settings: Settings, customary: float) -> float:

@@ -27,7 +27,7 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import bridged
+from aerobalance.recording.resampling import interpolate_gaps
 from aerobalance.validation.baselines import (
     THIS,
     ZERO_PHASE,
@@ -226,7 +226,7 @@ def estimates_of_coupled(
     )
     record = CoupledRecord.of(recording, exact, gravity=gravity)
     own = reconstruct_coupled(recording, exact, gravity=gravity)
-    filled = bridged(record.loads)
+    filled = interpolate_gaps(record.loads)
     if not np.isfinite(record.loads).all():
         filled = filled_by({name: one.values for name, one in own.items()}, record, filled=filled)
     found = {}

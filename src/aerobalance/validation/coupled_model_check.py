@@ -18,7 +18,7 @@ from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.record import ForceEstimate
 from aerobalance.estimation.steps import columns_of
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import bridged
+from aerobalance.recording.resampling import interpolate_gaps
 from aerobalance.recording.wording import frequency_text
 from aerobalance.validation.local_modes import Averaged, missing_mode
 
@@ -77,7 +77,7 @@ def misfits_of_coupled(
 def _peaks(recording: Recording, dynamics: CoupledDynamics, estimates: Mapping[str, ForceEstimate]) -> list[Peak]:
     record = CoupledRecord.of(recording, dynamics)
     found = []
-    for name, job in record.jobs(bridged(record.loads)).items():
+    for name, job in record.jobs(interpolate_gaps(record.loads)).items():
         reading = job.reading()
         estimate = estimates[name]
         values = reading.values

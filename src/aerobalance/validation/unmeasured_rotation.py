@@ -18,7 +18,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.record import ForceEstimate
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.sensors import ground_sensors
-from aerobalance.motion.single_axis import bridged
+from aerobalance.motion.single_axis import without_gaps
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS, si_unit
 from aerobalance.recording.noise import channel_noise
@@ -108,7 +108,7 @@ def turning_by_angles(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # said when the force was worked out
         seen = GroundFit.of(ground_sensors(recording), rate=recording.rate).columns
-    roll = bridged(recording, recording.channel("roll")) if "roll" in recording else np.zeros(recording.samples)
+    roll = without_gaps(recording.channel("roll")) if "roll" in recording else np.zeros(recording.samples)
     nothing = np.zeros_like(roll)
     found = []
     for angle, turns in (("pitch", (np.cos(roll), -np.sin(roll), nothing)), ("roll", (nothing, nothing, nothing + 1))):
@@ -127,7 +127,7 @@ def turning_by_angles(
 def _bend(recording: Recording, angle: str) -> Bend | None:
     """The second derivative of an angle over the window that shows most of it; None where none stands out of noise."""
     channel = recording.channel(angle)
-    values, noise, factor = bridged(recording, channel), channel_noise(channel), 1
+    values, noise, factor = without_gaps(channel), channel_noise(channel), 1
     resolution = _resolution(values)
     best: Bend | None = None
     most = 0.0

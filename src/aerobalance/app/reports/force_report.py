@@ -15,6 +15,7 @@ from aerobalance.io.artefacts import provenance
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import interpolate_gaps_linearly
 from aerobalance.uncertainty.budget import budget, segment_length, spectrum
 
 COVERAGE_FACTOR: Final = 1.96
@@ -133,9 +134,7 @@ def spectrum_figure(estimate: ForceEstimate, load: Array, *, rate: float) -> str
     figure, (ax,) = empty_figure(colours, (7.6, 3.8), rows=1)
     found = spectrum(estimate, rate=rate)
     inner = slice(1, None)
-    known = np.isfinite(load)
-    filled = np.interp(np.arange(load.size), np.flatnonzero(known), load[known])
-    frequency, density = welch(filled, rate, nperseg=segment_length(load.size))
+    frequency, density = welch(interpolate_gaps_linearly(load), rate, nperseg=segment_length(load.size))
     shown = found.density[inner]
     highest = max(float(shown.max(initial=0.0)), float(density[inner].max(initial=0.0)), 1e-30)
     least = 1e-9 * highest

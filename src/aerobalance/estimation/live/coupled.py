@@ -21,12 +21,13 @@ from aerobalance.estimation.decoupled_record import mass_slopes
 from aerobalance.estimation.live.decoupling import LiveApart
 from aerobalance.estimation.live.health import SHORTEST, Health, Learning, LiveEstimate, Snapshot
 from aerobalance.estimation.live.live_force import LAG_PERIODS, LiveForce
-from aerobalance.estimation.live.motion import Passed, held
+from aerobalance.estimation.live.motion import Passed
 from aerobalance.estimation.prior import Learned
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.recording.gravity import pull_of_gravity
+from aerobalance.recording.resampling import hold_over_gaps
 
 JUDGED: Final = 256
 """Readings that the covariance of their noise is judged from where it is not given."""
@@ -286,7 +287,7 @@ class LiveCoupledForce:
         zero = np.zeros(count)
         table = np.zeros((count, 6)) if acceleration is None else np.asarray(acceleration, dtype=np.float64)
         angles = [zero if angle is None else np.asarray(angle, dtype=np.float64) for angle in (pitch, roll)]
-        known = held(np.column_stack([table, *angles]), self._last)
+        known = hold_over_gaps(np.column_stack([table, *angles]), self._last)
         self._last = known[-1] if count else self._last
         pulled = known[:, :6].copy()
         if pitch is not None:
@@ -327,7 +328,7 @@ class LiveCoupledForce:
 def _judged(components: tuple[str, ...], readings: Array) -> Array:
     """Covariance of the noise of readings, shape (n, n)."""
     known = np.array([column[np.isfinite(column)][:1].sum() for column in readings.T])
-    filled = held(readings, known)
+    filled = hold_over_gaps(readings, known)
     channels = [Channel(name, column, si_unit(name)) for name, column in zip(components, filled.T, strict=True)]
     found = noise_covariance(channels, filled)
     deviation = np.sqrt(np.diag(found))

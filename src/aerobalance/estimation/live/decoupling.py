@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.decoupling import LoneComponent
 from aerobalance.estimation.live.modes import REACH, LiveModes
-from aerobalance.estimation.live.motion import held
 from aerobalance.recording.channel import Array
+from aerobalance.recording.resampling import hold_over_gaps
 
 MARGIN: Final = REACH
 """Samples on either side of a gap whose lone readings count as missing: the interpolation there reaches into it."""
@@ -101,7 +101,7 @@ class LiveApart:
 
     def _take(self, loads: Array, net: Array) -> None:
         start, net_start = self._start or (self._held, self._held)
-        missing, filled = ~np.isfinite(loads), held(loads, self._held)
+        missing, filled = ~np.isfinite(loads), hold_over_gaps(loads, self._held)
         self._held = filled[-1]
         change = filled - start
         driving = np.zeros((filled.shape[0], 4, self._owner.size))

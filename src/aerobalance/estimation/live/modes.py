@@ -1,7 +1,7 @@
 r"""Modes of a balance driven by series as they come in, from sample to sample.
 
 A mode 1 / (1 + d s + a s^2) is driven by u + s v. Between samples u and v are interpolated band-limited to a clock
-`FINE` times as fast, and straight there, as `aerobalance.recording.resampling.finer` does with a whole record; the
+`FINE` times as fast, and straight there, as `aerobalance.recording.resampling.upsample_compensated` does it; the
 response at the samples is then exactly
 
     y_k = tr y_(k-1) - det y_(k-2) + sum over t of g_t u_(k+t) + h_t v_(k+t),
@@ -134,9 +134,9 @@ def _fine_step(generator: Array, gain: Array, step: float) -> tuple[Array, Array
 def _between(shift: float) -> tuple[Array, int]:
     """Weights of samples in a series on the fine clock over the interval up to a sample, shape (FINE + 1, t).
 
-    As `aerobalance.recording.resampling.finer` makes it: a twelfth of the second difference is taken off, so that
-    straight lines between its points do no harm. The first weight is that of the sample of the number returned beside
-    them.
+    As `aerobalance.recording.resampling.upsample_compensated` makes it: a twelfth of the second difference is taken
+    off, so that straight lines between its points do no harm. The first weight is that of the sample of the number
+    returned beside them.
     """
     weights, first = interpolation(shift)
     count = weights.shape[1]

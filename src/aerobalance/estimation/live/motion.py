@@ -13,6 +13,7 @@ from aerobalance.estimation.live.modes import LiveModes
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.gravity import gravity_share
+from aerobalance.recording.resampling import hold_over_gaps
 
 
 class LiveGround:
@@ -124,7 +125,9 @@ class LiveReadings:
         if channels:
             if self._ground is None:
                 self._ground = LiveGround(self._dynamics, interval=self._interval, delay=self._delay)
-            motion = held(self._specific_force(readings.size, acceleration, pitch, roll)[:, None], self._last)[:, 0]
+            motion = hold_over_gaps(
+                self._specific_force(readings.size, acceleration, pitch, roll)[:, None], self._last
+            )[:, 0]
             self._last = motion[-1:] if motion.size else self._last
             self._known = np.concatenate([self._known, self._ground.push(motion)])
         else:
@@ -161,16 +164,6 @@ class LiveReadings:
         return np.asarray(force - self._gravity * gravity_share(self._dynamics.component, **angles))
 
 
-def held(values: Array, last: Array) -> Array:
-    """Samples with missing ones held at the last that was there, shapes (m, c) and (c,)."""
-    there = np.isfinite(values)
-    if there.all():
-        return values
-    whole = np.vstack([last, values])
-    place = np.where(np.vstack([np.ones_like(there[:1]), there]), np.arange(whole.shape[0])[:, None], 0)
-    return np.asarray(np.take_along_axis(whole, np.maximum.accumulate(place, axis=0), axis=0)[1:])
-
-
 class Passed:
     """Samples that wait until the force at them is final, to be given out with their rates.
 
@@ -195,7 +188,7 @@ class Passed:
         """The next samples, as they came, and their rates by central differences, both of shape (count, c)."""
         start = 1 if self._released else 0
         seen = self._rows[: start + count + 1]
-        filled = np.nan_to_num(held(seen, np.zeros(seen.shape[1])))
+        filled = np.nan_to_num(hold_over_gaps(seen, np.zeros(seen.shape[1])))
         rates = np.zeros((count, seen.shape[1]))
         if seen.shape[0] > 1:
             rates = np.gradient(filled, self._interval, axis=0)[start : start + count]

@@ -14,6 +14,7 @@ from typing import Final, Literal
 import numpy as np
 
 from aerobalance.recording.channel import Array
+from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 Hum = Literal["mains", "keep"] | tuple[float, ...]
 """Lines to take for hum: those of the mains that are found, none, or those near given frequencies [Hz]."""
@@ -170,9 +171,7 @@ class _Record:
 
     @classmethod
     def of(cls, values: Array, interval: float) -> _Record:
-        present = np.isfinite(values)
-        place = np.arange(values.size)
-        filled = np.interp(place, place[present], values[present]) if not present.all() else values
+        filled = interpolate_gaps_linearly(values)
         filled = filled - np.mean(filled)
         window = np.hanning(filled.size + 2)[1:-1]
         windowed = filled * window / np.sqrt(np.sum(window**2))

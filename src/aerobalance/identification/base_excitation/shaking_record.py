@@ -21,7 +21,7 @@ from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import bridged, later
+from aerobalance.recording.resampling import fractional_delay, interpolate_gaps
 from aerobalance.recording.sensors import corrected
 
 BLOCK: Final = 32
@@ -132,9 +132,12 @@ def shake_record(recording: Recording, *, delay: float = 0.0, band: tuple[float,
             "its acceleration, or identify from releases"
         )
     channels = [recording.channel(name) for name in COMPONENTS]
-    loads = bridged(np.column_stack([np.where(c.at_limit, np.nan, c.values) for c in channels]))
-    late = [channel.delay - platform.delay + delay for channel in channels]
-    moved = [later(column, by, interval=1 / recording.rate) for column, by in zip(loads.T, late, strict=True)]
+    loads = interpolate_gaps(np.column_stack([np.where(c.at_limit, np.nan, c.values) for c in channels]))
+    delays = [platform.delay - delay - channel.delay for channel in channels]
+    moved = [
+        fractional_delay(column, delay=by, interval=1 / recording.rate)
+        for column, by in zip(loads.T, delays, strict=True)
+    ]
     felt = detrend(np.column_stack(moved), axis=0)
     rms = np.sqrt(np.mean(felt**2, axis=0))
     judged = np.array([channel_noise(channel) for channel in channels])

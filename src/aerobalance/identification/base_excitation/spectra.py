@@ -15,6 +15,7 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 Complex = NDArray[np.complex128]
 
@@ -145,7 +146,7 @@ def _columns(recording: Recording, load: Channel, ground: Channel) -> dict[str, 
     """Take the longest usable stretch of the channels that are needed, short gaps bridged."""
     used = [load, ground] + [recording.channel(name) for name in ("live_acceleration", "pitch") if name in recording]
     whole = longest_whole(recording, used)
-    columns = {channel.name: _bridged(channel.values[whole]) for channel in used}
+    columns = {channel.name: interpolate_gaps_linearly(channel.values[whole]) for channel in used}
     for channel in (load, ground):
         if np.ptp(columns[channel.name]) == 0:
             raise FitError(
@@ -284,12 +285,3 @@ def longest_whole(recording: Recording, channels: list[Channel]) -> slice:
             f"up to {LONGEST_BRIDGE} samples among them are bridged, which makes the uncertainties larger"
         )
     return slice(start, stop)
-
-
-def _bridged(values: Array) -> Array:
-    """Bridge the missing samples by straight lines."""
-    missing = ~np.isfinite(values)
-    if not missing.any():
-        return values
-    index = np.arange(values.size)
-    return np.interp(index, index[~missing], values[~missing])

@@ -10,6 +10,7 @@ from scipy.signal import find_peaks
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
+from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 Shape = Literal["release", "ramp", "free"]
 
@@ -39,8 +40,7 @@ def first_look(values: Array, *, rate: float, name: str) -> Look:
     FitError
         Nothing rings: no line stands out of the spectrum.
     """
-    present = np.isfinite(values)
-    filled = np.interp(np.arange(values.size), np.flatnonzero(present), values[present])
+    filled = interpolate_gaps_linearly(values)
     candidates = _peaks(filled, rate, name)
     looks = [_onset(filled, frequency, rate) for frequency in candidates]
     return max(looks, key=lambda pair: pair[1])[0]
