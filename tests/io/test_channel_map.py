@@ -9,7 +9,7 @@ import pytest
 from aerobalance.app.commands.recordings import convert
 from aerobalance.io import load_channel_map, read, template, write_recording
 from aerobalance.recording.analog_filter import AntiAlias
-from aerobalance.recording.channel import Channel, CrossAxis
+from aerobalance.recording.channel import CrossAxis
 from aerobalance.recording.errors import DataQualityWarning, ReadError
 
 TREADMILL = Path(__file__).parents[3] / "shared" / "data" / "treadmill"
@@ -128,8 +128,10 @@ corner = 0.5
 
 
 def settings(recording):
-    slots = [slot for slot in Channel.__slots__ if slot != "values"]
-    return {channel.name: {slot: getattr(channel, slot) for slot in slots} for channel in recording}
+    return {
+        channel.name: {"unit": channel.unit, "file_unit": channel.file_unit, **channel.known()}
+        for channel in recording
+    }
 
 
 def test_filter_and_cross_axis_reach_the_channel_and_survive_conversion(tmp_path):

@@ -315,21 +315,7 @@ def _described(channel: Channel) -> StoredChannel:
     """What is known of a channel, in the unit it had in its file."""
     unit = channel.file_unit or edge_unit(channel.name, channel.unit)
     factor = conversion_for(channel.name, unit).factor if unit != channel.unit else 1.0
-    return StoredChannel(
-        name=channel.name,
-        unit=unit,
-        delay=channel.delay,
-        noise=None if channel.noise is None else channel.noise / factor,
-        relative_uncertainty=channel.relative_uncertainty,
-        coupling=channel.coupling,
-        corner=channel.corner,
-        zero_uncertainty=channel.zero_uncertainty / factor,
-        filter=channel.filter,
-        cross_axis=channel.cross_axis,
-        place=channel.place,
-        axis=channel.axis,
-        place_uncertainty=channel.place_uncertainty,
-    )
+    return StoredChannel(name=channel.name, unit=unit, **channel.known(factor=1 / factor))
 
 
 def _column(channel: Channel, recording: Recording) -> dict[str, Array]:

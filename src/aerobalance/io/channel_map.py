@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -361,22 +361,21 @@ def _channel(raw: RawColumns, chosen: ChannelMap, name: str) -> Channel:
     values = change.inside(given.sign * (given.scale * column.values + given.offset))
     gain = _gain(raw.path, name, given)
     inside = "mV/V" if given.excitation is not None else change.unit
+    lag = column.sensor.delay if raw.rate is not None else 0.0
+    sensor = replace(
+        given.sensor(),
+        delay=given.delay + lag,
+        filter=given.anti_alias,
+        cross_axis=tuple(CrossAxis(other, part.value, part.u) for other, part in given.cross_axis.items()),
+    )
+    if given.derivative:
+        sensor = replace(sensor, zero_uncertainty=0.0)
     return Channel(
         name,
         values if gain == 1.0 else values * gain,
         "m/s^2" if given.derivative else inside,
-        noise=None if given.noise is None else given.noise * change.factor * gain,
-        relative_uncertainty=given.relative_uncertainty,
-        zero_uncertainty=0.0 if given.derivative else given.zero_uncertainty * change.factor * abs(gain),
-        delay=given.delay + (column.delay if raw.rate is not None else 0.0),
-        coupling=given.coupling,
-        corner=given.corner,
-        filter=given.anti_alias,
-        cross_axis=tuple(CrossAxis(other, part.value, part.u) for other, part in given.cross_axis.items()),
-        place=given.place,
-        axis=given.axis,
-        place_uncertainty=given.place_uncertainty,
         file_unit="" if given.derivative else inside if given.excitation is not None else unit,
+        **sensor.known(factor=change.factor * abs(gain)),
     )
 
 
@@ -407,5 +406,4 @@ def _differentiated(channel: Channel, order: int, rate: float) -> Channel:
             f"{channel.name}: {lost} more samples are missing after differentiation, beside those missing in the "
             "file; the model bridges them, and the uncertainty is larger there"
         )
-    settings = {slot: getattr(channel, slot) for slot in Channel.__slots__ if slot != "values"}
-    return Channel(**settings, values=values)
+    return replace(channel, values=values)

@@ -8,7 +8,14 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from aerobalance.io.text_cells import LARGEST
-from aerobalance.recording.channel import AXES_BY_NAME, Coupling, is_ground_acceleration, unit_inside
+from aerobalance.recording.channel import (
+    AXES_BY_NAME,
+    SENSOR_FIELDS,
+    Coupling,
+    SensorSpec,
+    is_ground_acceleration,
+    unit_inside,
+)
 from aerobalance.recording.components import AXIS_VECTORS
 
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
@@ -64,6 +71,12 @@ class ChannelSettings(Strict):
         if axis and abs(float(np.linalg.norm(numbers)) - 1) > 1e-3:
             raise ValueError("must be of length 1, the shares of the direction aft, right and up")
         return numbers
+
+    def sensor(self) -> SensorSpec:
+        """Return what these settings say of the sensor, in their unit."""
+        return SensorSpec(
+            **{name: getattr(self, name) for name in SENSOR_FIELDS if name in ChannelSettings.model_fields}
+        )
 
     def fault(self, name: str) -> tuple[str, str] | None:
         """Return what a channel of this name cannot have: the key, or an empty string for several, and the reason."""

@@ -20,7 +20,7 @@ def on_one_clock(raw: RawColumns) -> RawColumns:
 
     Columns of the highest rate keep their samples as they are. The clock spans the time that all of them cover;
     where their starts differ, each reading stands in the row nearest to its own time, and what is left, at most half
-    an interval, becomes the column's `delay`, so that nothing is lost by interpolation.
+    an interval, becomes the delay of the column's sensor, so that nothing is lost by interpolation.
 
     Slower columns are interpolated linearly, by their own start times. They are held for one of their own intervals
     before their first sample and after their last, and missing beyond. A column that is more than twice slower keeps
@@ -66,7 +66,8 @@ def on_one_clock(raw: RawColumns) -> RawColumns:
             delay = origin + shift * interval - clock.start
             values = column.values[first - shift : last - shift]
             # Start times are differences of stamps that count from 1904: below a nanosecond there is nothing in them.
-            placed.append(replace(column, values=values, clock=None, delay=delay if abs(delay) > 1e-9 else 0.0))
+            sensor = replace(column.sensor, delay=delay if abs(delay) > 1e-9 else 0.0)
+            placed.append(replace(column, values=values, clock=None, sensor=sensor))
         else:
             placed.append(replace(column, values=_interpolated(column.values, clock, time), clock=None))
     rate = float(f"{1 / interval:.15g}")  # 25000 and not 24999.999999999996 where the interval is 40 us

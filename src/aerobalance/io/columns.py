@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.io.units import readable
-from aerobalance.recording.analog_filter import AntiAlias
-from aerobalance.recording.channel import Array, Coupling, CrossAxis
+from aerobalance.recording.channel import Array, SensorSpec
 from aerobalance.recording.errors import ReadError
 
 _SQUARE: Final = re.compile(r"(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
@@ -70,38 +69,6 @@ class Heading:
     time: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Sensing:
-    """How a column was measured, where the file itself says it; as in `aerobalance.recording.channel.Channel`.
-
-    Attributes
-    ----------
-    noise
-        Standard uncertainty of one reading [unit of the column]; None when it is to be estimated.
-    relative_uncertainty
-        Standard uncertainty of the gain, relative [1].
-    coupling, corner
-        What an accelerometer reads.
-    zero_uncertainty
-        Standard uncertainty of the zero [unit of the column].
-    filter, cross_axis
-        What is still in the readings.
-    place, axis, place_uncertainty
-        Where an accelerometer sits and which way it reads.
-    """
-
-    noise: float | None = None
-    relative_uncertainty: float = 0.0
-    coupling: Coupling = "kinematic"
-    corner: float = 0.0
-    zero_uncertainty: float = 0.0
-    filter: AntiAlias | None = None
-    cross_axis: tuple[CrossAxis, ...] = ()
-    place: tuple[float, float, float] | None = None
-    axis: tuple[float, float, float] | None = None
-    place_uncertainty: float = 0.0
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RawColumn:
     """One column of a file.
@@ -122,10 +89,8 @@ class RawColumn:
         Another name that a channel map may give; an empty string where there is none.
     clock
         When the cells were read; None where a time column, or a rate for the whole file, says it.
-    delay
-        Time by which the readings lag the rows they stand in [s].
-    sensing
-        How the column was measured, where the file says it.
+    sensor
+        What the file says of how the column was measured; it may lag the rows it stands in.
     stamped
         Whether the values are seconds made of date-time stamps.
     """
@@ -137,8 +102,7 @@ class RawColumn:
     number: int
     alias: str = ""
     clock: Clock | None = None
-    delay: float = 0.0
-    sensing: Sensing = field(default_factory=Sensing)
+    sensor: SensorSpec = field(default_factory=SensorSpec)
     stamped: bool = False
 
     @property

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, Sensing, split_label
+from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
 from aerobalance.io.contact_events import contact_doubt
 from aerobalance.io.hdf5_contents import Contents, contents, contents_of, opened
 from aerobalance.io.hdf5_guard import LIBVER, GuardedFile
@@ -29,7 +29,7 @@ from aerobalance.io.hdf5_layout import (
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.io.text_layout import Layout
-from aerobalance.recording.channel import Array
+from aerobalance.recording.channel import Array, SensorSpec
 from aerobalance.recording.errors import ReadError, warn_quality
 
 if TYPE_CHECKING:
@@ -307,19 +307,7 @@ def _column(channel: StoredChannel, readings: Array, number: int) -> RawColumn:
         channel.values(readings),
         number + 1,
         alias=channel.input,
-        delay=channel.delay,
-        sensing=Sensing(
-            channel.noise,
-            channel.relative_uncertainty,
-            channel.coupling,
-            channel.corner,
-            channel.zero_uncertainty,
-            channel.filter,
-            channel.cross_axis,
-            channel.place,
-            channel.axis,
-            channel.place_uncertainty,
-        ),
+        sensor=SensorSpec(**channel.known()),
     )
 
 

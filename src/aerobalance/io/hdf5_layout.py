@@ -29,7 +29,7 @@ import struct
 import time
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -39,8 +39,7 @@ from numpy.typing import NDArray
 from aerobalance import __version__
 from aerobalance.io.hdf5_closing import begin_file, take_mark_off
 from aerobalance.io.hdf5_guard import LIBVER
-from aerobalance.recording.analog_filter import AntiAlias
-from aerobalance.recording.channel import Array, Coupling, CrossAxis
+from aerobalance.recording.channel import Array, SensorSpec
 
 if TYPE_CHECKING:
     import h5py
@@ -92,8 +91,8 @@ class DiskFullError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class StoredChannel:
-    """One column of the samples.
+class StoredChannel(SensorSpec):
+    """One column of the samples, and what is known of its sensor, in `unit`.
 
     Attributes
     ----------
@@ -105,39 +104,14 @@ class StoredChannel:
         Name of the channel at its source.
     sign, scale, offset
         How a reading becomes a value.
-    delay
-        Time by which the readings lag the clock [s].
-    noise
-        Standard uncertainty of one value [unit]; None when it is to be estimated.
-    relative_uncertainty
-        Standard uncertainty of the gain, relative [1].
-    coupling, corner
-        What an accelerometer reads, as in `aerobalance.recording.channel.Channel`.
-    zero_uncertainty
-        Standard uncertainty of the zero [unit].
-    filter, cross_axis
-        What is still in the readings, as in `aerobalance.recording.channel.Channel`.
-    place, axis, place_uncertainty
-        Where an accelerometer sits and which way it reads, as there.
     """
 
     name: str
     unit: str
-    input: str = ""
-    sign: float = 1.0
-    scale: float = 1.0
-    offset: float = 0.0
-    delay: float = 0.0
-    noise: float | None = None
-    relative_uncertainty: float = 0.0
-    coupling: Coupling = "kinematic"
-    corner: float = 0.0
-    zero_uncertainty: float = 0.0
-    filter: AntiAlias | None = None
-    cross_axis: tuple[CrossAxis, ...] = ()
-    place: tuple[float, float, float] | None = None
-    axis: tuple[float, float, float] | None = None
-    place_uncertainty: float = 0.0
+    input: str = field(default="", kw_only=True)
+    sign: float = field(default=1.0, kw_only=True)
+    scale: float = field(default=1.0, kw_only=True)
+    offset: float = field(default=0.0, kw_only=True)
 
     def values(self, readings: Array) -> Array:
         """Turn readings into values in `unit`; readings that need no change come back as they are."""

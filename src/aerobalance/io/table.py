@@ -10,9 +10,9 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.io.columns import RawColumn, RawColumns, Sensing
+from aerobalance.io.columns import RawColumn, RawColumns
 from aerobalance.io.units import ALLOWED, conversion_for, expected_unit
-from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.channel import Array, Channel, SensorSpec
 from aerobalance.recording.errors import FitError, ReadError, warn_quality
 from aerobalance.recording.recording import Recording
 
@@ -33,10 +33,8 @@ class Column:
         Unit in the file.
     place
         The column as a place in an error message.
-    delay
-        Time by which the cells lag the rows they stand in [s].
-    sensing
-        How the column was measured, where the file says it; `noise` and `zero_uncertainty` in `unit`.
+    sensor
+        What the file says of how the column was measured, in `unit`; it may lag the rows it stands in.
     """
 
     name: str
@@ -44,8 +42,7 @@ class Column:
     unit: str
     file_unit: str
     place: str
-    delay: float = 0.0
-    sensing: Sensing = field(default_factory=Sensing)
+    sensor: SensorSpec = field(default_factory=SensorSpec)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,15 +119,8 @@ def table_from(raw: RawColumns, *, required: Sequence[str] = (), missing_allowed
             change = conversion_for(name, column.unit)
         except ValueError as error:
             raise ReadError(raw.path, f"header, {column.place}", str(error)) from None
-        sensing = column.sensing
-        sensing = replace(
-            sensing,
-            noise=None if sensing.noise is None else sensing.noise * change.factor,
-            zero_uncertainty=sensing.zero_uncertainty * change.factor,
-        )
-        columns[name] = Column(
-            name, change.inside(column.values), change.unit, column.unit, column.place, column.delay, sensing
-        )
+        sensor = SensorSpec(**column.sensor.known(factor=change.factor))
+        columns[name] = Column(name, change.inside(column.values), change.unit, column.unit, column.place, sensor)
     table = Table(raw.path, columns, raw.lines)
     for name in required:
         table.column(name)
@@ -180,23 +170,7 @@ def recording_from(table: Table, *, rate: float | None = None, ticks: NDArray[np
     """
     time = table.column("time") if "time" in table else _no_time(table)
     channels = {
-        name: Channel(
-            name,
-            column.values,
-            column.unit,
-            noise=column.sensing.noise,
-            relative_uncertainty=column.sensing.relative_uncertainty,
-            delay=column.delay,
-            coupling=column.sensing.coupling,
-            corner=column.sensing.corner,
-            zero_uncertainty=column.sensing.zero_uncertainty,
-            filter=column.sensing.filter,
-            cross_axis=column.sensing.cross_axis,
-            place=column.sensing.place,
-            axis=column.sensing.axis,
-            place_uncertainty=column.sensing.place_uncertainty,
-            file_unit=column.file_unit,
-        )
+        name: Channel(name, column.values, column.unit, file_unit=column.file_unit, **column.sensor.known())
         for name, column in table.columns.items()
         if name != "time"
     }

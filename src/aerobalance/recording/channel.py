@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final, Literal
+from dataclasses import dataclass, field, fields
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,22 +81,20 @@ class CrossAxis:
             )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Channel:
-    """One measured quantity over time.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorSpec:
+    """What is known of a sensor: of its readings, and of what it does to the quantity.
+
+    Everything that describes how a quantity was measured extends this, so that a new fact has one place.
 
     Attributes
     ----------
-    name
-        One of `QUANTITIES`, or any other name for a quantity the program only passes on.
-    values
-        Readings on the recording's clock, shape (n,), in `unit`; NaN where a sample is missing.
-    unit
-        Unit of `values`.
     noise
-        Standard uncertainty of one reading [unit]; None when it is to be estimated from the record.
+        Standard uncertainty of one reading [unit of the readings]; None when it is to be estimated from the record.
     relative_uncertainty
-        Standard uncertainty of the channel's gain, relative [1].
+        Standard uncertainty of the gain, relative [1].
+    zero_uncertainty
+        Standard uncertainty of the zero [unit of the readings].
     delay
         Time by which the readings lag the clock [s].
     coupling
@@ -104,10 +102,6 @@ class Channel:
         (x'' - g sin(pitch)), ``"ac"`` the acceleration above a high-pass corner.
     corner
         High-pass corner of an ac-coupled sensor [Hz]; 0 for the others.
-    file_unit
-        Unit in the channel's file, in which results are written again; an empty string where there is no file.
-    zero_uncertainty
-        Standard uncertainty of the channel's zero [unit].
     filter
         Analog low-pass before the sampling, still in the readings; None where there is none.
     cross_axis
@@ -121,21 +115,55 @@ class Channel:
         Standard uncertainty of every coordinate of `place` [m].
     """
 
-    name: str
-    values: Array
-    unit: str
     noise: float | None = None
     relative_uncertainty: float = 0.0
+    zero_uncertainty: float = 0.0
     delay: float = 0.0
     coupling: Coupling = "kinematic"
     corner: float = 0.0
-    file_unit: str = ""
-    zero_uncertainty: float = 0.0
     filter: AntiAlias | None = None
     cross_axis: tuple[CrossAxis, ...] = ()
     place: tuple[float, float, float] | None = None
     axis: tuple[float, float, float] | None = None
     place_uncertainty: float = 0.0
+
+    def known(self, *, factor: float = 1.0) -> dict[str, Any]:
+        """Return all of this by name, for readings in another unit.
+
+        Parameters
+        ----------
+        factor
+            Size of a reading's number in that unit over its number in this one, positive.
+        """
+        found = {name: getattr(self, name) for name in SENSOR_FIELDS}
+        found["noise"] = None if self.noise is None else self.noise * factor
+        return found | {"zero_uncertainty": self.zero_uncertainty * factor}
+
+
+SENSOR_FIELDS: Final = tuple(field.name for field in fields(SensorSpec))
+"""Names of what is known of a sensor."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channel(SensorSpec):
+    """One measured quantity over time, and what is known of its sensor.
+
+    Attributes
+    ----------
+    name
+        One of `QUANTITIES`, or any other name for a quantity the program only passes on.
+    values
+        Readings on the recording's clock, shape (n,), in `unit`; NaN where a sample is missing.
+    unit
+        Unit of `values`.
+    file_unit
+        Unit in the channel's file, in which results are written again; an empty string where there is no file.
+    """
+
+    name: str
+    values: Array
+    unit: str
+    file_unit: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
         expected = ("mV/V", "V") if is_gauge(self.name) else (unit_inside(self.name) or self.unit,)

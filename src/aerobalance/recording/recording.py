@@ -103,10 +103,7 @@ class Recording:
         for key, channel in channels.items():
             values = np.full(samples, np.nan)
             values[rows] = channel.values
-            placed[key] = Channel(
-                **{slot: getattr(channel, slot) for slot in Channel.__slots__ if slot != "values"},
-                values=values,
-            )
+            placed[key] = replace(channel, values=values)
         return cls(name=name, stamps=stamps, rows=rows, start=start, rate=rate, channels=placed, time_unit=time_unit)
 
     @property

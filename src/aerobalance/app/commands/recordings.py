@@ -15,7 +15,7 @@ from aerobalance.io.kinds import CONVERTED
 from aerobalance.io.matrix_file import is_matrix
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.units import conversion_for, edge_unit
-from aerobalance.recording.channel import Channel
+from aerobalance.recording.channel import Channel, SensorSpec
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.noise import channel_noise
 
@@ -120,9 +120,7 @@ def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Accoun
 
 def _described(channel: Channel) -> bool:
     """Whether more is known of a channel than its name, its unit and its readings."""
-    bare = Channel(channel.name, channel.values, channel.unit, file_unit=channel.file_unit)
-    slots = (slot for slot in Channel.__slots__ if slot != "values")
-    return any(getattr(channel, slot) != getattr(bare, slot) for slot in slots)
+    return channel.known() != SensorSpec().known()
 
 
 def channel_map_for(path: Path, out: Path | None, *, header_line: int | None = None) -> Account:
