@@ -28,7 +28,7 @@ def mass_basis() -> Array:
         wholes[1 + axis, 3:, :3] = across
     for number, (i, j) in enumerate(SYMMETRIC):
         wholes[4 + number, 3 + i, 3 + j] = wholes[4 + number, 3 + j, 3 + i] = 1.0
-    return np.asarray(FROM_VECTORS @ wholes @ FROM_VECTORS.T)
+    return FROM_VECTORS @ wholes @ FROM_VECTORS.T
 
 
 def turning_basis(rate: Array) -> Array:

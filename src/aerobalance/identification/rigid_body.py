@@ -204,7 +204,7 @@ class Adjusted:
 
 def _skew(table: Array) -> Array:
     """The fifteen differences of a matrix and its transpose; leading axes are kept."""
-    return np.asarray((table - np.swapaxes(table, -1, -2))[..., _UPPER[0], _UPPER[1]])
+    return (table - np.swapaxes(table, -1, -2))[..., _UPPER[0], _UPPER[1]]
 
 
 def symmetry_equations(values: Array, numbers: Array, *, damping: bool) -> tuple[Array, Array, Array]:

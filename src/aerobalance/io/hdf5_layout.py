@@ -117,7 +117,7 @@ class StoredChannel(SensorSpec):
         """Turn readings into values in `unit`; readings that need no change come back as they are."""
         if (self.sign, self.scale, self.offset) == (1.0, 1.0, 0.0):
             return readings
-        return np.asarray(self.sign * (self.scale * readings + self.offset))
+        return self.sign * (self.scale * readings + self.offset)
 
 
 class Provenance(NamedTuple):

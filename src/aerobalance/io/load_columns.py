@@ -186,4 +186,4 @@ def ratio_outputs(path: Path, volts: Array, *, excitation: Array, lines: Sequenc
             f"the excitation is {excitation[dead[0]]:.3g} V ({dead.size} row(s) like it); outputs are voltages over "
             "excitation, so it must be a voltage other than zero",
         )
-    return np.asarray(volts / excitation[:, None] * 1e3)
+    return volts / excitation[:, None] * 1e3

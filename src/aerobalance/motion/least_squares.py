@@ -74,7 +74,7 @@ class Band:
 
     def slope(self, frequency: Array) -> NDArray[np.complex128]:
         """Transfer function to the derivative of that."""
-        return np.asarray(self.share(frequency) * _derivative(frequency))
+        return self.share(frequency) * _derivative(frequency)
 
 
 def _derivative(frequency: Array) -> NDArray[np.complex128]:

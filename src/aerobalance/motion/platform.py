@@ -120,7 +120,7 @@ class PlatformMotion:
         force
             Shape (n, 6) [N, N*m].
         """
-        return np.asarray(-self.specific_force @ mass.matrix.T - mass.turning_load(self.turn_rate))
+        return -self.specific_force @ mass.matrix.T - mass.turning_load(self.turn_rate)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +155,7 @@ def _kinematic(fit: GroundFit, pull: _Gravity, samples: int) -> Array:
 def _felt(fit: GroundFit, pull: Array) -> Array:
     """What the sensors that read specific force lack of a pull of shape (n, 6), shape (n, m)."""
     reading = np.array([sensor.reads_gravity for sensor in fit.sensors], dtype=np.float64)
-    return np.asarray(pull @ (fit.rows * IS_FORCE * reading[:, None]).T)
+    return pull @ (fit.rows * IS_FORCE * reading[:, None]).T
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -169,7 +169,7 @@ class GroundMotion:
 
     def force(self, mass: float) -> Array:
         """Force on the moving mass in the frame of the ground end, M g sin(theta) - M x1'', shape (n,) [N]."""
-        return np.asarray(-mass * self.specific_force)
+        return -mass * self.specific_force
 
 
 def tones(acceleration: Array) -> tuple[Array, float]:

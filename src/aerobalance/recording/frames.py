@@ -341,7 +341,7 @@ def _about(name: str, angle: ArrayLike) -> tuple[Array, Array]:
 
 def _cross(vector: Array) -> Array:
     """Matrix of the product with a vector on its left, shape (3, 3)."""
-    return np.asarray(np.cross(vector, np.eye(3)).T)
+    return np.cross(vector, np.eye(3)).T
 
 
 def _load_matrix(rotation: Array, point: Array) -> Array:
@@ -350,4 +350,4 @@ def _load_matrix(rotation: Array, point: Array) -> Array:
     whole[..., :3, :3] = rotation
     whole[..., 3:, 3:] = rotation
     whole[..., 3:, :3] = -rotation @ _cross(point)
-    return np.asarray(FROM_VECTORS @ whole @ FROM_VECTORS.T)
+    return FROM_VECTORS @ whole @ FROM_VECTORS.T

@@ -31,8 +31,7 @@ def weight_direction(pitch: ArrayLike, roll: ArrayLike) -> Array:
 
 def gravity_share(component: str, *, pitch: Array, roll: Array) -> Array:
     """Share of gravity along a component, of the shape of the angles [1]; moments are driven along the balance."""
-    share = weight_direction(pitch, roll)[..., AXES.index(driving_axis(component))]
-    return np.asarray(share)
+    return weight_direction(pitch, roll)[..., AXES.index(driving_axis(component))]
 
 
 def pull_of_gravity(pitch: ArrayLike, roll: ArrayLike, *, gravity: float) -> Array:

@@ -82,7 +82,7 @@ def fractional_delay(series: Array, *, delay: float, interval: float) -> Array:
     count = series.shape[0]
     fine = upsample(series)[: FINE * (count - 1) + 1]
     place = np.clip(np.arange(count) - delay / interval, -1.0, float(count))
-    return np.asarray(CubicSpline(np.arange(fine.shape[0]) / FINE, fine)(place))
+    return CubicSpline(np.arange(fine.shape[0]) / FINE, fine)(place)
 
 
 def align_channels(loads: Array, channels: Sequence[Channel], *, to: Channel, interval: float) -> Array:
@@ -186,7 +186,7 @@ def hold_over_gaps(values: Array, last: Array) -> Array:
         return values
     whole = np.vstack([last, values])
     place = np.where(np.vstack([np.ones_like(there[:1]), there]), np.arange(whole.shape[0])[:, None], 0)
-    return np.asarray(np.take_along_axis(whole, np.maximum.accumulate(place, axis=0), axis=0)[1:])
+    return np.take_along_axis(whole, np.maximum.accumulate(place, axis=0), axis=0)[1:]
 
 
 def _runs(gap: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -116,7 +116,7 @@ def divided(values: Array, transfer: Transfer, *, rate: float, least: float = LE
         size = np.abs(response)
         turn = np.divide(np.conj(response), size, out=np.ones_like(response), where=size > 0)
         raised = np.maximum(np.minimum(1 / np.maximum(size, least), size / least**2), 1.0)
-        return np.asarray(spectrum * turn * raised)
+        return spectrum * turn * raised
 
     return _changed(values, undone, rate)
 
@@ -160,7 +160,7 @@ def _changed(
     padded = middle + fade * (padded - middle)
     frequency = np.asarray(np.fft.rfftfreq(padded.size, 1 / rate), dtype=np.float64)
     spectrum = change(np.fft.rfft(padded), frequency)
-    return np.asarray(np.fft.irfft(spectrum, padded.size)[reach : reach + values.size])
+    return np.fft.irfft(spectrum, padded.size)[reach : reach + values.size]
 
 
 def _level(values: Array) -> float:

@@ -71,7 +71,7 @@ class CableCut:
         """Force of the cable over time [N]."""
         since = time - self.release
         if self.release_duration:
-            return np.asarray(self.cable_force * np.clip(1 - since / self.release_duration, 0.0, 1.0))
+            return self.cable_force * np.clip(1 - since / self.release_duration, 0.0, 1.0)
         return np.where(since < 0, self.cable_force, 0.0)
 
     def run(self, duration: float, generator: np.random.Generator) -> Simulation:
@@ -115,7 +115,7 @@ class CableCut:
             for mode, spring, (y, velocity) in zip(modes, springs, motions(time), strict=True):
                 size = mode.share * spring.stiffness / springs[0].stiffness
                 moved += size * (net - spring.stiffness * y - spring.damping * velocity)
-            return np.asarray(moved + shaking(time))
+            return moved + shaking(time)
 
         signals: dict[str, Signal] = {"AF": load, "ground_acceleration": shaking, "live_acceleration": live}
         channels = read_channels(signals | {"pitch": pitch}, self.sensors, clock=clock, grid=grid, generator=generator)

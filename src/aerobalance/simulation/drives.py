@@ -110,7 +110,7 @@ class SteppedSine:
             if self.unsteadiness is not None:
                 factor, shift = self.unsteadiness.wander(time, frequencies[step], generator)
                 level, phase = level * factor, phase + shift
-            return np.asarray(np.where((time >= 0) & (time <= self.duration), level * np.sin(phase), 0.0))
+            return np.where((time >= 0) & (time <= self.duration), level * np.sin(phase), 0.0)
 
         return force
 
@@ -140,7 +140,7 @@ class Sweep:
 
         def force(time: Array) -> Array:
             phase = first + 2 * np.pi * (self.low * time + (self.high - self.low) * time**2 / (2 * self.duration))
-            return np.asarray(np.where((time >= 0) & (time <= self.duration), self.amplitude * np.sin(phase), 0.0))
+            return np.where((time >= 0) & (time <= self.duration), self.amplitude * np.sin(phase), 0.0)
 
         return force
 
@@ -169,7 +169,7 @@ class RandomDrive:
         noise = band_noise(generator, low=self.low, high=self.high, rms=self.rms, period=self.duration)
 
         def force(time: Array) -> Array:
-            return np.asarray(np.where((time >= 0) & (time <= self.duration), noise(time), 0.0))
+            return np.where((time >= 0) & (time <= self.duration), noise(time), 0.0)
 
         return force
 

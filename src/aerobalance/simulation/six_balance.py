@@ -79,7 +79,7 @@ class CoupledBalance:
     def outputs(self, loads: Array) -> Array:
         """Gauge outputs, natural zero included, at loads in the order of `COMPONENTS`, both of shape (n, 6) [mV/V]."""
         zero = 0.0 if self.matrix.natural_zero is None else self.matrix.natural_zero
-        return np.asarray(self.matrix.outputs(loads @ np.linalg.inv(self._from_native()).T) + zero)
+        return self.matrix.outputs(loads @ np.linalg.inv(self._from_native()).T) + zero
 
     def _from_native(self) -> Array:
         """Matrix from the balance's own components to those of `COMPONENTS`."""
@@ -150,7 +150,7 @@ def _random_stiffness(generator: np.random.Generator, mass: RigidMass) -> Array:
         coupling[COMPONENTS.index(force), COMPONENTS.index(moment)] = generator.uniform(-0.3, 0.3)
     own = 2 * np.pi * np.exp(generator.uniform(np.log(70), np.log(560), 6))
     size = np.sqrt(np.diag(mass.matrix)) * own
-    return np.asarray(np.outer(size, size) * (np.eye(6) + coupling + coupling.T))
+    return np.outer(size, size) * (np.eye(6) + coupling + coupling.T)
 
 
 def _random_damping(generator: np.random.Generator, mass: RigidMass, stiffness: Array) -> Array | None:

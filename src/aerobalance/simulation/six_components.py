@@ -73,7 +73,7 @@ class Release:
         """Load over time, shape (n, 6)."""
         since = time - self.instant
         left = np.clip(1 - since / self.duration, 0.0, 1.0) if self.duration else np.where(since < 0, 1.0, 0.0)
-        return np.asarray(left[:, None] * self.load)
+        return left[:, None] * self.load
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,7 +208,7 @@ class SixComponentRig:
         net = self._applied(time) + mass.weight(*self._attitude(time))
         if self.base:
             net = net - self.base.acceleration(time) @ mass.matrix.T - mass.turning_load(self.base.rate(time))
-        return np.asarray(net)
+        return net
 
     def _load(self, grid: Array) -> SixSignal:
         """Loads felt at any times within the grid."""

@@ -118,7 +118,7 @@ def tap(load: ArrayLike, *, instant: float, duration: float) -> SixSignal:
 
     def signal(time: Array) -> Array:
         progress = np.clip((time - instant) / duration, 0.0, 1.0)
-        return np.asarray(np.sin(np.pi * progress)[:, None] ** 2 * peak)
+        return np.sin(np.pi * progress)[:, None] ** 2 * peak
 
     return signal
 
@@ -217,10 +217,10 @@ def driven_motion(drive: Callable[[Array], Array], *, along: ArrayLike, duration
 
     def rate(time: Array) -> Array:
         inside = (time >= 0) & (time <= duration)
-        return np.asarray(np.where(inside, speed(time) - mean, 0.0)[:, None] * turns)
+        return np.where(inside, speed(time) - mean, 0.0)[:, None] * turns
 
     def turned(time: Array) -> Array:
-        return np.asarray((angle(np.clip(time, 0.0, duration)) - centre)[:, None] * turns)
+        return (angle(np.clip(time, 0.0, duration)) - centre)[:, None] * turns
 
     return BaseMotion(lambda time: np.asarray(drive(time)[:, None] * size), rate, turned)
 

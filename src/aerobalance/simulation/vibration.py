@@ -87,7 +87,7 @@ class VibrationRig:
 
         def ground(time: Array) -> Array:
             y, velocity = motion(time)
-            return np.asarray((force.at(time) + k * y + b * velocity) / self.armature_mass)
+            return (force.at(time) + k * y + b * velocity) / self.armature_mass
 
         def live(time: Array) -> Array:
             y, velocity = motion(time)

@@ -404,7 +404,7 @@ def _weight(recording: Recording, dynamics: Dynamics, settings: Settings) -> Arr
         return None
     pitch = interpolate_gaps_linearly(recording.channel("pitch").values)
     roll = interpolate_gaps_linearly(recording.channel("roll").values) if "roll" in recording else np.zeros(pitch.size)
-    return np.asarray(dynamics.mass * settings.gravity * gravity_share(dynamics.component, pitch=pitch, roll=roll))
+    return dynamics.mass * settings.gravity * gravity_share(dynamics.component, pitch=pitch, roll=roll)
 
 
 def without_gaps(recording: Recording, component: str) -> Recording:
@@ -424,7 +424,7 @@ def _corner(recording: Recording, settings: Settings, customary: float) -> float
 def _smoothed(values: Array, corner: float, rate: float) -> Array:
     sections = butter(LOW_PASS_ORDER, corner, fs=rate, output="sos")
     reach = int(min(values.size - 1, max(30, 3 * rate / corner)))  # so that a low corner has settled
-    return np.asarray(sosfiltfilt(sections, values, padlen=reach))
+    return sosfiltfilt(sections, values, padlen=reach)
 
 
 def _butterworth(corner: float) -> str:

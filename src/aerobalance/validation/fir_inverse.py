@@ -97,7 +97,7 @@ def undo(values: Array, coefficients: Array, *, delay: int = ORDER // 2) -> Arra
     """
     order = coefficients.size - 1
     padded = np.pad(values, (order - delay, delay), mode="reflect", reflect_type="odd")
-    return np.asarray(convolve(padded, coefficients, mode="valid"))
+    return convolve(padded, coefficients, mode="valid")
 
 
 def fit_frequencies(rate: float) -> Array:

@@ -243,7 +243,7 @@ def _fit(
     def expected(point: Array) -> Array:
         transfer = np.abs(model(point[: start.size]).response(frequency)) ** 2
         force = np.exp(np.clip(point[start.size] + point[start.size + 1] * np.clip(log_ratio, -1, 1), -690, 690))
-        return np.asarray(smeared(transfer * force + seen.noise))
+        return smeared(transfer * force + seen.noise)
 
     level0 = float(np.median(seen.power[band] / np.abs(model(start).response(seen.frequency[band])) ** 2))
     origin = np.concatenate([start, [np.log(max(level0, 1e-300)), 0.0]])

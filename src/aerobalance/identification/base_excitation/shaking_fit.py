@@ -90,12 +90,12 @@ class Shaken:
     @property
     def mass_matrix(self) -> Array:
         """Mass matrix, shape (6, 6)."""
-        return np.asarray(np.tensordot(self.numbers, mass_basis(), axes=1))
+        return np.tensordot(self.numbers, mass_basis(), axes=1)
 
     def response(self, frequency: Array) -> Complex:
         """G, loads felt over loads applied, shape (m, 6, 6)."""
         s = 2j * np.pi * frequency[:, None, None]
-        return np.asarray(np.linalg.inv(np.eye(6) + s * self.damping + s**2 * self.inertia))
+        return np.linalg.inv(np.eye(6) + s * self.damping + s**2 * self.inertia)
 
     def at(self, values: Array) -> Shaken:
         """Other values."""
@@ -204,7 +204,7 @@ def rows_of(table: Complex, left: Complex, share: float) -> Array:
 def products_of(table: Complex, left: Complex, share: float) -> Array:
     """Products of the columns of these rows, (k + 1, k + 1): fast, with half the digits of triangular rows."""
     rows = rows_of(table, left, share)
-    return np.asarray(rows.T @ rows)
+    return rows.T @ rows
 
 
 def chunks(record: ShakeRecord) -> Iterator[ShakeRecord]:

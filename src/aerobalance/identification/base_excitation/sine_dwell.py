@@ -184,7 +184,7 @@ def _driven(recording: Recording, dynamics: Dynamics) -> Array:
     memory = int(recording.rate * min(20 / max(dynamics.decay_rate, 1e-9), recording.duration))
     length = next_fast_len(ground.size + memory, real=True)
     response = dynamics.base_response(rfftfreq(length, 1 / recording.rate))
-    return np.asarray(irfft(response * rfft(ground - ground.mean(), length), length)[: ground.size])
+    return irfft(response * rfft(ground - ground.mean(), length), length)[: ground.size]
 
 
 def _held(values: Array, rate: float) -> list[tuple[int, int, float]]:

@@ -103,7 +103,7 @@ class Spectra:
         cross = np.conj(self.ground) * self.load
         square = self.block_sum(cross.real) ** 2 + self.block_sum(cross.imag) ** 2
         power = self.block_sum(np.abs(self.load) ** 2) * self.block_sum(np.abs(self.ground) ** 2)
-        return np.asarray(square / power)
+        return square / power
 
 
 def transform(recording: Recording, component: str) -> Spectra:

@@ -35,7 +35,7 @@ def covariance_of_calibration(
     """
     slopes = coefficient_slopes(fit, units, records, errors, components=components)
     found = slopes @ coefficient_covariance(errors[0].matrix) @ slopes.T
-    return np.asarray((found + found.T) / 2)
+    return (found + found.T) / 2
 
 
 def coefficient_slopes(
@@ -106,4 +106,4 @@ def _changes(
     changes = slopes.T @ ringing
     if piece.kind != "free":
         changes[n : 2 * n] += held
-    return np.asarray(changes)
+    return changes

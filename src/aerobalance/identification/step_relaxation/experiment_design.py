@@ -107,7 +107,7 @@ def combination_of(motion: FreeMotion, mode: int) -> Array:
     if others.shape[1] == 0:
         return np.ones(1)
     left = np.linalg.svd(np.hstack([others.real, others.imag]))[0]
-    return np.asarray(left[:, -1])
+    return left[:, -1]
 
 
 def _strongest(amplitudes: Complex, mode: int) -> Array:
@@ -156,7 +156,7 @@ def physical_covariance(information: Array, matrices: Array, units: Units) -> Ar
     slopes = physical_slopes(matrices, units)
     size = np.linalg.norm(information, axis=0)
     root = np.linalg.solve((information / size).T, (slopes / size).T)  # triangular: covariance is root' root
-    return np.asarray(root.T @ root)
+    return root.T @ root
 
 
 def physical_slopes(matrices: Array, units: Units) -> Array:

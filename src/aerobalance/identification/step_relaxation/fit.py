@@ -135,7 +135,7 @@ def loads_let_go(pieces: Sequence[Piece], own: Sequence[Array]) -> Array:
 def whitener_of(noise: Array) -> Array:
     """What turns noise of this covariance into independent unit noise."""
     factor = cho_factor(noise, lower=True)[0]
-    return np.asarray(solve_triangular(np.tril(factor), np.eye(noise.shape[0]), lower=True))
+    return solve_triangular(np.tril(factor), np.eye(noise.shape[0]), lower=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +148,7 @@ class Known:
 
     def left(self, matrices: Array) -> Array:
         """Residuals of this knowledge, shape (k,)."""
-        return np.asarray(self.target - self.rows @ (matrices - self.about))
+        return self.target - self.rows @ (matrices - self.about)
 
 
 def others_than(fit: ReleaseFit, number: int) -> Known:

@@ -40,12 +40,12 @@ def functionals(spring: Array, brake: Array, let_go: Array) -> Array:
     """
     held = _independent(let_go)
     both = np.hstack([held, generator_of(spring, brake) @ held])
-    return np.asarray(np.linalg.svd(both, full_matrices=True)[0][:, both.shape[1] :].T)
+    return np.linalg.svd(both, full_matrices=True)[0][:, both.shape[1] :].T
 
 
 def _independent(columns: Array) -> Array:
     basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(basis[:, sizes > SAME * sizes.max(initial=0.0)])
+    return basis[:, sizes > SAME * sizes.max(initial=0.0)]
 
 
 def held_states(loads: Array, size: int) -> Array:
@@ -79,7 +79,7 @@ def pinned(directions: Array, scale: Array) -> Array:
     """Rows of unit size that hold a step back from directions, for parameters times `scale`."""
     if not len(directions):
         return directions
-    return np.asarray(np.linalg.qr((directions * scale).T)[0].T)
+    return np.linalg.qr((directions * scale).T)[0].T
 
 
 def renewed(matrices: Array, n: int, *, let_go: Array) -> tuple[Array, Array]:

@@ -373,7 +373,7 @@ def _products(fit: ReleaseFit, *, count: int, interval: float) -> Array:
     rates += [part for one in poles for part in (one.real + 0j, 2j * one.imag + one.real)]
     waves = np.exp(np.outer(interval * np.arange(count), rates))
     basis, sizes, _ = np.linalg.svd(np.column_stack([np.ones(count), waves.real, waves.imag]), full_matrices=False)
-    return np.asarray(basis[:, sizes > INDEPENDENT * sizes[0]])
+    return basis[:, sizes > INDEPENDENT * sizes[0]]
 
 
 def _rings_before(fit: ReleaseFit, line: float, units: Units, records: Sequence[ReleaseRecord]) -> bool:

@@ -74,7 +74,7 @@ class Units:
     def ratio(self, size: int) -> Array:
         """Unit of row over that of column in N coordinates, shape (N, N)."""
         sizes = with_hidden(self.sizes, size)
-        return np.asarray(sizes[:, None] / sizes[None, :])
+        return sizes[:, None] / sizes[None, :]
 
 
 def with_hidden(sizes: Array, size: int) -> Array:
