@@ -2,7 +2,7 @@
 
 The sting turns the model in pitch at 7 Hz and in yaw at 11 Hz at once, and shakes. What the balance reads is mostly
 the model's inertia, and all of it is a little magnified because 11 Hz is not zero beside the first mode.
-`reconstruct_coupled` undoes both; the moments applied are then regressed on angles and rates of turn:
+`estimate_force` undoes both; the moments applied are then regressed on angles and rates of turn:
 
     PM = C0 + C_theta theta + C_q theta' + C_psi psi + C_r psi'
 
@@ -19,7 +19,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.integrate import cumulative_trapezoid
 
-from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.estimation.force import estimate_force
 from aerobalance.motion.platform import PlatformMotion
 from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.simulation import Band, SixComponentRig, broadband, oscillation, random_balance, random_motion
@@ -70,7 +70,7 @@ def main(seed=1, *, figure=None):
     balance = random_balance(generator)
     wind_on, wind_off = (simulated(balance, generator, wind=wind) for wind in (True, False))
 
-    forces = reconstruct_coupled(wind_on, replace(balance.dynamics, mass=balance.mass), bandwidth=BANDWIDTH)
+    forces = estimate_force(wind_on, replace(balance.dynamics, mass=balance.mass), bandwidth=BANDWIDTH)
     motion = motion_of(PlatformMotion.of(wind_on).turn_rate, RATE)
     fits = {moment: regress(forces[moment], motion, span=INNER) for moment in TRUTH}
 

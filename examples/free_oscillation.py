@@ -19,7 +19,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor, band_noise
@@ -60,7 +60,7 @@ def derivatives(recording, spring):
     later = np.flatnonzero(recording.time > RELEASE + 0.01)
     reading = replace(recording.channel("PM"), values=recording.channel("PM").values[later])
     swinging = Recording.from_columns(recording.time[later], {"PM": reading}, name="wind on")
-    force = reconstruct(swinging, spring, bandwidth=BANDWIDTH)
+    force = estimate_force(swinging, spring, bandwidth=BANDWIDTH).only
     angle = reading.values / spring.stiffness
     motion = {"constant": 1.0, "PM_theta": angle, "PM_q": np.gradient(angle, 1 / RATE)}
     return swinging.time, force, angle, regress(force, motion, span=INNER)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.simulation import Band, SixComponentRig, broadband, random_balance, random_motion, together
 from aerobalance.uncertainty.regression import regress
@@ -47,7 +47,7 @@ def main(seed=1, *, figure=None):
     test = simulated(balance, generator)
 
     # hum="keep": the buffeting of this test has power at 50 and 60 Hz, and no hum
-    forces = reconstruct_coupled(test.recording, replace(balance.dynamics, mass=balance.mass), hum="keep")
+    forces = estimate_force(test.recording, replace(balance.dynamics, mass=balance.mass), hum="keep")
     means = {name: regress(force, {"mean": 1.0}, span=INNER) for name, force in forces.items()}
 
     weight = balance.mass.weight(PITCH)[0]

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.simulation import CableCut, Sensor, band_noise
 from aerobalance.uncertainty.budget import scalars
 
@@ -51,7 +51,7 @@ def main(seed=1, *, figure=None):
     test = rig.run(DURATION, generator)
 
     # One opening is too little to learn a spectrum from, so the band is given: the canopy does little above it.
-    force = reconstruct(test.recording, BALANCE, bandwidth=BANDWIDTH)
+    force = estimate_force(test.recording, BALANCE, bandwidth=BANDWIDTH).only
     summary = {scalar.name: scalar for scalar in scalars(force)}
     reading = test.recording.channel("AF").values
     steady = test.recording.time > OPENING + 0.4

@@ -1,7 +1,7 @@
 """The static polar from one continuous pitch sweep of two seconds, gravity and inertia taken off.
 
 The model pitches from -4 to 12 degrees without a stop, about a point 0.3 m aft of the balance, on a sting that shakes.
-`reconstruct_coupled` takes weight, inertia and ringing off; `regress` then fits a polar that is straight from degree
+`estimate_force` takes weight, inertia and ringing off; `regress` then fits a polar that is straight from degree
 to degree, and says how well each point of it is known: for the noise of the sensors, and for the buffeting that fell
 on this degree by chance. Body loads become lift and drag coefficients at the angle of attack of each point.
 
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.recording.frames import ResolvedLoads, coefficients, wind_loads
 from aerobalance.simulation import Band, SixComponentRig, broadband, random_balance, random_motion
@@ -70,7 +70,7 @@ def main(seed=1, *, figure=None):
     rig = SixComponentRig(balance, applied=aerodynamic, base=motion, output="loads", turning="rate", rate=RATE)
     recording = rig.run(DURATION, generator).recording
 
-    forces = reconstruct_coupled(recording, replace(balance.dynamics, mass=balance.mass), bandwidth=100.0)
+    forces = estimate_force(recording, replace(balance.dynamics, mass=balance.mass), bandwidth=100.0)
     pitch = recording.channel("pitch").values
     inside = np.flatnonzero((pitch >= KNOTS[0]) & (pitch <= KNOTS[-1]))
     span = slice(int(inside[0]), int(inside[-1]) + 1)

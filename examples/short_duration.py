@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.simulation import CableCut, Sensor, band_noise
 from aerobalance.uncertainty.regression import regress
 from aerobalance.validation.baselines import Settings, low_pass, raw_reading
@@ -55,7 +55,7 @@ def main(seed=1, *, figure=None):
     first, stop = np.searchsorted(time, USED)
     window = slice(int(first), int(stop))
 
-    force = reconstruct(test.recording, BALANCE, hum="keep")  # no mains in a record of 50 ms
+    force = estimate_force(test.recording, BALANCE, hum="keep").only  # no mains in a record of 50 ms
     mean = regress(force, {"mean": 1.0}, span=window)
     rivals = {way.__name__: way(test.recording, BALANCE, Settings()).values for way in (raw_reading, low_pass)}
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from aerobalance.app.commands.known import Coupled
-from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning
@@ -18,6 +17,7 @@ from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_components import SixSimulation
 from aerobalance.simulation.six_signals import Band, random_motion
+from aerobalance.validation.model_check import contradictions
 from aerobalance.validation.unmeasured_rotation import turning_by_angles
 
 DURATION = 1.0
@@ -52,7 +52,7 @@ def forces(recording, dynamics):
     """What is found, whatever else is doubted: a faint force, a line where the mains are."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
-        return reconstruct_coupled(recording, dynamics)
+        return estimate_force(recording, dynamics)
 
 
 def noisy(values, generator):
@@ -73,7 +73,7 @@ def test_turning_that_an_angle_shows_is_told_with_its_size(angle, rng):
     assert text.startswith(f"{angle} shows turning, and no sensor")
     assert f"ground_turn_{moment}" in text
     assert "unless" not in text, text
-    assert text in Coupled(dynamics).doubts(recording, estimates)
+    assert text in contradictions(estimates)
     stated = float(text.split(f" N*m rms in {moment}")[0].split()[-1])
     error = float(np.std(estimates[moment].values - run.applied[:, COMPONENTS.index(moment)]))
     # the window passes half of the turning at the frequency that is named, which is above the band; the number has

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.estimation.force import noise_of as noise_of_record
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.component_force import noise_of_job
+from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.estimation.spectra import noise_floor
 from aerobalance.estimation.spectra.noise_floor import lasts
@@ -43,17 +43,17 @@ def test_white_spectrum_is_the_noise_of_the_channel(rng):
     felt, _ = load_of_band(rng, 30, rms=500)
     values = felt + rng.normal(0, 2, N)
     white = NoiseSpectrum(WHITE, 0.0, 1.0, (), 1 / RATE, np.zeros((2, 2)))
-    given = reconstruct(record_of(values), T128, noise=white)
-    plain = reconstruct(record_of(values, noise=white.deviation), T128)
+    given = estimate_force(record_of(values), T128, noise={"AF": white}).only
+    plain = estimate_force(record_of(values, noise=white.deviation), T128).only
     assert np.array_equal(given.values, plain.values)
     assert np.array_equal(given.uncertainty, plain.uncertainty)
 
 
 def test_step_beside_one_over_f(rng):
-    noise = noise_of_record(record_of(noise_of(rng, one_over_f().density)), T128)
+    noise = noise_of_job(force_record(record_of(noise_of(rng, one_over_f().density)), T128).job("AF"))
     time = np.arange(N) / RATE
     values = 1020 * T128.step_response(time - 2.5) + noise_of(rng, one_over_f().density, n=N, longer=4)
-    found = reconstruct(record_of(values), T128, noise=noise)
+    found = estimate_force(record_of(values), T128, noise={"AF": noise}).only
     assert len(found.steps) == 1
     away = np.abs(time - 2.5) > 2 / RATE
     # two levels, each known to its uncertainty; six of them, and half as much again as a spectrum from 10 s is known
@@ -67,7 +67,7 @@ def test_uncertainty_is_that_of_the_true_noise(rng):
     """The rms error under a load of a broad band, over the uncertainty that was said."""
     felt, force = load_of_band(rng, 120, rms=500)
     values = felt + noise_of(rng, one_over_f(20).density, n=N, longer=4)
-    found = reconstruct(record_of(values), T128, noise=one_over_f(20))
+    found = estimate_force(record_of(values), T128, noise={"AF": one_over_f(20)}).only
     inner = slice(N // 20, -N // 20)
     error = (found.values - force)[inner]
     # 0.9 * 5 s of a band of 120 Hz hold 1,080 independent errors (2 % of their rms), but the half of their power that
@@ -79,7 +79,7 @@ def test_uncertainty_is_that_of_the_true_noise(rng):
 def test_faint_slow_force_is_doubted(rng):
     values = noise_of(rng, one_over_f(30).density, n=N)
     with pytest.warns(DataQualityWarning, match=r"rises at low frequency \(1/f\) looks the same"):
-        found = reconstruct(record_of(values), T128)
+        found = estimate_force(record_of(values), T128).only
     assert found.bandwidth > 0
 
 
@@ -88,7 +88,7 @@ def test_color_of_the_floor_is_seen(rng):
     hump = Hump(300.0, 0.3, 2 * WHITE)
     values = felt + noise_of(rng, lambda f: WHITE + hump.density(f), n=N)
     with pytest.warns(DataQualityWarning, match="taken for noise of the electronics"):
-        found = reconstruct(record_of(values), T128)
+        found = estimate_force(record_of(values), T128).only
     error = float(np.std((found.values - force)[N // 20 : -N // 20]))
     # 0.37 N with white noise; as a force the hump makes 15 to 40 N
     assert error < 1.0
@@ -102,7 +102,7 @@ def test_floor_that_stays_a_force_is_doubted(monkeypatch, rng):
     hump = Hump(300.0, 0.3, 2 * WHITE)
     values = felt + noise_of(rng, lambda f: WHITE + hump.density(f), n=N)
     with pytest.warns(DataQualityWarning, match="so faint that it may be noise of the electronics"):
-        reconstruct(record_of(values), T128)
+        estimate_force(record_of(values), T128)
 
 
 def test_a_burst_is_no_floor(rng):
@@ -124,7 +124,7 @@ def test_another_white_noise_is_told(rng):
     felt, force = load_of_band(rng, 30, rms=500)
     values = felt + rng.normal(0, 4, N)
     with pytest.warns(DataQualityWarning, match="times the power that it has in the record of noise"):
-        found = reconstruct(record_of(values), T128, noise=one_over_f())
+        found = estimate_force(record_of(values), T128, noise={"AF": one_over_f()}).only
     # judged from 740 Hz of 0.2 Hz ordinates: 1 % of the standard deviation
     assert found.noise == pytest.approx(4, rel=0.06)
     assert np.std(found.values - force) < 3
@@ -133,14 +133,16 @@ def test_another_white_noise_is_told(rng):
 def test_wrong_calls_are_refused(rng):
     run = record_of(rng.normal(0, 2, 2000))
     with pytest.raises(ValueError, match="only the smoother without a bandwidth can take a spectrum of noise"):
-        reconstruct(run, T128, method="paper", noise=one_over_f())
+        estimate_force(run, T128, method="paper", noise={"AF": one_over_f()})
     with pytest.raises(ValueError, match="only the smoother"):
-        reconstruct(run, T128, bandwidth=100, noise=one_over_f())
+        estimate_force(run, T128, bandwidth=100, noise={"AF": one_over_f()})
     with pytest.raises(FitError, match="the record of noise 3200: record the noise with the rate"):
-        reconstruct(run, T128, noise=replace(one_over_f(), interval=1 / 3200))
+        estimate_force(run, T128, noise={"AF": replace(one_over_f(), interval=1 / 3200)})
 
 
 def test_live_estimator_refuses_color(rng):
-    found = reconstruct(record_of(noise_of(rng, one_over_f().density, n=2000)), T128, noise=one_over_f())
+    found = estimate_force(
+        record_of(noise_of(rng, one_over_f().density, n=2000)), T128, noise={"AF": one_over_f()}
+    ).only
     with pytest.raises(ValueError, match="takes the noise of a reading as white"):
         LiveForce(T128, interval=1 / RATE, learned=found.learned)

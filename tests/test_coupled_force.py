@@ -9,9 +9,8 @@ import pytest
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.coupled_force import reconstruct_coupled
 from aerobalance.estimation.error_sources import Systematic
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
@@ -52,7 +51,7 @@ def _inner(samples: int) -> slice:
 def test_broadband_loads_through_all_resonances_come_back(rng) -> None:
     balance, dynamics = _drawn(rng)
     simulation, top = _broadband(balance, rng)
-    found = reconstruct_coupled(simulation.recording, dynamics)
+    found = estimate_force(simulation.recording, dynamics)
     frequency, noise = _inverse_noise(balance, simulation.recording.rate)
     inside = frequency < top
     bound = np.sqrt(2 * np.trapezoid(noise[inside], frequency[inside], axis=0))
@@ -71,7 +70,7 @@ def test_a_release_is_a_step_of_the_components_that_it_pulls(rng) -> None:
     instant = 0.1 + 0.05 * rng.random()
     rig = SixComponentRig(balance, releases=(Release(load=pull, instant=instant),), output="loads")
     simulation = rig.run(DURATION, rng)
-    found = reconstruct_coupled(simulation.recording, dynamics)
+    found = estimate_force(simulation.recording, dynamics)
     for place, (name, estimate) in enumerate(found.items()):
         size, steps = pull[place], estimate.steps
         if size == 0:
@@ -101,7 +100,7 @@ def test_motion_and_gravity_are_taken_off_all_components(rng) -> None:
         output="loads",
     )
     simulation = rig.run(DURATION, rng)
-    found = reconstruct_coupled(simulation.recording, dynamics)
+    found = estimate_force(simulation.recording, dynamics)
     inner = _inner(simulation.recording.samples)
     felt = simulation.recording
     for name, estimate in found.items():
@@ -123,9 +122,9 @@ def test_one_component_is_the_axial_way(rng) -> None:
         values[1000:1010] = np.nan
         channels[part.component] = Channel(name=part.component, values=values, unit="N")
     recording = Recording.from_columns(time, channels)
-    together = reconstruct_coupled(recording, CoupledDynamics.of_components(parts))
+    together = estimate_force(recording, CoupledDynamics.of_components(parts))
     for part in parts:
-        alone = reconstruct(recording, part)
+        alone = estimate_force(recording, part).only
         other = together[part.component]
         # 1/k and M/k round once more each, 2e-16; the smoother's condition number magnifies that by up to 1e6; and
         # what is learned may fall to the other of two answers that are as likely, once in a hundred
@@ -143,9 +142,9 @@ def test_parameters_are_felt_as_they_are_wrong(rng) -> None:
     unit = np.outer(balance.half_range, 1 / balance.half_range)
     sizes = np.concatenate([(size * unit).ravel(), np.zeros(36)])
     uncertain = replace(dynamics, covariance=np.diag(sizes**2))
-    found = reconstruct_coupled(simulation.recording, uncertain)
+    found = estimate_force(simulation.recording, uncertain)
     draw = rng.normal(size=36) * sizes[:36]
-    moved = reconstruct_coupled(
+    moved = estimate_force(
         simulation.recording, replace(uncertain, inertia=dynamics.inertia + draw.reshape(6, 6)), hum="keep"
     )
     drawn = dict(zip(dynamics.parameters, [*draw, *np.zeros(36)], strict=True))
@@ -167,7 +166,7 @@ def test_a_gap_in_one_channel_is_bridged_by_the_dynamics(rng) -> None:
     values = channel.values.copy()
     values[1200:1210] = np.nan  # 0.4 ms
     broken = replace(whole, channels={**whole.channels, "PM": replace(channel, values=values)})
-    found = reconstruct_coupled(broken, dynamics)
+    found = estimate_force(broken, dynamics)
     inner = _inner(whole.samples)
     for place, (name, estimate) in enumerate(found.items()):
         error = np.abs(estimate.values - simulation.applied[:, place]) / estimate.uncertainty
@@ -179,7 +178,7 @@ def test_a_component_that_is_not_recorded_is_named(rng) -> None:
     time = np.arange(100) / 1e3
     recording = Recording.from_columns(time, {"AF": Channel(name="AF", values=np.ones(100), unit="N")})
     with pytest.raises(FitError, match="no NF, PM, SF, YM, RM"):
-        reconstruct_coupled(recording, dynamics)
+        estimate_force(recording, dynamics)
 
 
 def test_motion_without_a_mass_is_refused(rng) -> None:
@@ -187,7 +186,7 @@ def test_motion_without_a_mass_is_refused(rng) -> None:
     rig = SixComponentRig(balance, pitch=lambda time: 0.1 + 0.01 * time, output="loads")
     recording = rig.run(0.1, rng).recording
     with pytest.raises(FitError, match="hold no mass"):
-        reconstruct_coupled(recording, replace(dynamics, mass=None))
+        estimate_force(recording, replace(dynamics, mass=None))
 
 
 def test_a_weight_that_is_not_known_stays_in_the_forces(rng) -> None:
@@ -195,7 +194,7 @@ def test_a_weight_that_is_not_known_stays_in_the_forces(rng) -> None:
     rig = SixComponentRig(balance, pitch=lambda time: np.full(time.shape, 0.1), output="loads")
     recording = rig.run(0.1, rng).recording
     with pytest.warns(DataQualityWarning, match="weight at the steady attitude"):
-        found = reconstruct_coupled(recording, replace(dynamics, mass=None))
+        found = estimate_force(recording, replace(dynamics, mass=None))
     weight = balance.mass.weight(0.1)[0]
     for place, estimate in enumerate(found.values()):
         # the mean of 2500 readings of noise 1e-4 of half range, five times its scatter

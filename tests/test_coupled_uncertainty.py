@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
-from aerobalance.estimation.coupled_force import noise_of_coupled, reconstruct_coupled
 from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.force import estimate_force, force_record, noise_spectra
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.gravity import Attitudes, PullOnZero
 from aerobalance.recording.recording import Recording
-from aerobalance.uncertainty.monte_carlo import monte_carlo_of_coupled
+from aerobalance.uncertainty.monte_carlo import monte_carlo
 from aerobalance.uncertainty.sampling import drawn_coupled
 
 RATE, COUNT = 4000.0, 2000
@@ -77,8 +77,8 @@ def test_monte_carlo_agrees_with_the_first_order(options: dict[str, object], rng
     dynamics = pair()
     _, felt, pitch = shaken(rng, dynamics)
     recording = recording_of(felt + NOISE * rng.normal(size=felt.shape), pitch=pitch)
-    found = reconstruct_coupled(recording, dynamics, **options)
-    checked = monte_carlo_of_coupled(recording, dynamics, found, draws=25, seed=seed, **options)
+    found = estimate_force(recording, dynamics, **options)
+    checked = monte_carlo(found, draws=25, seed=seed)
     assert list(checked) == ["NF", "PM"]
     for name, result in checked.items():
         rows = {row.name: row for row in result.contributions}
@@ -102,8 +102,8 @@ def test_a_wrong_mass_is_wrong_in_the_zero_of_the_loads_too(at_zero: float, rng,
     recording = recording_of(felt + NOISE * rng.normal(size=felt.shape), pitch=np.full(COUNT, pitch))
     zero = [Attitudes(np.array([at_zero]), np.zeros(1))]
     recording = replace(recording, pull_on_zero=PullOnZero.of(zero, gravity=STANDARD_GRAVITY))
-    found = reconstruct_coupled(recording, dynamics)
-    checked = monte_carlo_of_coupled(recording, dynamics, found, draws=25, seed=seed)
+    found = estimate_force(recording, dynamics)
+    checked = monte_carlo(found, draws=25, seed=seed)
 
     def weighs(values: Array) -> Array:
         """What the loads have too much of, in the run and in the zero."""
@@ -130,8 +130,8 @@ def test_gaps_are_filled_in_the_draws_as_in_the_force(rng, seed) -> None:
     loads = (felt + NOISE * rng.normal(size=felt.shape))[:1200]
     loads[500:520, 1] = np.nan
     recording = recording_of(loads)
-    found = reconstruct_coupled(recording, dynamics)
-    checked = monte_carlo_of_coupled(recording, dynamics, found, draws=12, seed=seed)
+    found = estimate_force(recording, dynamics)
+    checked = monte_carlo(found, draws=12, seed=seed)
     for name, result in checked.items():
         row = next(row for row in result.contributions if row.name == "inertia, damping and mass")
         assert row.ratio == pytest.approx(np.sqrt(11 / 12), rel=0.03), name
@@ -186,7 +186,7 @@ def test_noise_of_a_component_taken_apart_is_what_its_balance_makes_of_all_chann
             name: replace(run.channel(name), noise=float(u)) for name, u in zip(("NF", "PM"), NOISE, strict=True)
         },
     )
-    found = noise_of_coupled(recording_of(colored(rng, corners, 40_000)), dynamics, run=run)
+    found = noise_spectra(recording_of(colored(rng, corners, 40_000)), force_record(run, dynamics))
     frequency = np.array([8.0, 20.0, 400.0, 1000.0])
     lones = CoupledRecord.of(run, dynamics).lones
     for place, (name, spectrum) in enumerate(found.items()):
@@ -204,8 +204,8 @@ def test_uncertainty_with_a_record_of_noise_is_that_of_the_errors(rng) -> None:
     force, felt, _ = shaken(rng, dynamics, pitching=False)
     corners = (40.0, 40.0)
     run = recording_of(felt + colored(rng, corners, COUNT))
-    spectra = noise_of_coupled(recording_of(colored(rng, corners, 40_000)), dynamics, run=run)
-    found = reconstruct_coupled(run, dynamics, noise=spectra)
+    spectra = noise_spectra(recording_of(colored(rng, corners, 40_000)), force_record(run, dynamics))
+    found = estimate_force(run, dynamics, noise=spectra)
     inner = slice(COUNT // 20, -COUNT // 20)
     for place, (name, estimate) in enumerate(found.items()):
         error = (estimate.values - force[:, place])[inner]

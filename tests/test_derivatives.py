@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
-from aerobalance.estimation.record import ForceEstimate
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 from aerobalance.uncertainty.regression import covariance_of, regress
@@ -18,9 +18,9 @@ SWING = {"constant": 1.0, "angle": np.sin(2 * np.pi * 20 * TIME), "rate": np.cos
 TRUTH = np.array([40.0, -7.0, 0.5])
 
 
-def _force(values: Array, *parts: Contribution) -> ForceEstimate:
+def _force(values: Array, *parts: Contribution) -> ComponentForce:
     none = np.zeros(values.size)
-    return ForceEstimate("PM", values, none, "given", noise=0.0, bandwidth=0.0, noise_gain=1.0, contributions=parts)
+    return ComponentForce("PM", values, none, "given", noise=0.0, bandwidth=0.0, noise_gain=1.0, contributions=parts)
 
 
 def _columns() -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force import reconstruct, without_hum
+from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.spectra.line_noise import columns_of_lines, hum_lines, reading_of_lines
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning
@@ -117,9 +117,9 @@ def test_force_is_what_it_is_without_hum(stepped, rng):
     load = 300 * T128.step_response(time - 1.2003) if stepped else T128.load_felt(force, interval=1 / RATE)
     load = load + rng.normal(0, NOISE, time.size)
     lines = hum(rng, time, 50.02, {1: 12.0, 3: 6.0, 5: 3.0})
-    clean = reconstruct(record_of(load), T128)
+    clean = estimate_force(record_of(load), T128).only
     with pytest.warns(DataQualityWarning, match=r"50\.0.* Hz .* taken for mains hum and not for force"):
-        found = reconstruct(record_of(load + lines), T128)
+        found = estimate_force(record_of(load + lines), T128).only
     assert clean.hum == ()
     assert len(found.hum) == 3, found.hum
     assert len(found.steps) == len(clean.steps)
@@ -128,7 +128,7 @@ def test_force_is_what_it_is_without_hum(stepped, rng):
     # two parts of three lines are worked out from what the noise leaves: the difference is a part of the uncertainty
     # of either, in which the constant, two edges of a spectrum and the lines have a few of 4800 samples each
     assert np.sqrt(np.mean(difference**2)) < np.sqrt(np.mean(found.uncertainty[inner] ** 2))
-    quiet = without_hum(record_of(load + lines), found).channel("AF").values
+    quiet = load + lines - reading_of_lines(found.hum, count=load.size, interval=1 / RATE)
     assert np.std(quiet - load) < 6 * NOISE * np.sqrt(9 / time.size)
 
 
@@ -137,15 +137,15 @@ def test_keeping_hum_leaves_it_in_the_force(rng):
     values = hum(rng, time, 50.0, {1: 20.0}) + rng.normal(0, NOISE, time.size)
     with warnings.catch_warnings():
         warnings.simplefilter("error", DataQualityWarning)
-        kept = reconstruct(record_of(values), T128, hum="keep").values
-        taken = reconstruct(record_of(values), T128, hum=(50.0,)).values
+        kept = estimate_force(record_of(values), T128, hum="keep").only.values
+        taken = estimate_force(record_of(values), T128, hum=(50.0,)).only.values
     # the balance enlarges 50 Hz by 1 / (1 - (50 / 66.4)^2) = 2.3
     gain = float(np.abs(T128.response(np.array([50.0])))[0])
     inner = slice(480, -480)
     assert np.std(kept[inner]) == pytest.approx(20 / gain / np.sqrt(2), rel=0.1)
     assert np.std(taken[inner]) < 0.5
     with pytest.raises(ValueError, match="only the smoother"):
-        reconstruct(record_of(values), T128, hum=(50.0,), bandwidth=100.0)
+        estimate_force(record_of(values), T128, hum=(50.0,), bandwidth=100.0)
 
 
 def test_a_drive_at_a_frequency_of_the_mains_stays_a_force(rng):
@@ -153,7 +153,7 @@ def test_a_drive_at_a_frequency_of_the_mains_stays_a_force(rng):
     wave = 300 * np.exp(2j * np.pi * 60.0 * time + 1j * rng.uniform(0, 2 * np.pi))
     load = (wave * T128.response(60.0)).real + rng.normal(0, NOISE, time.size)
     with pytest.warns(DataQualityWarning, match=r"Hz .* lie where the mains do, .* taken for force"):
-        found = reconstruct(record_of(load), T128)
+        found = estimate_force(record_of(load), T128).only
     assert found.hum == ()
     inner = slice(640, -640)
     amplitude = 2 * np.mean(found.values[inner] * np.exp(-2j * np.pi * 60.0 * time[inner]))

@@ -11,7 +11,7 @@ from scipy.signal import butter, filtfilt
 from scipy.stats import chi2
 
 from aerobalance.dynamics.single import Dynamics, Mode
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.identification import identify_rig
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
@@ -425,7 +425,7 @@ def test_force_on_a_shaken_balance_with_two_modes_has_the_error_of_the_noise(rng
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
         errors = [
-            (reconstruct(record, dynamics=dynamics).values - right)[320:-320]
+            (estimate_force(record, dynamics=dynamics).only.values - right)[320:-320]
             for dynamics in (truth, found, found.with_modes())
         ]
     best, identified, without = (float(np.sqrt(np.mean(error**2))) for error in errors)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from aerobalance.balance.calibration.fit import calibrate
-from aerobalance.balance.loads import LoadsFelt, loads_felt, static_uncertainty, wind_off_loads, with_loads
+from aerobalance.balance.loads import Loads, loads_of_outputs, static_uncertainty, wind_off_loads
 from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
 from aerobalance.balance.zeros import GaugeZero, gauge_table, gauge_zero
 from aerobalance.recording.channel import Array, Channel
@@ -43,7 +43,7 @@ def swinging(count: int, generator: np.random.Generator) -> Array:
 
 
 def zeroed(outputs: Array) -> GaugeZero:
-    return GaugeZero(outputs, np.zeros(6), "known", np.zeros(6))
+    return GaugeZero(outputs, np.zeros(6), "known", np.zeros(6), model_on=False)
 
 
 NONE = zeroed(np.zeros(6))
@@ -62,7 +62,7 @@ def in_direct(balance: BalanceMatrix, native: Array) -> Array:
 def test_loads_of_a_known_balance_come_back(balance: BalanceMatrix, rng) -> None:
     native = swinging(500, rng)
     zero = rng.normal(0, 0.3, 6)
-    felt = loads_felt(recorded(balance.outputs(native) + zero), balance, zero=zeroed(zero))
+    felt = loads_of_outputs(recorded(balance.outputs(native) + zero), balance, zero=zeroed(zero))
     assert felt.components == ("NF", "PM", "SF", "YM", "RM", "AF")
     assert felt.units == ("N", "N*m", "N", "N*m", "N*m", "N")
     # the iteration ends at 1e-12 of capacity; sums of two loads, and noise-free outputs rounded at 1e-16 of 1 mV/V
@@ -77,16 +77,16 @@ def test_a_zero_is_the_mean_and_its_drift_is_taken_off(balance: BalanceMatrix, r
     run = recorded(balance.outputs(native) + zero + progress * drift)
     before = recorded(zero + rng.normal(0, NOISE, (4000, 6)), name="before")
     after = recorded(zero + drift + rng.normal(0, NOISE, (4000, 6)), name="after")
-    found = gauge_zero([before], balance, after=[after])
+    found = gauge_zero([before], balance, after=[after], model_on=False)
     # the means of 4000 readings, within five standard errors
     assert np.allclose(found.values, zero, atol=5 * NOISE / np.sqrt(4000))
     assert np.allclose(found.drift, drift, atol=5 * NOISE * np.sqrt(2 / 4000))
-    felt = loads_felt(run, balance, zero=found)
+    felt = loads_of_outputs(run, balance, zero=found)
     error = np.max(np.abs(felt.values - in_direct(balance, native)), axis=0)
     # u of the zero, through the sensitivities (capacity at about 1.1 mV/V), with ten per cent for interactions
     allowed = 5 * NOISE * np.sqrt(2 / 4000) / balance.output_scale.min() * CAPACITIES.max() * 2 * 1.1
     assert error.max() < allowed
-    plain = loads_felt(run, balance, zero=gauge_zero([before], balance))
+    plain = loads_of_outputs(run, balance, zero=gauge_zero([before], balance, model_on=False))
     assert np.max(np.abs(plain.values - in_direct(balance, native))) > 3 * error.max()
 
 
@@ -106,7 +106,7 @@ def test_wind_off_loads_are_taken_off_at_the_same_pitch(balance: BalanceMatrix, 
     pitch = np.radians(np.linspace(-9, 9, 400))
     aero = swinging(400, rng) / 3
     tare = wind_off_loads(at(pitch, aero, "on"), off, balance, zero=NONE)
-    felt = loads_felt(at(pitch, aero, "on"), balance, zero=NONE, tare=tare)
+    felt = loads_of_outputs(at(pitch, aero, "on"), balance, zero=NONE, tare=tare)
     # a chord of weight over 2.5 deg departs from the curve by at most h^2 / 8 of the curvature
     chord = np.radians(2.5) ** 2 / 8 * 100
     assert np.allclose(felt.values, in_direct(balance, aero), atol=1.01 * chord + 1e-6)
@@ -127,16 +127,16 @@ def test_temperature_effects_are_taken_out(balance: BalanceMatrix, rng) -> None:
     slope = np.array([effect.zero for effect in effects.values()])
     outputs = balance.outputs(native) * (1 + gain * (change - 20)) + slope * (change - temperature.mean())
     run = recorded(outputs, extra={"temperature": ("degC", temperature)})
-    felt = loads_felt(run, warm, zero=NONE)
+    felt = loads_of_outputs(run, warm, zero=NONE)
     assert np.allclose(felt.values, in_direct(balance, native), atol=1e-10 * CAPACITIES.max())
-    left = loads_felt(run, balance, zero=NONE).values - in_direct(balance, native)
+    left = loads_of_outputs(run, balance, zero=NONE).values - in_direct(balance, native)
     assert np.abs(left).max() > 1e-3 * CAPACITIES.min()
 
 
 def test_noise_of_the_bridges_becomes_noise_of_the_loads(balance: BalanceMatrix, rng) -> None:
     level = balance.outputs(0.3 * CAPACITIES[None, :])
     outputs = level + rng.normal(0, NOISE, (20000, 6))
-    felt = loads_felt(recorded(outputs), balance, zero=NONE)
+    felt = loads_of_outputs(recorded(outputs), balance, zero=NONE)
     # the scatter of 20000 loads is known to 0.5 %; the level of white noise is read 2-5 % low by `channel_noise`
     assert np.allclose(felt.noise, felt.values.std(axis=0), rtol=0.08)
 
@@ -148,7 +148,7 @@ def test_uncertainty_covers_the_error_of_the_calibration(seed: int) -> None:
         schedule = CalibrationStand(truth, noise=2e-3).run(seed + 100 + draw).schedule
         matrix = calibrate(schedule, model="abs").matrix
         native = swinging(200, np.random.default_rng(seed + draw))
-        felt = loads_felt(recorded(truth.outputs(native)), matrix, zero=NONE)
+        felt = loads_of_outputs(recorded(truth.outputs(native)), matrix, zero=NONE)
         errors.append((felt.values - in_direct(truth, native)) / felt.calibration)
     z = np.array(errors)
     # the stated uncertainty has the scatter of a reading in it besides, so errors of the matrix stay well inside
@@ -162,13 +162,13 @@ def test_static_uncertainty_is_that_of_a_load_of_the_size_of_the_force(seed: int
     # loads of one sign: where one crosses zero the |F| terms turn, and the few parts in a thousand of capacity between
     # the loads found and the true ones could lie on two sides of that
     native = 0.5 * (CAPACITIES + swinging(50, np.random.default_rng(seed)))
-    felt = loads_felt(recorded(truth.outputs(native)), matrix, zero=NONE)
-    same = static_uncertainty(felt, matrix, forces={})
+    felt = loads_of_outputs(recorded(truth.outputs(native)), matrix, zero=NONE)
+    same = static_uncertainty(felt, forces={})
     assert np.allclose(np.column_stack(list(same.values())), felt.calibration, rtol=1e-9)
     other = native.copy()
     other[:, 5] = 0.1 * CAPACITIES[5]  # AF is a load of its own in both forms
-    forced = static_uncertainty(felt, matrix, forces={"AF": other[:, 5]})
-    there = loads_felt(recorded(truth.outputs(other)), matrix, zero=NONE)
+    forced = static_uncertainty(felt, forces={"AF": other[:, 5]})
+    there = loads_of_outputs(recorded(truth.outputs(other)), matrix, zero=NONE)
     # u moves by no larger a share than the loads do
     assert np.allclose(np.column_stack(list(forced.values())), there.calibration, rtol=5e-3)
 
@@ -176,29 +176,29 @@ def test_static_uncertainty_is_that_of_a_load_of_the_size_of_the_force(seed: int
 def test_beyond_the_calibration_is_doubted(balance: BalanceMatrix) -> None:
     native = np.tile(CAPACITIES * np.array([1.3, 0.1, 0.1, 0.1, 0.1, 0.1]), (40, 1))
     with pytest.warns(DataQualityWarning, match="N1 leaves the calibrated range"):
-        felt = loads_felt(recorded(balance.outputs(native)), balance, zero=NONE)
+        felt = loads_of_outputs(recorded(balance.outputs(native)), balance, zero=NONE)
     assert felt.beyond == {"N1": 40}
 
 
 def test_without_a_zero_it_is_said(balance: BalanceMatrix) -> None:
     outputs = balance.outputs(np.zeros((40, 6)))
     with pytest.warns(DataQualityWarning, match="the gauge outputs are taken as they are"):
-        loads_felt(recorded(outputs), balance)
+        loads_of_outputs(recorded(outputs), balance)
     known = replace(balance, natural_zero=np.full(6, 0.1))
     with pytest.warns(DataQualityWarning, match="natural zeros of the calibration"):
-        felt = loads_felt(recorded(outputs + 0.1), known)
+        felt = loads_of_outputs(recorded(outputs + 0.1), known)
     assert np.allclose(felt.values, 0, atol=1e-8)
 
 
 def test_missing_samples_stay_missing_and_missing_bridges_are_named(balance: BalanceMatrix) -> None:
     outputs = balance.outputs(np.zeros((40, 6)))
     outputs[7, 2] = np.nan
-    felt = loads_felt(recorded(outputs), balance, zero=NONE)
+    felt = loads_of_outputs(recorded(outputs), balance, zero=NONE)
     assert np.flatnonzero(np.isnan(felt.values).any(axis=1)).tolist() == [7]
     run = recorded(outputs)
     channels = {name: channel for name, channel in run.channels.items() if name != "rS2"}
     with pytest.raises(FitError, match="no channel rS2 for the bridge S2"):
-        loads_felt(replace(run, channels=channels), balance, zero=NONE)
+        loads_of_outputs(replace(run, channels=channels), balance, zero=NONE)
 
 
 def test_bridges_go_by_other_usual_names(balance: BalanceMatrix) -> None:
@@ -219,7 +219,7 @@ def test_outputs_far_outside_say_so(balance: BalanceMatrix) -> None:
         if _unsolvable(balance)
         else pytest.warns(DataQualityWarning)
     ):
-        loads_felt(wild, balance, zero=NONE)
+        loads_of_outputs(wild, balance, zero=NONE)
 
 
 def _unsolvable(balance: BalanceMatrix) -> bool:
@@ -229,8 +229,8 @@ def _unsolvable(balance: BalanceMatrix) -> bool:
 def test_a_recording_with_loads_keeps_its_other_channels(balance: BalanceMatrix) -> None:
     pitch = np.linspace(0, 0.1, 40)
     run = recorded(balance.outputs(np.zeros((40, 6))), extra={"pitch": ("rad", pitch)})
-    felt: LoadsFelt = loads_felt(run, balance, zero=NONE)
-    ready = with_loads(run, felt)
+    felt: Loads = loads_of_outputs(run, balance, zero=NONE)
+    ready = felt.recording
     assert set(ready.channels) == {"pitch", "NF", "PM", "SF", "YM", "RM", "AF"}
     assert np.array_equal(ready.channel("pitch").values, pitch)
 
@@ -239,11 +239,11 @@ def test_a_force_balance_is_of_that_form_without_distances(seed: int) -> None:
     """N1 N2 S1 S2 RM AF is what --form force asks for; only other forms need the places of the gauges."""
     plain = replace(random_balance(seed), geometry=None)
     native = swinging(50, np.random.default_rng(seed))
-    felt = loads_felt(recorded(plain.outputs(native)), plain, zero=NONE, form="force")
+    felt = loads_of_outputs(recorded(plain.outputs(native)), plain, zero=NONE, form="force")
     assert felt.components == ("N1", "N2", "S1", "S2", "RM", "AF")
     np.testing.assert_allclose(felt.values, native, atol=1e-6 * np.abs(native).max())
     with pytest.raises(ValueError, match="calibrate with --distances"):
-        loads_felt(recorded(plain.outputs(native)), plain, zero=NONE, form="moment")
+        loads_of_outputs(recorded(plain.outputs(native)), plain, zero=NONE, form="moment")
 
 
 def test_tares_are_taken_off_in_the_form_that_is_asked_for(seed: int) -> None:
@@ -252,7 +252,7 @@ def test_tares_are_taken_off_in_the_form_that_is_asked_for(seed: int) -> None:
     still = np.tile(0.1 * CAPACITIES, (50, 1))
     off, u = wind_off_loads(recorded(native), [recorded(plain.outputs(still))], plain, zero=NONE, form="force")
     np.testing.assert_allclose(off[0], still[0], rtol=1e-6)
-    felt = loads_felt(recorded(plain.outputs(native + still)), plain, zero=NONE, tare=(off, u), form="force")
+    felt = loads_of_outputs(recorded(plain.outputs(native + still)), plain, zero=NONE, tare=(off, u), form="force")
     np.testing.assert_allclose(felt.values, native, atol=1e-6 * np.abs(native).max())
 
 
@@ -261,10 +261,10 @@ def test_averaged_points_are_told_to_need_their_noise(seed: int, rng) -> None:
     calibrated = replace(random_balance(seed), residual_deviation=np.full(6, 2e-4))
     points = recorded(calibrated.outputs(rng.uniform(-0.6, 0.6, (30, 6)) * CAPACITIES))
     with pytest.warns(DataQualityWarning, match=r"averaged points .*noise = .*channels\.rNAME"):
-        felt = loads_felt(points, calibrated, zero=NONE)
+        felt = loads_of_outputs(points, calibrated, zero=NONE)
     known = {name: replace(channel, noise=2e-5) for name, channel in points.channels.items()}
-    better = loads_felt(replace(points, channels=known), calibrated, zero=NONE)
+    better = loads_of_outputs(replace(points, channels=known), calibrated, zero=NONE)
     assert (better.noise < 0.01 * felt.noise).all()
     # samples in time of the same size and length are not doubted
     slow = swinging(30, rng) + rng.normal(0, 1e-4, (30, 6)) * CAPACITIES
-    loads_felt(recorded(calibrated.outputs(slow)), calibrated, zero=NONE)
+    loads_of_outputs(recorded(calibrated.outputs(slow)), calibrated, zero=NONE)

@@ -10,7 +10,7 @@ import scipy.stats
 
 from aerobalance.balance.calibration.fit import calibrate
 from aerobalance.balance.calibration_nonlinearity import CurvatureErrors
-from aerobalance.balance.loads import LoadsFelt, loads_felt
+from aerobalance.balance.loads import Loads, loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.recording.channel import Array, Channel
@@ -37,12 +37,12 @@ def shaking(rng: np.random.Generator) -> Array:
     return 0.12 * CAPACITIES * loads / loads.std(axis=0)  # capacity, the end of what is calibrated, is 8 deviations
 
 
-def felt_by(matrix: BalanceMatrix, outputs: Array) -> LoadsFelt:
+def felt_by(matrix: BalanceMatrix, outputs: Array) -> Loads:
     gauges = {f"r{name}": outputs[:, place] for place, name in enumerate(matrix.gauges)}
     channels = {name: Channel(name, values, "mV/V", noise=0.0) for name, values in gauges.items()}
     recording = Recording.from_columns(np.arange(COUNT) / RATE, channels, name="run")
     plain = replace(matrix, geometry=None)
-    return loads_felt(recording, plain, zero=GaugeZero(np.zeros(6), np.zeros(6), "none", np.zeros(6)))
+    return loads_of_outputs(recording, plain, zero=GaugeZero(np.zeros(6), np.zeros(6), "none", np.zeros(6)))
 
 
 def ringing(frequency: Array) -> Array:
@@ -81,7 +81,7 @@ def test_errors_of_matrices_drawn(way: str, rng) -> None:
     loads = shaking(rng)
     outputs = matrix.outputs(loads)
     felt = felt_by(matrix, outputs)
-    curvature = CurvatureErrors.of(felt, matrix, rate=RATE, highest=HIGHEST)
+    curvature = CurvatureErrors.of(felt, rate=RATE, highest=HIGHEST)
     densities = curvature.in_force(ringing(curvature.resolved), list(matrix.components))
     foretold = np.array([curvature.as_noise(part, bandwidth=HIGHEST)[0] for part in densities.T])
     found = np.array(
@@ -99,7 +99,7 @@ def test_means_of_errors_of_matrices_drawn(way: str, rng) -> None:
     matrix = calibrated(rng, model="27", way=way)
     outputs = matrix.outputs(shaking(rng))
     felt = felt_by(matrix, outputs)
-    curvature = CurvatureErrors.of(felt, matrix, rate=RATE, highest=HIGHEST)
+    curvature = CurvatureErrors.of(felt, rate=RATE, highest=HIGHEST)
     foretold = [curvature.offset(name) for name in matrix.components]
     found = np.array([mean_error(drawn(matrix, rng), matrix, outputs, felt.native) for _ in range(24)])
     # normal deviates, as they are linear in the coefficients but for a percent
@@ -110,7 +110,7 @@ def test_means_of_errors_of_matrices_drawn(way: str, rng) -> None:
 
 def test_a_linear_matrix_has_no_curvature(rng) -> None:
     matrix = calibrated(rng, model="linear")
-    curvature = CurvatureErrors.of(felt_by(matrix, matrix.outputs(shaking(rng))), matrix, rate=RATE, highest=HIGHEST)
+    curvature = CurvatureErrors.of(felt_by(matrix, matrix.outputs(shaking(rng))), rate=RATE, highest=HIGHEST)
     densities = curvature.in_force(ringing(curvature.resolved), list(matrix.components))
     # what is left of a linear term is rounding: 1e-15 of capacity, enlarged by (200 / 40)^2
     deviations = [curvature.as_noise(part, bandwidth=HIGHEST)[0] for part in densities.T]
@@ -120,6 +120,6 @@ def test_a_linear_matrix_has_no_curvature(rng) -> None:
 
 def test_nothing_comes_of_a_band_without_frequencies(rng) -> None:
     matrix = calibrated(rng, model="27")
-    curvature = CurvatureErrors.of(felt_by(matrix, matrix.outputs(shaking(rng))), matrix, rate=RATE, highest=HIGHEST)
+    curvature = CurvatureErrors.of(felt_by(matrix, matrix.outputs(shaking(rng))), rate=RATE, highest=HIGHEST)
     deviation, spectrum = curvature.as_noise(np.zeros(curvature.resolved.size), bandwidth=HIGHEST)
     assert deviation == 0 and spectrum.tolist() == [1.0]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.estimation.force import force_record
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
@@ -33,7 +34,7 @@ def identified(truth: Dynamics, generator: np.random.Generator) -> Dynamics:
 
 
 def looked_at(recording: Recording, dynamics: Dynamics) -> Misfit:
-    return misfit_of(recording, dynamics, noise=2.0)
+    return misfit_of(force_record(recording, dynamics).job(dynamics.component), noise=2.0)
 
 
 def shaken(

@@ -6,7 +6,7 @@ from scipy.linalg import cho_factor, cho_solve, toeplitz
 from scipy.stats import multivariate_normal
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import Learned, Reading, confirmed, generalised_least_squares, learn, log_likelihood
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, Filter
@@ -204,7 +204,7 @@ def test_plateaus_beside_a_step_are_flat(noise, allowed, rng):
     record = Recording.from_columns(
         np.arange(reading.values.size) / RATE, {"AF": Channel("AF", reading.values, "N")}, name="step"
     )
-    estimate = reconstruct(record, T128)
+    estimate = estimate_force(record, T128).only
     time = record.time
     errors = {"before": estimate.values[time < 1.0] + STEP, "after": estimate.values[time > 1.001]}
     for error in errors.values():

@@ -8,7 +8,7 @@ import pytest
 
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
-from aerobalance.recording.recording import Loads, Recording
+from aerobalance.recording.recording import Recording
 
 
 def on(stamps, values=None):
@@ -278,13 +278,6 @@ def test_wrong_channels():
         Channel("AF", np.zeros(3), "N", noise=-1)
     with pytest.raises(FitError, match="rec has no channel PM; it has AF"):
         on(np.arange(3.0)).channel("PM")
-
-
-def test_loads_take_noise_where_it_is_known():
-    channels = {"AF": Channel("AF", np.zeros(3), "N", noise=0.5), "PM": Channel("PM", np.ones(3), "N*m")}
-    loads = Loads.from_recording(Recording.from_columns(np.arange(3.0), channels), ("AF", "PM"))
-    np.testing.assert_array_equal(loads.noise, [0.5, np.nan])
-    assert loads.values.shape == (3, 2)
 
 
 def saturated(values):

@@ -10,9 +10,8 @@ import pytest
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.correlated_noise import UNSEEN, NoiseMatrix, SharedNoise, filtered, shared_noise
-from aerobalance.estimation.coupled_force import noise_shared, reconstruct_coupled
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.force import Fitted
+from aerobalance.estimation.force import Fitted, estimate_force, noise_shared
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording
@@ -21,7 +20,7 @@ from aerobalance.simulation.sensors import Sensor
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import SixSimulation
 from aerobalance.simulation.six_signals import Band, broadband
-from aerobalance.uncertainty.monte_carlo import monte_carlo_of_coupled
+from aerobalance.uncertainty.monte_carlo import monte_carlo
 
 DURATION = 0.5
 SOFT = Band(0, 200, order=2)
@@ -131,7 +130,7 @@ def test_soft_loads_come_back_as_from_all_channels(rng) -> None:
     balance, simulation = _soft_loads(rng)
     row, joint = _bounds(balance, simulation.recording.rate)
     _, shared = _record(balance, simulation)
-    found = reconstruct_coupled(simulation.recording, balance.dynamics, hum="keep")
+    found = estimate_force(simulation.recording, balance.dynamics, hum="keep")
     inner = slice(simulation.recording.samples // 20, -(simulation.recording.samples // 20))
     for place, (name, estimate) in enumerate(found.items()):
         if joint[place] > WORTH * row[place]:
@@ -189,11 +188,11 @@ def test_wrong_matrices_are_counted_in_all_rows_that_have_a_part(rng, seed) -> N
         name: Channel(name, column, si_unit(name)) for name, column in zip(("NF", "PM"), (felt + noise).T, strict=True)
     }
     recording = Recording.from_columns(time[::4], channels)
-    found = reconstruct_coupled(recording, known, hum="keep")
+    found = estimate_force(recording, known, hum="keep")
     assert found["NF"].shared is not None
     part = next(part for part in found["NF"].contributions if part.source == "dynamics")
     # every draw takes the record apart anew; the eight numbers drawn have their covariance but for 24 of 25
-    checked = monte_carlo_of_coupled(recording, known, found, draws=25, seed=int(seed % 2**32))["NF"]
+    checked = monte_carlo(found, draws=25, seed=int(seed % 2**32))["NF"]
     drawn = next(row for row in checked.contributions if row.name == part.name)
     assert drawn.ratio == pytest.approx(np.sqrt(24 / 25), rel=0.03)
 
@@ -225,7 +224,7 @@ def test_channels_that_are_read_later_share_their_noise_as_late(rng) -> None:
         values = rig.run(DURATION, rng).recording.channel(name).values
         noise = balance.noise * balance.half_range[place] * rng.normal(size=values.size)
         channels[name] = replace(channels[name], values=values + noise, delay=float(late[place]))
-    found = reconstruct_coupled(replace(simulation.recording, channels=channels), balance.dynamics, hum="keep")
+    found = estimate_force(replace(simulation.recording, channels=channels), balance.dynamics, hum="keep")
     row, joint = _bounds(balance, simulation.recording.rate)
     inner = slice(1000, -1000)
     for place, (name, estimate) in enumerate(found.items()):

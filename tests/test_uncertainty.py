@@ -8,10 +8,11 @@ import pytest
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.error_sources import Noise, Systematic
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.force_smoother import Estimator, Smoothed
 from aerobalance.estimation.prior import Learned
-from aerobalance.estimation.record import ForceEstimate, Job, with_balance
+from aerobalance.estimation.record import Job
+from aerobalance.estimation.result import ComponentForce, with_balance
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import QUANTITIES, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
@@ -47,9 +48,9 @@ def run(
     return record(AF=load + noise * generator.normal(size=count))
 
 
-def made(values: np.ndarray, *contributions, smoothed=False) -> ForceEstimate:
+def made(values: np.ndarray, *contributions, smoothed=False) -> ComponentForce:
     deviation = np.sqrt(sum(part.deviation**2 for part in contributions))
-    return ForceEstimate(
+    return ComponentForce(
         component="AF",
         values=values,
         uncertainty=deviation,
@@ -65,7 +66,7 @@ def made(values: np.ndarray, *contributions, smoothed=False) -> ForceEstimate:
 @cache
 def prior() -> Learned:
     """Any prior: it marks an estimate as the smoother's."""
-    learned = reconstruct(run(np.random.default_rng(1)), T128).learned
+    learned = estimate_force(run(np.random.default_rng(1)), T128).only.learned
     assert learned is not None
     return learned
 
@@ -137,7 +138,7 @@ def test_the_mean_of_the_smoother_is_as_good_as_that_of_the_readings(rng):
     # With the constant free the mean force is that of the readings, of noise over the root of their number, but for
     # what the balance has in it at both ends: by Eq. (8) its rate there over w0^2 T, not known better than the force.
     count = 4000
-    estimate = reconstruct(run(rng, count=count), T128)
+    estimate = estimate_force(run(rng, count=count), T128).only
     u = scalars(estimate)[0].u
     ends = estimate.uncertainty[[0, -1]] * RATE / (count * T128.angular_frequency)
     least, most = 2 / np.sqrt(count), np.hypot(2 / np.sqrt(count), np.linalg.norm(ends))
@@ -145,7 +146,7 @@ def test_the_mean_of_the_smoother_is_as_good_as_that_of_the_readings(rng):
 
 
 def test_spectrum_of_a_force_has_both_uncertainties(rng):
-    estimate = reconstruct(run(rng, count=8000), UNSURE)
+    estimate = estimate_force(run(rng, count=8000), UNSURE).only
     found = spectrum(estimate, rate=RATE)
     inside = (found.frequency > 10) & (found.frequency < 90)
     # 100 N rms flat to 100 Hz is 100 N^2/Hz; 15 segments of 1000 over 400 ordinates / 5: 5 standard deviations
@@ -172,7 +173,7 @@ def test_pitch_zero_turns_the_weight():
     given = record(AF=weight + np.sin(np.arange(800)), pitch=(pitch, {"noise": 0.0, "zero_uncertainty": u}))
     expected = T128.mass * STANDARD_GRAVITY * np.cos(pitch[0]) * u
     for options in ({}, {"method": "paper"}, {"bandwidth": 100.0}):
-        estimate = reconstruct(given, T128, **options)
+        estimate = estimate_force(given, T128, **options).only
         # M g cos(theta) u, to second order in the step of the difference; the smoother hands a constant on
         assert estimate.budget["pitch zero"] == pytest.approx(expected, rel=1e-5), options
         mean = scalars(estimate)[0]
@@ -187,13 +188,13 @@ def test_gravity_and_accelerometer_zero_are_carried():
         pitch=(pitch, {"noise": 0.0}),
         ground_acceleration=(ground, {"noise": 0.0, "zero_uncertainty": 0.03}),
     )
-    estimate = reconstruct(given, T128, method="paper", gravity_uncertainty=0.01)
+    estimate = estimate_force(given, T128, method="paper", gravity_uncertainty=0.01).only
     assert estimate.budget["gravity"] == pytest.approx(T128.mass * np.sin(0.2) * 0.01)
     assert estimate.budget["accelerometer zero"] == pytest.approx(T128.mass * 0.03)
 
 
 def test_a_matrix_is_a_gain_and_an_offset(rng):
-    estimate = reconstruct(run(rng), T128, bandwidth=150.0)
+    estimate = estimate_force(run(rng), T128, bandwidth=150.0).only
     static = np.hypot(0.3, 0.01 * estimate.values)
     found = with_balance(estimate, static)
     matrix = found.contributions[-1]
@@ -208,7 +209,7 @@ def test_readings_that_the_model_does_not_explain_raise_the_uncertainty(rng):
     load[2048:2304] += 8 * rng.normal(size=256)
     name = "what the model does not explain"
     with pytest.warns(DataQualityWarning, match="depart from what the model"):
-        estimate = reconstruct(record(AF=(load, {"noise": 2.0})), T128)
+        estimate = estimate_force(record(AF=(load, {"noise": 2.0})), T128).only
     part = next(item for item in estimate.contributions if item.name == name)
     noise = next(item for item in estimate.contributions if item.name == "noise of the readings")
     # told where 256 readings have more than 1 + 8 sqrt(2 / 256) times the variance expected, and raised by as much
@@ -218,7 +219,7 @@ def test_readings_that_the_model_does_not_explain_raise_the_uncertainty(rng):
 
 
 def test_the_budget_adds_up_and_says_what_to_improve_first(rng):
-    estimate = reconstruct(run(rng), UNSURE)
+    estimate = estimate_force(run(rng), UNSURE).only
     rows = budget(estimate)
     assert sum(row.share for row in rows) == pytest.approx(1)
     assert np.linalg.norm([row.rms for row in rows]) == pytest.approx(rms(estimate.uncertainty))
@@ -232,7 +233,7 @@ def test_halving_the_noise_brings_what_the_budget_says(rng):
     # the spectrum of the force is learned anew: its own scatter makes a few per cent
     quiet = run(rng, noise=0.0, count=4000).channel("AF").values
     noise = rng.normal(size=quiet.size)
-    loud, half = (reconstruct(record(AF=(quiet + u * noise, {"noise": u})), T128) for u in (4.0, 2.0))
+    loud, half = (estimate_force(record(AF=(quiet + u * noise, {"noise": u})), T128).only for u in (4.0, 2.0))
     row = next(row for row in budget(loud) if row.name == "noise of the readings")
     assert rms(half.uncertainty) == pytest.approx(row.if_halved, rel=0.1)
 
@@ -266,7 +267,7 @@ def test_the_fast_estimator_is_the_obvious_one(rng):
     values[900:920] = np.nan
     given = record(AF=values)
     reading = Job.of(given, T128, GroundMotion.of(given, "AF")).reading()
-    estimate = reconstruct(given, T128)
+    estimate = estimate_force(given, T128).only
     assert len(estimate.steps) == 1
     obvious = Smoothed.of(reading, learned=estimate.learned, steps=estimate.steps)
     fast = Estimator.of(reading, learned=estimate.learned, steps=estimate.steps)
@@ -280,7 +281,7 @@ def test_the_fast_estimator_is_the_obvious_one(rng):
 
 def test_simulated_readings_are_those_of_the_model(rng):
     given = run(rng, count=4000)
-    estimate = reconstruct(given, T128)
+    estimate = estimate_force(given, T128).only
     reading = Job.of(given, T128, GroundMotion.of(given, "AF")).reading()
     estimator = Estimator.of(reading, learned=estimate.learned, steps=())
     _, simulated = estimator.simulate(rng)
@@ -293,8 +294,8 @@ def test_simulated_readings_are_those_of_the_model(rng):
 @pytest.mark.parametrize("options", [{}, {"method": "paper"}, {"bandwidth": 100.0}], ids=["smoother", "paper", "band"])
 def test_monte_carlo_agrees_with_first_order(options, rng, seed):
     given = run(rng)
-    estimate = reconstruct(given, UNSURE, **options)
-    found = monte_carlo(given, UNSURE, estimate, draws=50, seed=int(seed % 2**32), **options)
+    force = estimate_force(given, UNSURE, **options)
+    estimate, found = force.only, monte_carlo(force, draws=50, seed=int(seed % 2**32))["AF"]
     names = [row.name for row in found.contributions]
     assert "mass, stiffness, damping, delay" in names
     # 10 % for first order, and five times the scatter of 50 draws; the ends of an inverse are drawn as they are
@@ -314,14 +315,14 @@ def test_monte_carlo_sees_what_is_not_linear(rng):
     unsure = replace(T128, covariance=np.diag([0, (4e-2 * T128.stiffness) ** 2, 0, 0]))
     load = 1000 * T128.step_response(np.arange(count) / RATE - 0.20012) + 2 * rng.normal(size=count)
     given = record(AF=load)
-    found = monte_carlo(given, unsure, reconstruct(given, unsure), draws=60, seed=1)
+    found = monte_carlo(estimate_force(given, unsure), draws=60, seed=1)["AF"]
     assert any("not linear" in text for text in found.doubts)
 
 
 def test_a_seed_gives_the_same_draws():
     given = run(np.random.default_rng(5))
-    estimate = reconstruct(given, UNSURE)
-    one, same, other = (monte_carlo(given, UNSURE, estimate, draws=10, seed=seed) for seed in (7, 7, 8))
+    force = estimate_force(given, UNSURE)
+    one, same, other = (monte_carlo(force, draws=10, seed=seed)["AF"] for seed in (7, 7, 8))
     assert np.array_equal(one.deviation, same.deviation)
     assert not np.array_equal(one.deviation, other.deviation)
 
@@ -329,4 +330,4 @@ def test_a_seed_gives_the_same_draws():
 def test_too_few_draws_are_refused():
     given = run(np.random.default_rng(5))
     with pytest.raises(ValueError, match="at least 10"):
-        monte_carlo(given, T128, reconstruct(given, T128), draws=9, seed=1)
+        monte_carlo(estimate_force(given, T128), draws=9, seed=1)

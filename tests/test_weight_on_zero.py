@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.loads import reduced
 from aerobalance.app.commands.release_loads import releases_felt
 from aerobalance.app.commands.weighing import weigh
 from aerobalance.balance.matrix import BalanceMatrix
@@ -109,7 +108,7 @@ def test_natural_zeros_tell_where_bridges_are_where_no_weighing_does(tmp_path: P
     stand = Stand(tmp_path, rng, natural_zeros=True)
     path, swing = stand.pulled()
     files = BalanceFiles.of(tmp_path / "balance.json", zero=[stand.at_rest("zero", 0.0)])
-    felt, _ = reduced(read(path), files)
+    felt = files.loads(read(path))
     error = float(np.max(np.abs(felt.values[:, 5] - swing))) / stand.balance.half_range[5]
     # the drift passes for a load of 0.1 % of range, over which sensitivities change by less than 10 % of that
     assert error < 0.1 * DRIFT * 0.5
@@ -128,7 +127,7 @@ def test_a_zero_of_the_bare_balance_is_no_weight(tmp_path: Path, rng) -> None:
     zero = stand.record("zero", np.zeros((50, 6)), np.zeros(50))
     path, swing = stand.pulled()
     recording = read(path)
-    felt, _ = reduced(recording, BalanceFiles.of(tmp_path / "balance.json", zero=[zero]))
+    felt = BalanceFiles.of(tmp_path / "balance.json", zero=[zero]).loads(recording)
     assert felt.zero.operating_point is None
     loads = stand.weight(np.zeros(400))
     loads[:, 5] += swing

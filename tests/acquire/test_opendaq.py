@@ -108,7 +108,7 @@ def test_device_that_comes_back_at_another_rate_ends_the_record_and_says_so(tmp_
 
 @installed
 def test_record_across_a_restart_gives_info_and_force(tmp_path) -> None:
-    from aerobalance.estimation.force import reconstruct
+    from aerobalance.estimation.force import estimate_force
     from aerobalance.simulation.published import CABLE_CUT
 
     port, file = free_port(), tmp_path / "run.h5"
@@ -137,7 +137,7 @@ def test_record_across_a_restart_gives_info_and_force(tmp_path) -> None:
         assert len(account["gaps"]) == 1
         assert account["channels"]["AF"]["unit"] == "N"
         recording = read(file)
-        given = reconstruct(recording, CABLE_CUT.dynamics).values
+        given = estimate_force(recording, CABLE_CUT.dynamics).only.values
     there = np.isfinite(recording.channel("AF").values)
     assert np.count_nonzero(~there) == progress.lost > 0
     after = np.flatnonzero(~there)[-1]

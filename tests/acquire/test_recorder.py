@@ -258,7 +258,7 @@ def test_another_recorder_goes_on_where_one_was_killed(tmp_path) -> None:
 
 
 def test_force_is_worked_out_from_the_file_of_a_killed_recorder(tmp_path) -> None:
-    from aerobalance.estimation.force import reconstruct
+    from aerobalance.estimation.force import estimate_force
     from aerobalance.simulation.published import CABLE_CUT
 
     text = SETUP.format(rig="cable_cut", block=0.1).replace("[record]", "speed = 10.0\ncut_at = 5.0\n[record]")
@@ -271,7 +271,7 @@ def test_force_is_worked_out_from_the_file_of_a_killed_recorder(tmp_path) -> Non
         recorder.process.kill()
     with pytest.warns(DataQualityWarning, match="not ended"):
         recording = read(tmp_path / "run.h5")
-    force = reconstruct(recording, CABLE_CUT.dynamics).values
+    force = estimate_force(recording, CABLE_CUT.dynamics).only.values
     # means over 4 s: 6400 readings of 10 N noise have 0.13 N, the accelerometer's 5 m/s^2 on 177.87 kg 11 N
     before, after = force[800:7200].mean(), force[9600:16000].mean()
     assert before == pytest.approx(-1020.0, abs=50)

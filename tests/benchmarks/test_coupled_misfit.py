@@ -9,12 +9,12 @@ from scipy.signal import lfilter
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Mode
-from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_signals import Band, broadband
-from aerobalance.validation.coupled_model_check import misfits_of_coupled
+from aerobalance.validation.model_check import contradictions
 from seeds import new_seed
 
 BAND = Band(0, 900)
@@ -31,8 +31,8 @@ def _record() -> tuple[Recording, CoupledDynamics, np.random.Generator, int]:
 
 def test_the_right_dynamics_are_not_doubted() -> None:
     recording, dynamics, _, entropy = _record()
-    found = reconstruct_coupled(recording, dynamics, bandwidth=BAND.high)
-    assert misfits_of_coupled(recording, dynamics, found) == [], f"seed {entropy}"
+    found = estimate_force(recording, dynamics, bandwidth=BAND.high)
+    assert contradictions(found) == [], f"seed {entropy}"
 
 
 def test_a_mode_beyond_the_six_is_named() -> None:
@@ -49,8 +49,8 @@ def test_a_mode_beyond_the_six_is_named() -> None:
         size = 0.1 * float(np.std(channel.values)) / float(np.std(ringing))
         channels[name] = replace(channel, values=channel.values + size * ringing)
     bent = replace(recording, channels=channels)
-    found = reconstruct_coupled(bent, dynamics, bandwidth=BAND.high)
-    told = [text for text in misfits_of_coupled(bent, dynamics, found) if "no mode of the dynamics" in text]
+    found = estimate_force(bent, dynamics, bandwidth=BAND.high)
+    told = [text for text in contradictions(found) if "no mode of the dynamics" in text]
     frequencies = [float(text.split(" ring at ")[1].split(" Hz")[0]) for text in told]
     # within 1 % is what is promised of a mode that is left out
     assert any(abs(frequency / 760 - 1) < 0.01 for frequency in frequencies), f"{told}, seed {entropy}"

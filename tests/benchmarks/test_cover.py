@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_estimator import SHARP, SOFT, T128, drawn, inner, smooth_run
 
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.recording import Recording
 
@@ -20,7 +20,7 @@ def test_intervals_cover(kind: str, record, rng) -> None:
     for k in range(200):
         shape, noise = shapes[k % 3], NOISES[k // 3 % 3]
         run, force = smooth_run(rng, shape, dynamics=T128, rate=1600.0, rms=500.0, noise=noise, seconds=5.0)
-        estimate = reconstruct(run, drawn(rng, noise=noise))
+        estimate = estimate_force(run, drawn(rng, noise=noise)).only
         covered.append(np.mean(np.abs(inner(estimate.values - force)) < 1.96 * inner(estimate.uncertainty)))
     average = float(np.mean(covered))
     record(f"least of cover over 93 % and 97 % over cover, {kind} spectra", min(average / 0.93, 0.97 / average), 1.0)
@@ -37,7 +37,7 @@ def test_intervals_cover_after_an_event(record, rng) -> None:
         instant = 2 + rng.uniform(0, 1) / 1600
         load = run.channel("AF").values + 1020 * T128.step_response(run.time - instant)
         stepped = Recording.from_columns(run.time, {"AF": Channel("AF", load, "N")}, name="step and load")
-        estimate = reconstruct(stepped, drawn(rng, noise=noise))
+        estimate = estimate_force(stepped, drawn(rng, noise=noise)).only
         error = estimate.values - force - 1020 * (run.time >= instant)
         after = (run.time >= instant) & (run.time < instant + 0.5)
         covered.append(np.mean(np.abs(error[after]) < 1.96 * estimate.uncertainty[after]))

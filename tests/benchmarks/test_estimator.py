@@ -11,8 +11,8 @@ from scipy.linalg import solve_toeplitz
 from scipy.signal import czt, fftconvolve
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force import reconstruct
-from aerobalance.estimation.record import ForceEstimate
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.identification.free_decay.log_decrement import extrema_fit
 from aerobalance.recording.channel import Array, Channel
@@ -122,7 +122,7 @@ def test_smooth_load_at_the_bound(name: str, noise: float, record, rng) -> None:
     errors, least = [], []
     for _ in range(RUNS):
         run, force = smooth_run(rng, shape, dynamics=T128, rate=1600.0, rms=500.0, noise=noise, seconds=10.0)
-        estimate = reconstruct(run, T128)
+        estimate = estimate_force(run, T128).only
         assert not estimate.steps
         errors.append(estimate.values - force)
         if name in SHARP:
@@ -150,7 +150,7 @@ def test_rig_at_the_bound(noise: float, record, rng) -> None:
     errors = []
     for _ in range(RUNS // 2):
         run, force = smooth_run(rng, WIDE["0-900 Hz"], seconds=4.0, **setup)
-        errors.append(reconstruct(run, RIG).values - force)
+        errors.append(estimate_force(run, RIG).only.values - force)
     bound = wiener_bound(WIDE["0-900 Hz"], **setup)
     for what, parts, most in (("", [inner(error) for error in errors], 1.1), (", ends included", errors, 1.4)):
         ratio = bound / rms_of(parts)
@@ -187,7 +187,7 @@ def shaken_run(mass: float, rng: np.random.Generator) -> Simulation:
 def test_shaken_ground_at_the_bound(mass: float, record, rng) -> None:
     dynamics = Dynamics("AF", mass, T128.stiffness, T128.damping)
     run = shaken_run(mass, rng)
-    error = inner(reconstruct(run.recording, dynamics).values - run.applied).std()
+    error = inner(estimate_force(run.recording, dynamics).only.values - run.applied).std()
     frequency = np.linspace(0, 120, 100_001)
     gain = np.abs(dynamics.response(frequency)) ** 2
     load, noise = 500.0**2 / 120, (2.0**2 + gain * (mass * 0.05) ** 2) / 800
@@ -200,7 +200,7 @@ def test_differences_of_the_paper_beside_the_smoother(record, rng) -> None:
     run = shaken_run(178.0, rng)
     dynamics = Dynamics("AF", 178.0, T128.stiffness, T128.damping)
     errors = {
-        method: inner(reconstruct(run.recording, dynamics, method=method).values - run.applied).std()
+        method: inner(estimate_force(run.recording, dynamics, method=method).only.values - run.applied).std()
         for method in ("smoother", "paper")
     }
     record("error of central differences over error of the smoother", errors["paper"] / errors["smoother"], 5.0)
@@ -228,9 +228,9 @@ def test_a_hundred_thousand_samples_beside_the_clock(what: str, record, rng) -> 
     else:
         setup = {"dynamics": RIG, "rate": 25_000.0, "rms": 100.0, "noise": 0.5}
         run, _ = smooth_run(rng, WIDE["0-900 Hz"], seconds=4.0, **setup)
-    reconstruct(run, RIG)  # compiles the kernels
+    estimate_force(run, RIG)  # compiles the kernels
     begin = time.process_time()
-    estimate: ForceEstimate = reconstruct(run, RIG)
+    estimate: ComponentForce = estimate_force(run, RIG).only
     spent = time.process_time() - begin
     record(f"5 s over the time for 100,000 samples at 25 kHz, {what}", 5 / spent, 1.0)
     assert spent < 5

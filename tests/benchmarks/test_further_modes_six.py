@@ -14,8 +14,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.estimation.coupled_force import reconstruct_coupled
-from aerobalance.estimation.record import ForceEstimate
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.identification.force_error import predicted_force_error, true_force_error
 from aerobalance.identification.result import CoupledIdentification
 from aerobalance.identification.step_relaxation.identify import identify_releases
@@ -231,8 +231,7 @@ def test_the_force_with_bending_modes(further, record, rng) -> None:
         load = broadband(rng, Band(0, 1.1 * highest), rms=sizes, period=1.0)
         run = SixComponentRig(balance, applied=load, output="loads", dynamics=true).run(0.5, rng)
         found, best = (
-            force_error(run, reconstruct_coupled(run.recording, dynamics, bandwidth=1.4 * highest))
-            / balance.half_range
+            force_error(run, estimate_force(run.recording, dynamics, bandwidth=1.4 * highest)) / balance.half_range
             for dynamics in (fit.dynamics, true)
         )
         u = predicted_force_error(fit.dynamics, sizes=sizes, band=(0, 1.1 * highest)) / balance.half_range
@@ -243,7 +242,7 @@ def test_the_force_with_bending_modes(further, record, rng) -> None:
     assert rms < high, squares
 
 
-def force_error(run: SixSimulation, force: dict[str, ForceEstimate]) -> Array:
+def force_error(run: SixSimulation, force: dict[str, ComponentForce]) -> Array:
     """Rms errors by component, without 40 ms at both ends."""
     error = np.column_stack([estimate.values for estimate in force.values()]) - run.applied
     return np.asarray(np.sqrt(np.mean(error[1000:-1000] ** 2, axis=0)))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_estimator import RUNS, SHARP, SOFT, T128, inner, rms_of, smooth_run
 
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.spectra.line_noise import hum_lines
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
@@ -48,9 +48,9 @@ def test_force_beside_hum(kind: str, mains: float, record, rng) -> None:
             run, force = smooth_run(rng, SHARP[kind], dynamics=T128, rate=RATE, rms=500.0, noise=NOISE, seconds=6.0)
         lines = hum_of(run.time, rng, frequency=mains, size=(2.0, 12.0, 50.0)[k % 3])
         away = np.abs(run.time - instant) > (0.001 if kind == "step" else 0)
-        clean.append(inner((reconstruct(run, T128).values - force) * away))
+        clean.append(inner((estimate_force(run, T128).only.values - force) * away))
         with pytest.warns(DataQualityWarning, match="mains hum"):
-            estimate = reconstruct(with_more(run, lines), T128)
+            estimate = estimate_force(with_more(run, lines), T128).only
         hummed.append(inner((estimate.values - force) * away))
     ratio = rms_of(clean) / rms_of(hummed)
     record(f"error without over error with hum of 2 to 50 N at {mains:g} Hz, {kind}", ratio, round(1 / 1.1, 4))

@@ -9,7 +9,7 @@ import pytest
 from test_estimator import SHARP, SOFT, T128, inner, rms_of, smooth_run, wiener_bound
 
 from aerobalance.dynamics.single import Dynamics, Mode
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
@@ -49,7 +49,7 @@ def test_a_second_mode_is_found_and_removed(noise: float, record, rng) -> None:
             found = identified(truth, rng, noise=noise)
             assert len(found.further_modes) == 1, truth
             run = released(truth, rng, noise=noise)
-            error = reconstruct(run.recording, found).values - run.applied
+            error = estimate_force(run.recording, found).only.values - run.applied
             errors.append(error[np.abs(run.recording.time - run.release) > 0.001])
     ratio = ALLOWED / rms_of(errors)
     record(f"0.02 % of half range over the error, second mode of 3-8 %, noise {noise:g} N", ratio, 1.0)
@@ -66,7 +66,7 @@ def test_broadband_loads_through_two_modes_at_the_bound(noise: float, record, rn
         run, force = smooth_run(rng, SHARP["0-300 Hz"], seconds=10.0, **setup)
         bound = wiener_bound(SHARP["0-300 Hz"], **setup)
         bounds.append(bound)
-        errors.append(inner(reconstruct(run, found).values - force))
+        errors.append(inner(estimate_force(run, found).only.values - force))
     ratio = float(np.sqrt(np.mean(np.square(bounds)))) / rms_of(errors)
     record(f"bound over error, 0-300 Hz through two modes, noise {noise:g} N", ratio, 0.9091)
     assert ratio >= 1 / 1.1
@@ -79,7 +79,7 @@ def test_a_mode_left_out_is_named_after_a_release(noise: float, record, rng) -> 
         for _ in range(RUNS):
             truth = balance(rng, share)
             found = identified(truth, rng, noise=noise, modes=1)
-            misfit = misfit_of(released(truth, rng, noise=noise).recording, found, noise=noise)
+            misfit = misfit_of(force_record(released(truth, rng, noise=noise).recording, found).job("AF"), noise=noise)
             assert misfit.missing is not None, truth
             worst = max(worst, abs(misfit.missing.natural_frequency / truth.further_modes[0].natural_frequency - 1))
     record(f"1 % over the worst error of the frequency named, release, noise {noise:g} N", 0.01 / worst, 1.0)
@@ -92,7 +92,7 @@ def test_a_mode_left_out_is_named_under_a_broadband_load(record, rng) -> None:
         for _ in range(RUNS):
             truth = T128.with_modes(Mode(rng.uniform(140, 280), 0.008, share))
             run, _ = smooth_run(rng, SHARP["0-300 Hz"], dynamics=truth, rate=1600.0, rms=60.0, noise=2.0, seconds=10.0)
-            misfit = misfit_of(run, T128, noise=2.0)
+            misfit = misfit_of(force_record(run, T128).job("AF"), noise=2.0)
             if misfit.missing is not None:
                 named += 1
                 error = misfit.missing.natural_frequency / truth.further_modes[0].natural_frequency - 1
@@ -109,10 +109,11 @@ def test_smooth_loads_and_releases_raise_no_doubt(record, rng) -> None:
         for noise in (0.5, 2.0, 10.0):
             for _ in range(5):
                 run, _ = smooth_run(rng, shape, dynamics=T128, rate=1600.0, rms=60.0, noise=noise, seconds=8.0)
-                false += bool(misfit_of(run, T128, noise=noise).sentences(T128))
+                false += bool(misfit_of(force_record(run, T128).job("AF"), noise=noise).sentences(T128))
     for _ in range(10):
         found = identified(T128, rng, noise=2.0)
-        false += bool(misfit_of(released(T128, rng, noise=2.0).recording, found, noise=2.0).sentences(found))
+        again = force_record(released(T128, rng, noise=2.0).recording, found)
+        false += bool(misfit_of(again.job("AF"), noise=2.0).sentences(found))
     record("records without a false doubt about the dynamics, of 100", (100 - false) / 100, 1.0)
     assert false == 0
 
@@ -121,4 +122,4 @@ def test_a_held_tone_is_no_mode(rng) -> None:
     time = np.arange(12_800) / 1600
     load = 500 * np.abs(T128.response(140.0)) * np.sin(2 * np.pi * 140 * time) + rng.normal(0, 2.0, time.size)
     run = Recording.from_columns(time, {"AF": Channel("AF", load, "N")}, name="tone")
-    assert misfit_of(run, T128, noise=2.0).missing is None
+    assert misfit_of(force_record(run, T128).job("AF"), noise=2.0).missing is None

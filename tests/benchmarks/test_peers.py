@@ -17,7 +17,7 @@ from scipy.linalg import expm
 from scipy.signal import butter, sosfiltfilt
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Array
 from aerobalance.simulation import CableCut, Sensor, Simulation, band_noise
 from aerobalance.simulation.published import CABLE_CUT
@@ -157,7 +157,7 @@ def test_peer_tuned_on_the_truth_beside_this_estimator(kind: str, peer: str, rec
     begin = time.perf_counter()
     theirs = PEERS[peer](run, error)
     middle = time.perf_counter()
-    ours = error(reconstruct(run.recording, T128).values)
+    ours = error(estimate_force(run.recording, T128).only.values)
     print(  # noqa: T201 - the figures behind the ratio
         f"{kind}, {NOISE[kind]:g} N noise: {peer} {theirs:.3g} N ({middle - begin:.1f} s with its search), "
         f"this estimator {ours:.3g} N ({time.perf_counter() - middle:.1f} s)"

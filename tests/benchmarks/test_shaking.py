@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import chi2
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.estimation.force import estimate_force
 from aerobalance.identification.base_excitation.shaking import identify_shaking
 from aerobalance.identification.base_excitation.shaking_result import ShakingIdentification
 from aerobalance.identification.force_error import true_force_error
@@ -141,7 +141,7 @@ def test_a_sweep_and_releases_agree_and_a_gust_comes_out(record, rng) -> None:
     for name, dynamics in (("true", true), ("shaken", shake.dynamics)):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DataQualityWarning)
-            force = reconstruct_coupled(simulation.recording, dynamics)
+            force = estimate_force(simulation.recording, dynamics)
         found = np.column_stack([force[component].values for component in COMPONENTS])
         errors[name] = np.sqrt(np.mean((found - simulation.applied)[inside] ** 2, axis=0)) / balance.half_range
     # what the dynamics leave adds to what noise leaves; 1e-4 of half range is the noise of one reading

@@ -15,7 +15,7 @@ from scipy.linalg import eigh
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import LoneComponent
-from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Array
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
@@ -70,7 +70,7 @@ def test_gusts_through_all_resonances(record, rng) -> None:
         balance = random_balance(rng)
         simulation, band = gusts(balance, rng)
         bound = wiener_bound(balance, band)
-        found = reconstruct_coupled(simulation.recording, balance.dynamics)
+        found = estimate_force(simulation.recording, balance.dynamics)
         for place, estimate in enumerate(found.values()):
             error = inner(estimate.values - simulation.applied[:, place])
             rms = float(np.sqrt(np.mean(error**2)))
@@ -83,7 +83,7 @@ def test_gusts_through_all_resonances(record, rng) -> None:
             inertia=np.diag(np.diag(balance.dynamics.inertia)),
             damping=np.diag(np.abs(np.diag(balance.dynamics.damping))),
         )
-        apart = reconstruct_coupled(simulation.recording, diagonal, bandwidth=band.high)
+        apart = estimate_force(simulation.recording, diagonal, bandwidth=band.high)
         alone += [
             float(np.sqrt(np.mean(inner(estimate.values - simulation.applied[:, place]) ** 2)))
             / balance.half_range[place]
@@ -131,9 +131,7 @@ def test_gusts_that_fall_off_softly(
         bound = wiener_bound(balance, band)
         rows += (row_bound(balance, band) / bound).tolist()
         # the loads are lines of half a hertz: one at 50 Hz may pass for hum
-        for place, estimate in enumerate(
-            reconstruct_coupled(simulation.recording, balance.dynamics, hum="keep").values()
-        ):
+        for place, estimate in enumerate(estimate_force(simulation.recording, balance.dynamics, hum="keep").values()):
             error = inner(estimate.values - simulation.applied[:, place])
             ratios.append(float(np.sqrt(np.mean(error**2))) / bound[place])
             covered.append(float(np.mean(np.abs(error) < 1.96 * inner(estimate.uncertainty))))
@@ -163,7 +161,7 @@ def test_gusts_on_a_model_or_sting_that_bends(record, rng) -> None:
         still = LoneComponent.of(dynamics, "NF", noise=np.eye(6)).still[0]
         dying = 7 / (still.damping_ratio * still.angular_frequency)
         settled = slice(round(dying * RATE), -round(DURATION * RATE / 20))
-        found = reconstruct_coupled(simulation.recording, dynamics)
+        found = estimate_force(simulation.recording, dynamics)
         for place, estimate in enumerate(found.values()):
             error = estimate.values - simulation.applied[:, place]
             if dying < DURATION / 2:
@@ -183,7 +181,7 @@ def test_plateaus_after_a_release(record, rng) -> None:
         pull = balance.half_range * rng.uniform(-0.5, 0.5, 6)
         instant = 0.3 + rng.uniform(0, 0.1)
         simulation = SixComponentRig(balance, releases=(Release(pull, instant),), output="loads").run(DURATION, rng)
-        found = reconstruct_coupled(simulation.recording, balance.dynamics)
+        found = estimate_force(simulation.recording, balance.dynamics)
         away = np.abs(np.arange(simulation.recording.samples) / RATE - instant) > 2 / RATE
         for place, estimate in enumerate(found.values()):
             error = (estimate.values - simulation.applied[:, place])[away]
@@ -213,7 +211,7 @@ def test_parameters_as_uncertain_as_six_releases_leave_them(record, rng) -> None
             damping=truth.damping + draw[36:].reshape(6, 6),
             covariance=np.diag(size**2),
         )
-        for place, estimate in enumerate(reconstruct_coupled(simulation.recording, drawn).values()):
+        for place, estimate in enumerate(estimate_force(simulation.recording, drawn).values()):
             error = inner(estimate.values - simulation.applied[:, place])
             covered.append(float(np.mean(np.abs(error) < 1.96 * inner(estimate.uncertainty))))
     cover = float(np.mean(covered))

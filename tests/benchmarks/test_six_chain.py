@@ -15,14 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from aerobalance.app.commands.known import Coupled
 from test_six import inner, wiener_bound
 
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.force import force
-from aerobalance.app.commands.known import Coupled
 from aerobalance.app.commands.loads import from_gauges
 from aerobalance.app.demos.six_demo import FELT, Folder, bearable, calibrated, identified, largest_felt, still, weighed
-from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.estimation.force import estimate_force
 from aerobalance.io import read
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.recording.channel import Array
@@ -79,7 +79,7 @@ class Chain(NamedTuple):
             covariance=np.zeros_like(known.covariance),
         )
         loads, _ = from_gauges(read(recorded), self.files, Coupled(alone), gravity=STANDARD_GRAVITY, channel_map=None)
-        found = reconstruct_coupled(loads, alone, bandwidth=band)
+        found = estimate_force(loads, alone, bandwidth=band)
         return np.column_stack([found[name].values for name in COMPONENTS])
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_estimator import RIG, RUNS, SHARP, SOFT, T128, density, inner, rms_of, smooth_run, wiener_bound
 
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
@@ -56,7 +56,7 @@ def test_plateaus_of_a_step(noise: float, allowed: float, record, rng) -> None:
     for _ in range(2 * RUNS):
         rig = CableCut(release=1 + rng.uniform(0, 1) / RATE, sensors={"AF": Sensor(noise=noise)})
         run = rig.run(4.0, rng)
-        estimate = reconstruct(run.recording, T128)
+        estimate = estimate_force(run.recording, T128).only
         assert len(estimate.steps) == 1
         error = estimate.values - run.applied
         before.append(error[run.recording.time < run.release - 0.001])
@@ -96,7 +96,7 @@ def test_plateaus_of_several_steps(name: str, noise: float, record, rng) -> None
     for _ in range(RUNS // 2 if len(SEVERAL[name]) > 2 else RUNS):
         changes = scattered(SEVERAL[name], rng)
         run, force = record_of(changes, rng, noise=noise)
-        estimate = reconstruct(run, T128)
+        estimate = estimate_force(run, T128).only
         assert len(estimate.steps) == len(changes)
         near = np.any([c.near(run.time) for c in changes], axis=0)
         errors.append((estimate.values - force)[~near])
@@ -119,7 +119,7 @@ def test_durations_of_a_release(noise: float, record, rng) -> None:
         for _ in range(2):
             (change,) = scattered([Change(1.0, -1020.0, duration)], rng)
             run, _ = record_of([change], rng, noise=noise)
-            (step,) = reconstruct(run, T128).steps
+            (step,) = estimate_force(run, T128).only.steps
             # the ringing's amplitude goes as sinc(f T), its logarithmic slope is (pi f)^2 T / 3; it is known to the
             # noise over the square root of the sum of cos^2 exp(-2 a t)
             amplitude = noise / 1020.0 / np.sqrt(RATE / (4 * T128.decay_rate))
@@ -145,7 +145,7 @@ def test_step_under_a_broadband_load(noise: float, record, rng) -> None:
         instant = 2 + rng.uniform(0, 1) / RATE
         load = run.channel("AF").values + 1020 * T128.step_response(run.time - instant)
         stepped = Recording.from_columns(run.time, {"AF": Channel("AF", load, "N")}, name="step and load")
-        estimate = reconstruct(stepped, T128)
+        estimate = estimate_force(stepped, T128).only
         assert len(estimate.steps) == 1
         error = estimate.values - force - 1020 * (run.time >= instant)
         errors.append(inner(error[np.abs(run.time - instant) > 0.001]))
@@ -184,7 +184,7 @@ def test_no_step_in_a_hundred_smooth_records(record, rng) -> None:
     for k in range(100):
         shape, noise = kinds[k % len(kinds)]
         run, _ = smooth_run(rng, shape, dynamics=T128, rate=RATE, rms=500.0, noise=noise, seconds=2.0 + k % 3)
-        false += len(reconstruct(run, T128).steps)
+        false += len(estimate_force(run, T128).only.steps)
     record("1 over 1 and false steps, 100 smooth records of 2 to 4 s", 1 / (1 + false), 1.0)
     assert false == 0
 
@@ -202,7 +202,7 @@ def test_harmonic_force_at_resonance(place: str, detuned: float, record, rng) ->
     channel = Channel("AF", load + rng.normal(0, noise, time.size), "N")
     recording = Recording.from_columns(time, {"AF": channel}, name="resonance")
     with pytest.warns(DataQualityWarning, match="depart"):
-        values = reconstruct(recording, dynamics).values
+        values = estimate_force(recording, dynamics).only.values
     held = (time > 1) & (time < 3.8)
     turns = 2 * np.pi * frequency * time[held]
     sizes = np.linalg.lstsq(np.column_stack([np.sin(turns), np.cos(turns), np.ones(turns.size)]), values[held])[0]

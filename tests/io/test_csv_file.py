@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.io import check_output, column_names, read, read_table, write_force, write_recording
 from aerobalance.io.text_table import read_text_columns
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import ReadError
-from aerobalance.recording.recording import Force, Recording
+from aerobalance.recording.recording import Recording
 
 ROWS = [(0.0, -1.5, 0.25), (0.625, 2.0, -3.5e-3), (1.25, 1234.5678, 1.0), (1.875, -0.125, 2.0)]
 
@@ -147,7 +148,10 @@ def test_force_keeps_time_text_name_and_unit(tmp_path):
     with pytest.warns(UserWarning, match="missing from the time column"):
         recording = read(source)
     values = np.column_stack([recording.channel(name).values for name in ("AF", "PM")])
-    force = Force(("AF", "PM"), values, np.ones_like(values), recording.rate)
+    force = {
+        name: ComponentForce(name, column, np.ones(40), "given", noise=1.0, bandwidth=1.0, noise_gain=1.0)
+        for name, column in zip(("AF", "PM"), values.T, strict=True)
+    }
     write_force(target, recording, force)
     lines = target.read_text().splitlines()
     assert lines[0] == "time [ms],AF [lbf],u_AF [lbf],PM [in-lbf],u_PM [in-lbf]"
@@ -161,7 +165,7 @@ def test_force_keeps_time_text_name_and_unit(tmp_path):
 
 def test_force_on_another_clock_is_refused(tmp_path):
     recording = Recording.from_columns(np.arange(4.0), {"AF": Channel("AF", np.arange(4.0), "N")})
-    force = Force(("AF",), np.zeros((3, 1)), np.zeros((3, 1)), 1.0)
+    force = {"AF": ComponentForce("AF", np.zeros(3), np.zeros(3), "given", noise=1.0, bandwidth=1.0, noise_gain=1.0)}
     with pytest.raises(ValueError, match="3 samples, the recording 4"):
         write_force(tmp_path / "out.csv", recording, force)
 

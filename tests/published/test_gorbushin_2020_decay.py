@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
 from aerobalance.identification.free_decay.log_decrement import extrema_fit
 from aerobalance.simulation import CableCut, Sensor, Simulation
@@ -69,7 +69,7 @@ def test_the_papers_own_procedure(experiment):
 
 def test_force_meets_the_printed_deviations(experiment):
     simulation, fit = experiment
-    estimate = reconstruct(simulation.recording, fit.dynamics)
+    estimate = estimate_force(simulation.recording, fit.dynamics).only
     since = simulation.recording.time - simulation.release
     error = (estimate.values - simulation.applied)[since > 0.005]
     mean = next(row for row in TABLE_1 if row.source == "paper").deviation

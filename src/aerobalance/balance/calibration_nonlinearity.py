@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.signal.windows import hann
 
 from aerobalance.balance import _term_kernels as kernels
-from aerobalance.balance.loads import LoadsFelt
+from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.terms import codes
 from aerobalance.recording.channel import Array
@@ -63,18 +63,19 @@ class CurvatureErrors:
     rate: float
 
     @classmethod
-    def of(cls, felt: LoadsFelt, matrix: BalanceMatrix, *, rate: float, highest: float) -> CurvatureErrors:
+    def of(cls, felt: Loads, *, rate: float, highest: float) -> CurvatureErrors:
         """Work it out from the covariance of the matrix and the loads of a recording, shape (n, c).
 
         Parameters
         ----------
-        felt, matrix
-            The loads, and what they were worked out with.
+        felt
+            The loads, which hold the matrix that they were worked out with.
         rate
             Sampling rate [Hz].
         highest
             Frequency above which nothing is wanted [Hz].
         """
+        matrix = felt.balance
         native = felt.native[np.isfinite(felt.native).all(axis=1)]
         size = min(SEGMENT, native.shape[0])
         frequency = np.fft.rfftfreq(size, 1 / rate)

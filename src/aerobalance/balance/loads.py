@@ -16,10 +16,12 @@ import numpy as np
 
 from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_forms
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.zeros import GaugeZero, gauge_table
+from aerobalance.balance.matrix_errors import MatrixErrors
+from aerobalance.balance.zeros import SAY_HOW_READ, GaugeZero, gauge_table
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import is_gauge
+from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.gravity import PullOnZero
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 
@@ -40,8 +42,8 @@ SHARED_PITCH: Final = np.radians(0.2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoadsFelt:
-    """Loads that the balance feels: n samples, c components.
+class Loads:
+    """Balance loads, with all that is known of their errors: n samples, c components.
 
     Attributes
     ----------
@@ -65,6 +67,12 @@ class LoadsFelt:
         The gauge zeros that were taken.
     transform
         Matrix from the balance's own components to those of the result, shape (c, c).
+    balance
+        The matrix that they were worked out with.
+    recording
+        The run, these loads in the place of its gauge outputs: the clock, motion and attitude that go with them.
+    ready
+        Whether gravity is in the loads and in the recording alike, as the force needs it.
     """
 
     components: tuple[str, ...]
@@ -77,22 +85,76 @@ class LoadsFelt:
     contraction: float
     zero: GaugeZero
     transform: Array
+    balance: BalanceMatrix
+    recording: Recording
+    ready: bool
 
     @property
     def uncertainty(self) -> Array:
         """Standard uncertainty of every sample, noise and calibration together, shape (n, c) [N, N*m]."""
         return np.asarray(np.hypot(self.calibration, self.noise))
 
+    @property
+    def matrix_errors(self) -> MatrixErrors:
+        """Where the matrix was used: how errors of its coefficients change these loads."""
+        return MatrixErrors(self.balance, self.components, self.transform, self.native)
 
-def loads_felt(
+    @property
+    def without_weight_of_zero(self) -> Loads:
+        """The same less the weight in their zero, as a run of no known attitude is taken to have that of its zero."""
+        zero = self.zero
+        own = [zero.weight[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in self.components]
+        counted = replace(zero, pull=PullOnZero())
+        return self._with(self.values - np.array(own), counted)
+
+    @property
+    def without_gravity(self) -> Loads:
+        """The same with no angles in the recording: the wind-off loads that were taken off have the weight in them.
+
+        Raises
+        ------
+        FitError
+            A channel of the recording reads gravity as well.
+        """
+        for channel in self.recording:
+            if channel.coupling == "dc":
+                raise FitError(
+                    f"{self.recording.name}: {channel.name} is dc-coupled and reads gravity, which --tare has taken "
+                    "off too; give the zero with --zero and leave the weight to the dynamics"
+                )
+        channels = {name: one for name, one in self.recording.channels.items() if name not in ("pitch", "roll")}
+        return replace(self, recording=replace(self.recording, channels=channels))
+
+    def check_ready(self) -> None:
+        """Make sure that a force can be worked out from the loads.
+
+        Raises
+        ------
+        ValueError
+            They lack the weight of the model, which the dynamics would take off once more.
+        """
+        if not self.ready:
+            raise ValueError(
+                f"{self.recording.name}: these loads lack the weight of the model, as it hung on the balance while "
+                "their zero was read, or was taken off; the dynamics would take it off once more. Work the loads out "
+                "with the dynamics as their model (model=dynamics), or give estimate_force the gauge outputs with "
+                "balance and zero"
+            )
+
+    def _with(self, values: Array, zero: GaugeZero) -> Loads:
+        changed = replace(self, values=values, zero=zero)
+        return replace(changed, recording=_with_loads(self.recording, changed))
+
+
+def loads_of_outputs(
     recording: Recording,
     balance: BalanceMatrix,
     *,
     zero: GaugeZero | None = None,
     tare: tuple[Array, Array] | None = None,
     form: Form | None = None,
-) -> LoadsFelt:
-    """Work out the loads felt, Eq. (2) of [Gorbushin2020]_.
+) -> Loads:
+    """Balance loads [N, N*m] from gauge outputs, Eq. (2) of [Gorbushin2020]_.
 
     Parameters
     ----------
@@ -101,7 +163,8 @@ def loads_felt(
     balance
         The matrix.
     zero
-        Gauge zeros; those of the calibration where left out.
+        Gauge zeros, which say whether the model hung on the balance meanwhile; those of the calibration where left
+        out.
     tare
         Loads to take off, shape (n, 6) or (1, 6) in the components of the result, and their standard uncertainty:
         weight by `weighing`, or wind-off loads.
@@ -112,6 +175,8 @@ def loads_felt(
     ------
     FitError
         A bridge was not recorded, or no sample has a load.
+    ValueError
+        The zero does not say whether the model hung on the balance while it was read.
 
     Warns
     -----
@@ -121,6 +186,8 @@ def loads_felt(
     """
     table, channels = gauge_table(recording, balance)
     zero = _calibration_zero(recording, balance) if zero is None else zero
+    if zero.model_on is None:
+        raise ValueError(f"{zero.source}: {SAY_HOW_READ}")
     progress = np.linspace(0, 1, table.shape[0])[:, None]
     outputs = table - zero.values - zero.drift * progress
     outputs = _at_reference_temperature(outputs, recording, balance)
@@ -150,7 +217,7 @@ def loads_felt(
     if tare is not None:
         values = values - tare[0]
         calibration = np.hypot(calibration, tare[1])
-    return LoadsFelt(
+    loads = Loads(
         components=components,
         units=tuple("N*m" if moment else "N" for moment in moments),
         values=values,
@@ -161,7 +228,11 @@ def loads_felt(
         contraction=contraction,
         zero=zero,
         transform=T,
+        balance=balance,
+        recording=recording,
+        ready=tare is None and (zero.model_on is False or bool(zero.weight.any())),
     )
+    return replace(loads, recording=_with_loads(recording, loads))
 
 
 def _form_of(balance: BalanceMatrix, form: Form | None) -> tuple[tuple[str, ...], Sequence[bool], Array]:
@@ -184,12 +255,14 @@ def _calibration_zero(recording: Recording, balance: BalanceMatrix) -> GaugeZero
             f"{recording.name}: no zero was given; the natural zeros of the calibration are taken. What the bridges' "
             "zeros have moved since goes into the loads in full"
         )
-        return GaugeZero(balance.natural_zero, np.zeros(c), "natural zeros of the calibration", np.zeros(c))
+        return GaugeZero(
+            balance.natural_zero, np.zeros(c), "natural zeros of the calibration", np.zeros(c), model_on=False
+        )
     _doubt(
         f"{recording.name}: no zero was given and the calibration has none; the gauge outputs are taken as they are. "
         "Whatever they read without load goes into the loads in full; give a recording of the unloaded balance as zero"
     )
-    return GaugeZero(np.zeros(c), np.zeros(c), "none: outputs as they are", np.zeros(c))
+    return GaugeZero.taken_off(balance)
 
 
 def _at_reference_temperature(outputs: Array, recording: Recording, balance: BalanceMatrix) -> Array:
@@ -294,7 +367,7 @@ def wind_off_loads(
     FitError
         The run goes beyond the pitch angles of the wind-off recordings.
     """
-    results = [loads_felt(item, balance, zero=zero, form=form) for item in wind_off]
+    results = [loads_of_outputs(item, balance, zero=zero, form=form) for item in wind_off]
     means = np.array([np.nanmean(result.values, axis=0) for result in results])
     us = np.array([result.noise / np.sqrt(max(len(result.values), 1)) for result in results])
     with_pitch = all("pitch" in item for item in (recording, *wind_off))
@@ -321,23 +394,21 @@ def wind_off_loads(
     return columns[0], columns[1]
 
 
-def smooth_variance(felt: LoadsFelt, balance: BalanceMatrix) -> Array:
+def smooth_variance(felt: Loads) -> Array:
     """Mean variance of the loads from the coefficients of the matrix, the scatter of readings left out, shape (c,)."""
     known = felt.native[np.isfinite(felt.native).all(axis=1)]
-    covariance = balance.load_covariance(known[:: max(len(known) // 200, 1)], residual=False)
+    covariance = felt.balance.load_covariance(known[:: max(len(known) // 200, 1)], residual=False)
     T = felt.transform
     return np.asarray(np.einsum("ij,njk,ik->ni", T, covariance, T).mean(axis=0))
 
 
-def static_uncertainty(felt: LoadsFelt, balance: BalanceMatrix, *, forces: Mapping[str, Array]) -> dict[str, Array]:
+def static_uncertainty(felt: Loads, *, forces: Mapping[str, Array]) -> dict[str, Array]:
     """Standard uncertainty that the calibration gives to static loads of the size of forces, by component.
 
     Parameters
     ----------
     felt
-        Loads felt; they stand for the components that `forces` lacks.
-    balance
-        The matrix.
+        Balance loads; they stand for the components that `forces` lacks.
     forces
         Forces applied, shape (n,) each [N, N*m].
     """
@@ -346,8 +417,8 @@ def static_uncertainty(felt: LoadsFelt, balance: BalanceMatrix, *, forces: Mappi
     T = felt.transform
     offset = felt.native @ T.T - felt.values
     native = np.linalg.solve(T, (np.column_stack(columns) + np.nan_to_num(offset)).T).T
-    covariance = balance.load_covariance(np.nan_to_num(native))
-    at_load = balance.load_covariance(np.nan_to_num(felt.native))
+    covariance = felt.balance.load_covariance(np.nan_to_num(native))
+    at_load = felt.balance.load_covariance(np.nan_to_num(felt.native))
     u = {}
     for i, name in enumerate(felt.components):
         own, before = (np.einsum("j,njk,k->n", T[i], table, T[i]) for table in (covariance, at_load))
@@ -355,11 +426,11 @@ def static_uncertainty(felt: LoadsFelt, balance: BalanceMatrix, *, forces: Mappi
     return u
 
 
-def with_loads(recording: Recording, felt: LoadsFelt) -> Recording:
-    """Return the recording with its gauge outputs replaced by the loads felt."""
+def _with_loads(recording: Recording, felt: Loads) -> Recording:
+    """The recording, balance loads in the place of its gauge outputs."""
     channels = {name: channel for name, channel in recording.channels.items() if not is_gauge(name)}
     channels.pop("excitation", None)
-    delays = [channel.delay for channel in recording if is_gauge(channel.name)]
+    delays = [channel.delay for channel in recording if is_gauge(channel.name) or channel.name in felt.components]
     for index, (name, unit) in enumerate(zip(felt.components, felt.units, strict=True)):
         noise = float(felt.noise[index])
         channels[name] = Channel(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, Literal, Protocol
 
 import numpy as np
 
@@ -16,12 +16,20 @@ from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.gravity import PullOnZero
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.sensors import corrected
 
 CLEARLY: Final = 0.5
 """Distance of a zero from the natural zeros, over that from them under the weight, below which it was read without."""
 
 MOVED: Final = 0.05
 """Distance of a zero from the natural zeros, over the calibrated span, up to which it may be drift since then."""
+
+
+SAY_HOW_READ: Final = (
+    "a zero must say how it was read: model_on=True with the model on the balance, whose weight is then put back, "
+    'model_on=False with nothing on it, or model_on="auto" to tell it by the natural zeros of the calibration'
+)
+"""What is missing of a zero that does not say whether the model was on the balance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +50,9 @@ class GaugeZero:
     operating_point
         Loads in the balance's own components that the zero was read under beyond `weight`, shape (c,) [N, N*m]: curved
         bridges are read from there, and the loads count from there. None where none are known.
+    model_on
+        Whether the model hung on the balance while they were read, in which case its weight has been taken out; None
+        where that has not been said, and loads cannot count from them.
     """
 
     values: Array
@@ -51,6 +62,72 @@ class GaugeZero:
     weight: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
     pull: PullOnZero = field(default_factory=PullOnZero)
     operating_point: Array | None = None
+    model_on: bool | None = None
+
+    @classmethod
+    def taken_off(cls, balance: BalanceMatrix) -> GaugeZero:
+        """Zeros of outputs that are already less their zero: nothing."""
+        nothing = np.zeros(len(balance.components))
+        return cls(nothing, nothing, "none: outputs as they are", nothing, model_on=False)
+
+
+@dataclass(frozen=True, slots=True, eq=False, init=False)
+class Zero:
+    """Recordings without wind that the loads of a run count from.
+
+    Loads that count from a zero read under the model lack its weight, and dynamics with a mass take the weight off
+    once more. So a zero says how it was read, and the weight is put back.
+
+    Attributes
+    ----------
+    recordings
+        Before the run; none where the outputs of the run are already less their zero.
+    model_on
+        True where the model hung on the balance meanwhile, False where nothing did. ``"auto"`` takes it so unless the
+        natural zeros of the calibration speak against it.
+    after
+        After the run, where zeros were read again: their change is taken as steady drift.
+    """
+
+    recordings: tuple[Recording, ...]
+    model_on: bool | Literal["auto"]
+    after: tuple[Recording, ...]
+
+    def __init__(
+        self,
+        recordings: Recording | Sequence[Recording],
+        *,
+        model_on: bool | Literal["auto"] | None = None,
+        after: Recording | Sequence[Recording] = (),
+    ) -> None:
+        """Take one recording or several.
+
+        Raises
+        ------
+        ValueError
+            `model_on` is not said, or there are zeros after the run and none before it.
+        """
+        if model_on not in (True, False, "auto"):
+            raise ValueError(SAY_HOW_READ)
+        before, later = (
+            tuple(corrected(item) for item in ((one,) if isinstance(one, Recording) else one))
+            for one in (recordings, after)
+        )
+        if later and not before:
+            raise ValueError("--zero-after needs --zero: the drift is what changes between the two")
+        for name, value in (("recordings", before), ("model_on", model_on), ("after", later)):
+            object.__setattr__(self, name, value)
+
+
+class CarriedWeight(Protocol):
+    """What hangs on a balance and has weight: dynamics with their mass, or a weighing."""
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Components that the weight is known along."""
+
+    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
+        """Weight along a component at attitudes of shape (n,) [rad], shape (n,) [N, N*m]."""
 
 
 def gauge_table(recording: Recording, balance: BalanceMatrix) -> tuple[Array, tuple[Channel, ...]]:
@@ -81,9 +158,13 @@ def gauge_table(recording: Recording, balance: BalanceMatrix) -> tuple[Array, tu
 
 
 def gauge_zero(
-    recordings: Sequence[Recording], balance: BalanceMatrix, *, after: Sequence[Recording] = ()
+    recordings: Sequence[Recording],
+    balance: BalanceMatrix,
+    *,
+    after: Sequence[Recording] = (),
+    model_on: bool | None = None,
 ) -> GaugeZero:
-    """Average gauge zeros from recordings of the unloaded balance, and their drift to those after the run.
+    """Mean gauge zeros [mV/V] of recordings without wind, and their drift to those after the run.
 
     Parameters
     ----------
@@ -93,13 +174,15 @@ def gauge_zero(
         Whose bridges.
     after
         Closing zeros, where they were read.
+    model_on
+        False where nothing hung on the balance. Where the model did, `without_weight` takes its weight out.
     """
     first, u = _mean_outputs(recordings, balance)
     drift = np.zeros_like(first)
     if after:
         last, u_last = _mean_outputs(after, balance)
         drift, u = last - first, np.hypot(u, u_last)
-    return GaugeZero(first, u, ", ".join(recording.name for recording in recordings), drift)
+    return GaugeZero(first, u, ", ".join(recording.name for recording in recordings), drift, model_on=model_on)
 
 
 def without_weight(zero: GaugeZero, balance: BalanceMatrix) -> GaugeZero:
@@ -108,10 +191,10 @@ def without_weight(zero: GaugeZero, balance: BalanceMatrix) -> GaugeZero:
     if zero.operating_point is not None:
         under = under + zero.operating_point
     if not under.any():
-        return zero
+        return replace(zero, model_on=True)
     outputs = balance.outputs(under[None, :])[0]
     source = f"{zero.source}, less the weight" if zero.weight.any() else zero.source
-    return replace(zero, values=zero.values - outputs, source=source)
+    return replace(zero, values=zero.values - outputs, source=source, model_on=True)
 
 
 def seen_on_zero(zero: GaugeZero, balance: BalanceMatrix) -> Array:

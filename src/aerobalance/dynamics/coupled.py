@@ -237,6 +237,12 @@ class CoupledDynamics:
         flexibility = np.linalg.inv(stiffness)
         return cls(COMPONENTS, mass.matrix @ flexibility, damping @ flexibility, mass=mass)
 
+    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
+        """Weight of the common moving mass along a component [N, N*m], shape (n,); nothing where no mass is known."""
+        if self.mass is None:
+            return np.zeros_like(pitch)
+        return self.mass.weight(pitch, roll, gravity=gravity)[:, COMPONENTS.index(name)]
+
     @property
     def total_covariance(self) -> Array:
         """Covariance of `parameters` from readings and calibration together, shape (2 N^2, 2 N^2)."""

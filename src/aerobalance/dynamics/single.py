@@ -20,6 +20,7 @@ from scipy.signal import lfilter
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.gravity import gravity_share
 
 PARAMETERS: Final = ("mass", "stiffness", "damping", "delay")
 """Order of the first rows and columns of `Dynamics.covariance`."""
@@ -164,6 +165,15 @@ class Dynamics:
             raise ValueError(f"covariance must have shape ({size}, {size}), not {self.covariance.shape}")
         if not np.isfinite(self.covariance).all() or (np.diag(self.covariance) < 0).any():
             raise ValueError("covariance must be finite, with variances of zero or more")
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The one component, as dynamics of several have more."""
+        return (self.component,)
+
+    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
+        """Weight of the moving mass along the component [N], shape (n,), at attitudes of shape (n,) [rad]."""
+        return self.mass * gravity * gravity_share(name, pitch=pitch, roll=roll)
 
     @property
     def parameters(self) -> tuple[str, ...]:

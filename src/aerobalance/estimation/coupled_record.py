@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import LoneComponent
@@ -136,12 +137,13 @@ class CoupledRecord:
     def job(
         self,
         component: str,
-        filled: Array,
+        filled: Array | None = None,
         *,
         noise: NoiseSpectrum | None = None,
         shared: SharedNoise | None = None,
     ) -> LoneJob:
         """One component taken apart; the arguments are those of `jobs`, and the noise that is to be taken off."""
+        filled = interpolate_gaps(self.loads) if filled is None else filled
         lone = self.lones[self.dynamics.components.index(component)]
         channel = self.channels[lone.place]
         own = align_channels(filled, self.channels, to=channel, interval=self.interval)
@@ -187,6 +189,26 @@ class CoupledRecord:
         ground = fractional_delay(self.from_ground, delay=channel.delay, interval=self.interval)
         lone = self.lones[place] if balance is None else replace(self.lones[place], dynamics=balance)
         return lone.reading(own - ground, interval=self.interval)
+
+    def filled_by(self, forces: Mapping[str, Array], *, filled: Array) -> Array:
+        """Readings with their gaps filled by what forces make the balance read, shape (samples, n).
+
+        Parameters
+        ----------
+        forces
+            The forces of all components, shape (samples,) each.
+        filled
+            The readings with what the gaps were filled with before, shape (samples, n).
+        """
+        present = np.isfinite(self.loads)
+        force = np.column_stack([forces[name] for name in self.dynamics.components])
+        felt = load_felt(self.dynamics, force, interval=self.interval) + self.from_ground
+        left = _free_motion(self.dynamics, filled - felt, present, interval=self.interval)
+        return np.where(present, self.loads, felt + left)
+
+    def for_noise(self, run: CoupledRecord) -> CoupledRecord:
+        """The same record, of noise alone, decoupled as a run is: by the white noise of the run's channels."""
+        return self.taken_with(self.dynamics, noise=run.noise)
 
 
 def net_load(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
@@ -273,3 +295,18 @@ def _at_rest(platform: PlatformMotion, dynamics: CoupledDynamics, lone: LoneComp
         delay=0.0,
         assumptions=platform.assumptions,
     )
+
+
+def _free_motion(dynamics: CoupledDynamics, left: Array, present: NDArray[np.bool_], *, interval: float) -> Array:
+    """Free motion of the balance that explains best what is left of the readings, shape (samples, n)."""
+    poles, shapes, _ = dynamics.modal_form
+    up = poles.imag >= 0
+    time = np.arange(left.shape[0]) * interval
+    columns = []
+    for pole, shape in zip(poles[up], shapes.T[up], strict=True):
+        swing = np.exp(pole * time)[:, None] * shape
+        columns += [swing.real, swing.imag]
+    size = np.maximum(left.std(axis=0), 1e-60)
+    basis = np.stack([column / size for column in columns], axis=-1)
+    found, *_ = np.linalg.lstsq(basis[present], (left / size)[present], rcond=1e-10)
+    return np.asarray(basis @ found * size)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.error_sources import Noise
-from aerobalance.estimation.record import ForceEstimate, Job
+from aerobalance.estimation.record import Job
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.noise import white_noise
@@ -36,7 +37,7 @@ def _without_gaps(job: Job, what: str) -> Array:
     return load
 
 
-def central_differences(job: Job) -> ForceEstimate:
+def central_differences(job: Job) -> ComponentForce:
     """Eq. (17) of [Gorbushin2020]_ as it stands: AF' and AF'' by three-point central differences.
 
     The first and last sample have one neighbour only. The load is continued there by odd reflection, which makes AF''
@@ -97,7 +98,7 @@ def _delayed_force(job: Job) -> Array:
     return _filtered(known, job.interval, lambda f: np.exp(-2j * np.pi * f * lag))[0]
 
 
-def band_limited(job: Job, bandwidth: float) -> ForceEstimate:
+def band_limited(job: Job, bandwidth: float) -> ComponentForce:
     """Eq. (17) of [Gorbushin2020]_ in the frequency domain, times a zero-phase Butterworth roll-off."""
     d, h = job.dynamics, job.interval
     if not 0 < bandwidth <= 0.5 / h:

@@ -1,65 +1,56 @@
-r"""From the load felt to the force applied, Eq. (17) of [Gorbushin2020]_.
+r"""From the gauge outputs or balance loads of a run to the forces and moments applied, Eq. (17) of [Gorbushin2020]_.
 
-Three ways, one signature: the optimal estimator (the default), the paper's own derivatives, and the inverse limited to
-a band. Each gives every sample a standard uncertainty.
+With several components it is F = X + D X' + A X'' - W + M x1''. Where they ring together, each is decoupled from the
+others (`aerobalance.dynamics.decoupling`) and then worked out as one component is: same estimator, same steps, same
+warnings.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Final, Literal, get_args
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Final, TypeVar
 
 import numpy as np
 
-from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.direct import band_limited, central_differences
-from aerobalance.estimation.force_smoother import Apart, Estimator, Smoothed, taken_apart
-from aerobalance.estimation.prior import Learned, Reading
-from aerobalance.estimation.record import FEWEST_SAMPLES, ForceEstimate, Job
-from aerobalance.estimation.spectra.line_noise import Hum, Line, reading_of_lines
-from aerobalance.estimation.spectra.noise_floor import departure_of
-from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
-from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, NoiseSpectrum
-from aerobalance.motion.single_axis import GroundMotion, Unknown
+from aerobalance.balance.calibration_nonlinearity import CurvatureErrors
+from aerobalance.balance.loads import Loads, static_uncertainty
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.zeros import Zero
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
+from aerobalance.estimation.component_force import Fitted, Method, by_smoother, estimated, noise_of_job
+from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
+from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.decoupled_record import mass_rows
+from aerobalance.estimation.record import IndependentRecord, Job
+from aerobalance.estimation.result import ComponentForce, with_balance
+from aerobalance.estimation.spectra.line_noise import Hum
+from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
-from aerobalance.recording.errors import FitError, warn_quality
-from aerobalance.recording.recording import Recording
+from aerobalance.recording.components import STANDARD_GRAVITY, is_gauge
+from aerobalance.recording.errors import FitError
+from aerobalance.recording.recording import GAUGES_BECOME_LOADS, Recording
+from aerobalance.recording.resampling import align_channels, interpolate_gaps
 
-Method = Literal["smoother", "paper"]
+PASSES: Final = 2
+"""Most times that gaps are filled anew by what the forces found make the balance read."""
 
-SAME_RATE: Final = 1e-3
-"""Relative difference of two sampling rates that are the same."""
+SETTLED: Final = 5.0
+"""Change of what fills a gap, over the noise of a reading, which no force would notice."""
 
-FREQUENCIES: Final = 4097
-"""Frequencies from zero to half the sampling rate at which spectra are compared."""
-
-EXPLAINED_BLOCK: Final = 256
-"""Samples over which it is looked whether the readings are explained."""
-
-SLOW: Final = 0.5
-"""Frequency over the natural one below which noise that rises at low frequency has most of its power."""
+ForceRecord = IndependentRecord | CoupledRecord
+"""A recording with the dynamics of its components, made ready for the estimator."""
 
 
-def reconstruct(
-    recording: Recording,
-    dynamics: Dynamics,
-    *,
-    method: Method = "smoother",
-    bandwidth: float | None = None,
-    gravity: float = STANDARD_GRAVITY,
-    gravity_uncertainty: float = 0.0,
-    hum: Hum = "mains",
-    noise: NoiseSpectrum | None = None,
-) -> ForceEstimate:
-    """Work out the force applied along one component of a recording, Eq. (17) of [Gorbushin2020]_.
+@dataclass(frozen=True, slots=True)
+class ForceSettings:
+    """How a force is worked out.
 
-    Parameters
+    Attributes
     ----------
-    recording
-        Load felt, and ground acceleration and pitch where they are recorded.
-    dynamics
-        Mass, stiffness and damping of the component, with their covariance.
     method
         ``"smoother"``: the optimal estimator. ``"paper"``: three-point central differences.
     bandwidth
@@ -68,314 +59,322 @@ def reconstruct(
         Local acceleration of gravity and its standard uncertainty [m/s^2].
     hum
         What the smoother takes for hum and not for force: ``"mains"`` steady lines at 50 or 60 Hz and harmonics that
-        stand out of the reading (with a `DataQualityWarning` that names them), ``"keep"`` none, or lines near given
-        frequencies [Hz].
+        stand out of the reading (with a warning that names them), ``"keep"`` none, or lines near given frequencies
+        [Hz].
+    """
+
+    method: Method = "smoother"
+    bandwidth: float | None = None
+    gravity: float = STANDARD_GRAVITY
+    gravity_uncertainty: float = 0.0
+    hum: Hum = "mains"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Force(Mapping[str, ComponentForce]):
+    """The forces and moments applied, by component, with what they were worked out from.
+
+    ``force["NF"].values`` and ``force["NF"].uncertainty`` are the force and its standard uncertainty [N].
+
+    Attributes
+    ----------
+    parts
+        The force of each component.
+    record
+        The balance loads, with the dynamics and the motion of the ground that go with them.
+    settings
+        How the forces were worked out.
+    loads
+        The loads with their matrix, where they come from gauge outputs; None where loads were given.
+    noises
+        Spectra of the noise of the components' readings, where a record of noise was given.
+    """
+
+    parts: Mapping[str, ComponentForce]
+    record: ForceRecord
+    settings: ForceSettings = field(default_factory=ForceSettings)
+    loads: Loads | None = None
+    noises: Mapping[str, NoiseSpectrum] = field(default_factory=dict)
+
+    def __getitem__(self, component: str) -> ComponentForce:
+        return self.parts[component]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.parts)
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    @property
+    def only(self) -> ComponentForce:
+        """The force of the one component there is.
+
+        Raises
+        ------
+        ValueError
+            There are several.
+        """
+        if len(self.parts) != 1:
+            raise ValueError(f'there are several components, {", ".join(self.parts)}: name one, as in force["NF"]')
+        return next(iter(self.parts.values()))
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the n components."""
+        return tuple(self.parts)
+
+    @property
+    def recording(self) -> Recording:
+        """The run with its balance loads: clock, motion and attitude."""
+        return self.record.recording
+
+    @property
+    def dynamics(self) -> IndependentDynamics | CoupledDynamics:
+        """The dynamics that the forces were worked out with."""
+        return self.record.dynamics
+
+    @property
+    def filled(self) -> Array:
+        """Readings of the components with their gaps filled by what the forces make the balance read, (samples, n)."""
+        filled = interpolate_gaps(self.record.loads)
+        if not self.record.has_gaps:
+            return filled
+        return self.record.filled_by({name: one.values for name, one in self.parts.items()}, filled=filled)
+
+
+def estimate_force(
+    run: Recording | Loads,
+    dynamics: AnyDynamics,
+    *,
+    balance: BalanceMatrix | None = None,
+    zero: Zero | None = None,
+    noise: Recording | Loads | Mapping[str, NoiseSpectrum] | None = None,
+    method: Method = "smoother",
+    bandwidth: float | None = None,
+    gravity: float = STANDARD_GRAVITY,
+    gravity_uncertainty: float = 0.0,
+    hum: Hum = "mains",
+) -> Force:
+    """Forces and moments applied [N, N*m], Eq. (17) of [Gorbushin2020]_, with a standard uncertainty of every sample.
+
+    Parameters
+    ----------
+    run
+        Balance loads, and ground acceleration and attitude where they are recorded; or with `balance` gauge outputs.
+        Loads that were worked out from gauge outputs are given as `Loads`, which hold the matrix and its errors.
+    dynamics
+        Mass, stiffness and damping of one component or of several, or coupled dynamics, with their covariance.
+    balance, zero
+        Where gauge outputs are given: the balance matrix, and the zero that they count from.
     noise
-        Spectrum of the noise of the load's readings, as `noise_of` finds it. Without one the noise is taken as white,
-        but for what the record itself shows far above the natural frequency.
+        A record of noise alone (wind off, balance at rest) with the sampling rate, gains and filters of the run, or
+        spectra by component as `noise_spectra` finds them. Without one the noise is taken as white, but for what the
+        run itself shows far above the natural frequency.
+    method, bandwidth, gravity, gravity_uncertainty, hum
+        See `ForceSettings`.
 
     Raises
     ------
     FitError
-        The recording has no such component, is too short, or has missing samples that the method cannot bridge; or
-        the noise was recorded at another sampling rate.
+        The run has none of the components, lacks one that the others ring with, is too short, or has missing samples
+        that the method cannot bridge; or the noise was recorded at another sampling rate.
+    ValueError
+        A setting is not allowed, or the loads count from the weight of the model and do not say what it is.
     """
-    load = recording.channel(dynamics.component)
-    present = np.isfinite(load.values)
-    if np.count_nonzero(present) < FEWEST_SAMPLES:
-        raise FitError(
-            f"{recording.name}: {np.count_nonzero(present)} readings of {dynamics.component}; "
-            f"a force needs at least {FEWEST_SAMPLES}"
-        )
-    motion = GroundMotion.of(recording, dynamics.component, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
-    return with_motion(recording, dynamics, motion, method=method, bandwidth=bandwidth, hum=hum, noise=noise)
+    settings = ForceSettings(method, bandwidth, gravity, gravity_uncertainty, hum)
+    model = dynamics_of(dynamics)
+
+    def made_ready(given: Recording | Loads) -> Recording | Loads:
+        if balance is None or isinstance(given, Loads):
+            return given
+        return reduce_outputs(given, balance, zero=zero, model=model, gravity=gravity)
+
+    if balance is None and zero is not None:
+        raise ValueError("a zero is of gauge outputs: give the balance matrix that makes loads of them as well")
+    given = made_ready(run)
+    record = force_record(given, model, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
+    if isinstance(noise, Recording | Loads):
+        noise = noise_spectra(made_ready(noise), record, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
+    noises = {} if noise is None else noise
+    parts = _forces(record, settings, noises=noises)
+    if isinstance(given, Loads):
+        parts = _with_matrix(parts, given, model)
+    return Force(parts, record, settings, given if isinstance(given, Loads) else None, noises)
 
 
-def noise_of(
-    recording: Recording,
-    dynamics: Dynamics,
+def force_record(
+    run: Recording | Loads,
+    dynamics: AnyDynamics,
     *,
     gravity: float = STANDARD_GRAVITY,
     gravity_uncertainty: float = 0.0,
-) -> NoiseSpectrum:
-    """Spectrum of the noise of one component's readings from a record of noise alone: wind off, balance at rest.
+) -> ForceRecord:
+    """The balance loads [N, N*m] of a run with dynamics and the motion of the ground, ready for the estimator.
+
+    Raises
+    ------
+    FitError
+        The run has none of the components, lacks one that the others ring with, or is too short.
+    ValueError
+        The loads count from the weight of a model and do not say what it is.
+    """
+    if isinstance(run, Loads):
+        run.check_ready()
+        run = run.recording
+    model = dynamics_of(dynamics)
+    if not any(name in run for name in model.components):
+        gauges = any(is_gauge(name) for name in run.channels)
+        raise FitError(
+            f"{run.name} has none of the components of the dynamics, {', '.join(model.components)}; it has "
+            f"{', '.join(run.channels) or 'no channels'}" + (f"; {GAUGES_BECOME_LOADS}" if gauges else "")
+        )
+    settings = {"gravity": gravity, "gravity_uncertainty": gravity_uncertainty}
+    if isinstance(model, CoupledDynamics):
+        return CoupledRecord.of(run, model, **settings)
+    return IndependentRecord.of(run, model, **settings)
+
+
+def noise_spectra(
+    calm: Recording | Loads,
+    run: ForceRecord,
+    *,
+    gravity: float = STANDARD_GRAVITY,
+    gravity_uncertainty: float = 0.0,
+) -> dict[str, NoiseSpectrum]:
+    """Spectra of the noise of the components' readings [N^2/Hz], from a record of noise alone: wind off, at rest.
+
+    The noise of a decoupled component is what its balance makes of the noise of all channels that have a part in it.
+    So the record of noise goes through the very balances that the run is decoupled with, which depend on the white
+    noise of the run's channels, and the spectrum is learned from what they read.
 
     Parameters
     ----------
-    recording
-        The record, with the sampling rate, gains and filters of the runs. The load that a recorded motion of the
-        ground has put on it is taken off.
-    dynamics
-        Mass, stiffness and damping of the component: frequencies near its modes are left out.
+    calm
+        The record of noise, with the sampling rate, gains and filters of the run. The load that a recorded motion of
+        the ground has put on it is taken off.
+    run
+        The run that the spectra are for.
     gravity, gravity_uncertainty
         Local acceleration of gravity and its standard uncertainty [m/s^2].
 
     Raises
     ------
     FitError
-        The recording has no such component, is too short, or shows no noise.
+        The record lacks a component, is too short, or shows no noise.
     """
-    recording.channel(dynamics.component)
-    motion = GroundMotion.of(recording, dynamics.component, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
-    return noise_of_job(Job.of(recording, dynamics, motion))
+    record = force_record(calm, run.dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
+    if isinstance(record, CoupledRecord) and isinstance(run, CoupledRecord):
+        record = record.for_noise(run)
+    return {name: noise_of_job(job) for name, job in record.jobs(interpolate_gaps(record.loads)).items()}
 
 
-def noise_of_job(job: Job) -> NoiseSpectrum:
-    """Spectrum of the noise of a component that has been made ready, its record being one of noise alone."""
-    reading = job.reading()
-    return noise_spectrum_of(
-        reading.values,
-        job.dynamics,
-        interval=reading.interval,
-        input_density=reading.input_density,
-        name=job.recording.name,
+def _with_matrix(
+    parts: Mapping[str, ComponentForce], loads: Loads, dynamics: IndependentDynamics | CoupledDynamics
+) -> dict[str, ComponentForce]:
+    """Add what is not known of the balance matrix to the uncertainty."""
+    static = static_uncertainty(loads, forces={name: found.values for name, found in parts.items()})
+    highest = max(found.bandwidth for found in parts.values())
+    curvature = CurvatureErrors.of(loads, rate=loads.recording.rate, highest=highest)
+    order = [dynamics.components.index(name) for name in parts]
+    inverse = dynamics.inverse_response(curvature.resolved)[:, order][:, :, order]
+    densities = curvature.in_force(inverse - np.eye(len(order)), list(parts))
+    return {
+        name: with_balance(
+            found,
+            np.hypot(static[name], curvature.offset(name)),
+            curvature=curvature.as_noise(density, bandwidth=found.bandwidth),
+        )
+        for (name, found), density in zip(parts.items(), densities.T, strict=True)
+    }
+
+
+def _forces(
+    record: ForceRecord, settings: ForceSettings, *, noises: Mapping[str, NoiseSpectrum]
+) -> dict[str, ComponentForce]:
+    """The forces of all components of a record."""
+    if not by_smoother(method=settings.method, bandwidth=settings.bandwidth):
+        inverse = partial(estimated, method=settings.method, bandwidth=settings.bandwidth, hum=settings.hum)
+        return _with_gaps_filled(record, inverse, lambda one: (one.values, one.noise), noises=noises)[0]
+    fitted = partial(Fitted.of, hum=settings.hum)
+    fits, filled = _with_gaps_filled(
+        record, fitted, lambda fit: (fit.smoothed.force, fit.apart.learned.noise), noises=noises
     )
+    for name, shared in noise_shared(fits, record, filled=filled).items():
+        job = record.job(name, filled, shared=shared)
+        if as_expected(job.reading(), fits[name].apart.learned):
+            fits[name] = fitted(job)
+    return {name: fit.estimate() for name, fit in fits.items()}
 
 
-def with_motion(
-    recording: Recording,
-    dynamics: Dynamics,
-    motion: GroundMotion,
+Answer = TypeVar("Answer")
+
+
+def _with_gaps_filled(
+    record: ForceRecord,
+    work: Callable[[Job], Answer],
+    known: Callable[[Answer], tuple[Array, float]],
     *,
-    method: Method = "smoother",
-    bandwidth: float | None = None,
-    hum: Hum = "mains",
-    noise: NoiseSpectrum | None = None,
-) -> ForceEstimate:
-    """Work out the force as `reconstruct` does, with the motion of the ground end given."""
-    job = Job.of(recording, dynamics, motion, noise=noise)
-    return estimated(job, method=method, bandwidth=bandwidth, hum=hum)
+    noises: Mapping[str, NoiseSpectrum] | None,
+) -> tuple[dict[str, Answer], Array]:
+    """Answers by component, and the readings with what the forces found put into their gaps.
 
-
-def estimated(job: Job, *, method: Method, bandwidth: float | None, hum: Hum) -> ForceEstimate:
-    """Work out the force of one component that has been made ready."""
-    if by_smoother(method=method, bandwidth=bandwidth):
-        return Fitted.of(job, hum=hum).estimate()
-    if job.noise is not None or hum not in ("mains", "keep"):
-        what = "lines for hum" if job.noise is None else "a spectrum of noise"
-        raise ValueError(f"only the smoother without a bandwidth can take {what}")
-    _check(job)
-    return central_differences(job) if bandwidth is None else band_limited(job, bandwidth)
-
-
-def by_smoother(*, method: Method, bandwidth: float | None) -> bool:
-    """Whether these settings ask for the optimal estimator.
-
-    Raises
-    ------
-    ValueError
-        There is no such method.
-    """
-    if method not in get_args(Method):
-        raise ValueError(f"method must be smoother or paper, not {method!r}")
-    return method == "smoother" and bandwidth is None
-
-
-def _check(job: Job) -> None:
-    if not np.isfinite(job.dynamics.natural_frequency):
-        raise FitError(
-            f"mass and stiffness of {job.dynamics.component} leave the range that can be calculated with; check the "
-            "units"
-        )
-    if job.noise is not None and abs(job.noise.interval / job.interval - 1) > SAME_RATE:
-        raise FitError(
-            f"{job.recording.name} has {1 / job.interval:g} samples a second and the record of noise "
-            f"{1 / job.noise.interval:g}: record the noise with the rate, gains and filters of the run"
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
-    """One component by the smoother of `estimation.statespace.kalman`, its prior learned and its steps found.
-
-    Attributes
+    Parameters
     ----------
-    job
-        The component made ready.
-    hum
-        What was to be taken for hum.
-    apart
-        What the record is made of.
-    smoothed
-        The force.
+    record
+        The record.
+    work
+        Makes an answer of a component taken apart.
+    known
+        Force and noise of a reading, of an answer.
+    noises
+        Spectra of the noise of the components taken apart, where they are known.
     """
+    filled = interpolate_gaps(record.loads)
+    found = {name: work(job) for name, job in record.jobs(filled, noises=noises).items()}
+    for _ in range(PASSES if record.has_gaps else 0):
+        facts = {name: known(one) for name, one in found.items()}
+        better = record.filled_by({name: force for name, (force, _) in facts.items()}, filled=filled)
+        if (np.abs(better - filled) < SETTLED * np.array([noise for _, noise in facts.values()])).all():
+            break
+        filled = better
+        found = {name: work(job) for name, job in record.jobs(filled, noises=noises).items()}
+    return found, filled
 
-    job: Job
-    hum: Hum
-    apart: Apart
-    smoothed: Smoothed
 
-    @classmethod
-    def of(cls, job: Job, *, hum: Hum) -> Fitted:
-        """Work out the force of a component that has been made ready.
+def noise_shared(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: Array) -> dict[str, SharedNoise]:
+    """Noise of components that others show, by component; only of those whose force is the better for it.
 
-        Raises
-        ------
-        FitError
-            The balance is not in the range that can be calculated with, or the noise has another sampling rate.
-        """
-        _check(job)
-        apart = taken_apart(_with_noise(job), hum=hum)
-        return cls(job, hum, apart, Smoothed.of(apart.reading, learned=apart.learned, steps=apart.steps))
-
-    def estimate(self) -> ForceEstimate:
-        """The force with its uncertainty; says what is doubtful about it."""
-        job, apart, fit = self.job, self.apart, self.smoothed
-        reading, steps, learned = apart.reading, apart.steps, apart.learned
-        if apart.floor is not None:
-            _doubt(job, apart.floor.sentence(job.dynamics.component, unit=si_unit(job.dynamics.component)))
-        elif job.noise is None and job.shared is None:
-            _tell_of_faint(job, learned)
-        white = fit.innovations
-        if job.shared is None:
-            level = _unexplained(job, white)
-        else:  # what is noisier by what is not known there is no fault of the model
-            level = np.maximum(job.shared.level, _unexplained(job, np.where(job.shared.level > 1, 0.0, white)))
-        lines = fit.sized(apart.hum)
-        if self.hum == "mains":
-            _tell_of_hum(job, lines, large=apart.large)
-        estimator = fit.estimator
-
-        def through(series: Array) -> Array:
-            return estimator.run(np.where(reading.present[:, None], series, 0.0))
-
-        def again(other: Job) -> Array:
-            changed = other.reading(hum=reading.hum)
-            return Estimator.of(changed, learned=learned, steps=steps).run(changed.filled[:, None])[:, 0]
-
-        def moved(item: Unknown) -> Array:
-            return -through(job.felt_under(item)[:, None])[:, 0]
-
-        noise = learned.noise if job.shared is None else job.shared.before
-        return job.finish(
-            fit.force,
-            [
-                *fit.noise_errors(level, sources=(job.dynamics.component, job.motion_source)),
-                *fit.step_errors(),
-                job.parameter_errors(through(reading.filled[:, None])[:, 0], again, through),
-                *job.motion_errors(moved),
-                *job.reading_errors(fit.force, through),
-            ],
-            method=f"smoother: {learned.spectrum}, by Whittle's likelihood{_words_on_noise(job, learned)}",
-            noise=noise,
-            bandwidth=_resolved_bandwidth(reading, learned),
-            noise_gain=float(np.sqrt(np.mean(fit.variance))) / noise,
-            steps=tuple(steps),
-            hum=lines,
-            learned=learned,
-            shared=job.shared,
+    Parameters
+    ----------
+    fits
+        What each component's reading gives by itself.
+    record, filled
+        As in `filled_by`.
+    """
+    learned = [fit.apart.learned for fit in fits.values()]
+    if isinstance(record, IndependentRecord) or not record.rings_together:
+        return {}
+    if any(one.color is not None for one in learned):
+        return {}
+    mass = mass_rows(record.dynamics)
+    spectra = NoiseMatrix.of(
+        record.lones,
+        learned,
+        interval=record.interval,
+        noise=record.noise,
+        ground=mass @ record.platform.covariance @ mass.T,
+    )
+    residuals = np.column_stack([fit.smoothed.residuals for fit in fits.values()])
+    present = np.column_stack([np.isfinite(record.loads[:, lone.partners]).all(axis=1) for lone in record.lones])
+    shared = {}
+    for place, channel in enumerate(record.channels):
+        one = shared_noise(
+            spectra,
+            place,
+            residuals=align_channels(residuals, record.channels, to=channel, interval=record.interval),
+            present=present,
+            readings=partial(record.reading, on_clock_of=place, filled=filled),
         )
-
-
-def _words_on_noise(job: Job, learned: Learned) -> str:
-    """What the noise of the readings is taken for, where that is said or seen."""
-    if job.noise is not None:
-        return f"; noise of the record of noise: {job.noise}"
-    if job.shared is not None:
-        return "; noise that other components show is taken off"
-    if isinstance(learned.color, ColoredNoise):
-        return f"; noise with {len(learned.color.humps)} hump(s), seen in the run"
-    return ""
-
-
-def _doubt(job: Job, text: str) -> None:
-    warn_quality(f"{job.recording.name}: {text}")
-
-
-def _with_noise(job: Job) -> Reading:
-    """The reading with the noise that was given, unless its white part is not that of the run."""
-    reading = job.reading()
-    ratio = None if job.noise is None else departure_of(reading)
-    if ratio is None:
-        return reading
-    _doubt(
-        job,
-        f"the white noise of {job.dynamics.component} has {ratio:.2g} times the power that it has in the record of "
-        "noise, as another gain, filter or cabling, or a force of a very wide band, would make it; it is judged from "
-        "the run, and what the noise has beyond white is taken as recorded",
-    )
-    return replace(reading, noise=None)
-
-
-def _tell_of_faint(job: Job, learned: Learned) -> None:
-    """Say that a force which is fainter than the noise may be noise with a color."""
-    frequency = np.linspace(0, 0.5 / job.interval, FREQUENCIES)[1:]
-    felt = np.abs(job.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
-    size = float(np.sqrt(np.mean(felt) / job.interval))
-    low = float(np.sum(felt[frequency < SLOW * job.dynamics.natural_frequency]))
-    if not 0 < size < learned.noise or low < float(np.sum(felt)) / 2:
-        return
-    name, unit = job.dynamics.component, si_unit(job.dynamics.component)
-    _doubt(
-        job,
-        f"{name} fluctuates by {size:.2g} {unit} rms beside a white noise of {learned.noise:.2g} {unit}: that is "
-        "taken for force, but noise of the electronics that rises at low frequency (1/f) looks the same and is then "
-        "an error of that size, which the uncertainty does not hold; a record of noise alone (--noise-record) decides",
-    )
-
-
-def _tell_of_hum(job: Job, lines: tuple[Line, ...], *, large: tuple[Line, ...]) -> None:
-    """Say which lines at frequencies of the mains are not in the force, and which are because they are large."""
-    told = (
-        (
-            lines,
-            (
-                "are taken for mains hum and not for force; if a force was applied at such a frequency it is missing "
-                'from the result: keep it with --hum keep (hum="keep")'
-            ),
-        ),
-        (
-            large,
-            (
-                "lie where the mains do, but are so large a part of the record that they are taken for force; if they "
-                "are hum, the force is wrong by them: name their frequencies with --hum"
-            ),
-        ),
-    )
-    unit = si_unit(job.dynamics.component)
-    for some, what in told:
-        named = [f"{line.frequency:.7g} Hz ({line.amplitude:.3g} {unit} in the reading)" for line in some]
-        if named:
-            warn_quality(
-                f"{job.recording.name}: steady lines of {job.dynamics.component} at {', '.join(named)} {what}"
-            )
-
-
-def without_hum(recording: Recording, estimate: ForceEstimate) -> Recording:
-    """The recording without the lines of hum that an estimate has found in its component's readings."""
-    if not estimate.hum:
-        return recording
-    load = recording.channel(estimate.component)
-    hum = reading_of_lines(estimate.hum, count=load.values.size, interval=1 / recording.rate)
-    return replace(recording, channels={**recording.channels, load.name: replace(load, values=load.values - hum)})
-
-
-def _unexplained(job: Job, white: Array) -> Array:
-    """Variance of the innovations over what is expected, 1 where chance explains it, shape (n,); warns elsewhere."""
-    count = max(white.size // EXPLAINED_BLOCK, 1)
-    blocks = np.array_split(white, count)
-    level = np.array([np.mean(block**2) for block in blocks])
-    # the mean square over m samples scatters by sqrt(2 / m); eight times that is never reached by chance
-    strange = np.flatnonzero(level > 1 + 8 * np.sqrt(2 * count / white.size))
-    if strange.size:
-        worst = int(strange[np.argmax(level[strange])])
-        start, stop = (job.recording.start + edge * white.size / count * job.interval for edge in (worst, worst + 1))
-        warn_quality(
-            f"{job.recording.name}: in {strange.size} of {count} stretches the readings of {job.dynamics.component} "
-            f"depart from what the model of balance and load expects, most between {start:.4g} and {stop:.4g} s "
-            f"({np.sqrt(level[worst]):.2g} times the chance scatter); the uncertainty from noise is raised by as much "
-            "there, but an error that the model makes everywhere is not in it"
-        )
-    raised = np.ones(count)
-    raised[strange] = level[strange]
-    return np.repeat(raised, [block.size for block in blocks])
-
-
-def _resolved_bandwidth(reading: Reading, learned: Learned) -> float:
-    """Frequency up to which the force is stronger in the reading than the noise [Hz]; 0 if it is nowhere."""
-    frequency = np.linspace(0, 0.5 / reading.interval, FREQUENCIES)[1:]
-    transfer = np.abs(reading.dynamics.response(frequency)) ** 2
-    force = transfer * learned.spectrum.density(frequency)
-    noise = transfer * reading.input_density + learned.noise_density(frequency, interval=reading.interval)
-    above = np.flatnonzero(force > noise)
-    return float(frequency[above[-1]]) if above.size else 0.0
+        if one is not None:
+            shared[channel.name] = one
+    return shared

@@ -1,23 +1,24 @@
-"""What a force is worked out from, and what comes out: every sample with its uncertainty and where that is from."""
+"""What a force is worked out from: the record of each component with its dynamics and the motion of the ground."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
+from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.correlated_noise import SharedNoise
-from aerobalance.estimation.error_sources import Contribution, Noise, Systematic, total_deviation
-from aerobalance.estimation.prior import Learned, Reading
-from aerobalance.estimation.spectra.line_noise import Line
+from aerobalance.estimation.error_sources import Contribution, Systematic, total_deviation
+from aerobalance.estimation.prior import Reading
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
-from aerobalance.estimation.steps import Step
 from aerobalance.motion.single_axis import GroundMotion, Unknown, load_from_ground
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import acceleration_name
+from aerobalance.recording.components import STANDARD_GRAVITY, acceleration_name
+from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
@@ -29,111 +30,6 @@ PARAMETERS_NAME: Final = "mass, stiffness, damping, delay"
 
 PROBE: Final = 0.1
 """Change of a parameter, in standard uncertainties, over which the estimator's slope is taken."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ForceEstimate:
-    """The force applied along one component, and how it was found.
-
-    Attributes
-    ----------
-    component
-        Which component.
-    values
-        Applied force, shape (n,) [N].
-    uncertainty
-        Standard uncertainty of every sample, shape (n,) [N].
-    method
-        Words for the method and its settings.
-    noise
-        Standard uncertainty of a reading of the load [N].
-    bandwidth
-        Frequency up to which the force is resolved [Hz].
-    noise_gain
-        Noise of the force over noise of the reading [1].
-    steps
-        Sudden changes of the force that were found.
-    hum
-        Steady lines of the reading that were taken for hum and not for force.
-    assumptions
-        What was taken as zero because the recording does not have it.
-    budget
-        Root mean square of each contribution to the uncertainty [N].
-    contributions
-        The contributions themselves.
-    learned
-        Prior of the force and noise that the smoother took; None for the other methods.
-    shared
-        Noise that other components show and that was taken off the readings; None where none was.
-    """
-
-    component: str
-    values: Array
-    uncertainty: Array
-    method: str
-    noise: float
-    bandwidth: float
-    noise_gain: float
-    steps: tuple[Step, ...] = ()
-    hum: tuple[Line, ...] = ()
-    assumptions: tuple[str, ...] = ()
-    budget: dict[str, float] = field(default_factory=dict)
-    contributions: tuple[Contribution, ...] = ()
-    learned: Learned | None = None
-    shared: SharedNoise | None = None
-
-
-def with_balance(
-    estimate: ForceEstimate, static: Array, *, curvature: tuple[float, Array] = (0.0, np.ones(1))
-) -> ForceEstimate:
-    """Add the uncertainty of the balance matrix, its zeros and tares to an estimate.
-
-    The error of a matrix is a function of the load: to first order a gain and an offset. Both go through Eq. (17) of
-    [Gorbushin2020]_ unchanged, as it is linear, so the error of the force is that of a static load of its size. What
-    is curved in it comes on top where the load changes (`aerobalance.balance.calibration_nonlinearity`).
-
-    Parameters
-    ----------
-    estimate
-        The force from loads that were taken as exact but for their noise.
-    static
-        Standard uncertainty of a static load of the force's size, shape (n,) [N]; NaN counts as the largest.
-    curvature
-        Standard uncertainty from the matrix's curvature under loads that change [N], and the spectrum of that error
-        as `aerobalance.estimation.error_sources.Noise` takes it.
-    """
-    known = np.isfinite(static)
-    filled = np.where(known, static, np.max(static[known], initial=0.0))
-    parts: list[Contribution] = [_gain_and_offset(estimate.values, filled)]
-    deviation, spectrum = curvature
-    if deviation > 0:
-        level = np.full(filled.size, deviation)
-        parts.append(Noise("curvature of the balance matrix, ringing", "balance", level, spectrum))
-    return replace(
-        estimate,
-        uncertainty=np.sqrt(estimate.uncertainty**2 + filled**2 + deviation**2),
-        budget={
-            **estimate.budget,
-            parts[0].name: float(np.sqrt(np.mean(filled**2))),
-            **{part.name: deviation for part in parts[1:]},
-        },
-        contributions=(*estimate.contributions, *parts),
-    )
-
-
-def _gain_and_offset(values: Array, static: Array) -> Systematic:
-    """The error of a matrix as a gain and an offset: its variance is then a parabola over the force."""
-    size = float(np.max(np.abs(values), initial=0.0)) or 1.0
-    share = values / size
-    terms = np.column_stack([np.ones(share.size), 2 * share, share**2])
-    offset, both, gain = np.linalg.lstsq(terms, static**2, rcond=1e-9)[0]
-    level, vectors = np.linalg.eigh([[offset, both], [both, gain]])
-    covariance = (vectors * np.maximum(level, 0.0)) @ vectors.T
-    slopes = np.column_stack([np.ones(share.size), share])
-    found = float(np.mean(np.sum((slopes @ covariance) * slopes, axis=1)))
-    covariance *= float(np.mean(static**2)) / found if found > 0 else 0.0
-    names = ("offset", f"gain, at {size:.4g}")
-    return Systematic("balance matrix, zeros and tares", "balance", names, slopes, covariance)
 
 
 Through = Callable[[Array], Array]
@@ -270,10 +166,10 @@ class Job:
             if u > 0
         ]
 
-    def finish(self, values: Array, contributions: list[Contribution], **facts: object) -> ForceEstimate:
+    def finish(self, values: Array, contributions: list[Contribution], **facts: object) -> ComponentForce:
         """Put the answer together; a contribution that is nothing is left out, but for those that are always there."""
         parts = tuple(part for part in contributions if part.deviation.any() or part.source == "dynamics")
-        return ForceEstimate(
+        return ComponentForce(
             component=self.dynamics.component,
             values=values,
             uncertainty=total_deviation(parts),
@@ -282,3 +178,83 @@ class Job:
             contributions=parts,
             **facts,  # type: ignore[arg-type]
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IndependentRecord:
+    """A recording of components of which each rings for itself.
+
+    Attributes
+    ----------
+    recording
+        The recording.
+    dynamics
+        Dynamics of the components that are in it.
+    motions
+        What the ground end does along each of them.
+    """
+
+    recording: Recording
+    dynamics: IndependentDynamics
+    motions: Mapping[str, GroundMotion]
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        dynamics: IndependentDynamics,
+        *,
+        gravity: float = STANDARD_GRAVITY,
+        gravity_uncertainty: float = 0.0,
+    ) -> IndependentRecord:
+        """Take those of the components that are in a recording as it was written.
+
+        Raises
+        ------
+        FitError
+            A component has too few readings.
+        """
+        recording = corrected(recording)
+        known = IndependentDynamics({name: part for name, part in dynamics.items() if name in recording})
+        for name in known:
+            count = int(np.count_nonzero(np.isfinite(recording.channel(name).values)))
+            if count < FEWEST_SAMPLES:
+                raise FitError(
+                    f"{recording.name}: {count} readings of {name}; a force needs at least {FEWEST_SAMPLES}"
+                )
+        settings = {"gravity": gravity, "gravity_uncertainty": gravity_uncertainty}
+        return cls(recording, known, {name: GroundMotion.of(recording, name, **settings) for name in known})
+
+    @property
+    def loads(self) -> Array:
+        """Readings of the components, shape (samples, n) [N, N*m]; NaN where missing."""
+        return np.column_stack([self.recording.channel(name).values for name in self.dynamics])
+
+    @property
+    def has_gaps(self) -> bool:
+        """False: no force needs the readings of another component."""
+        return False
+
+    def filled_by(self, forces: Mapping[str, Array], *, filled: Array) -> Array:
+        """The readings as they are filled: nothing is filled, as no force needs it."""
+        return filled
+
+    def for_noise(self, run: IndependentRecord) -> IndependentRecord:
+        """The same record, of noise alone: it needs nothing of the run."""
+        return self
+
+    def jobs(self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None) -> dict[str, Job]:
+        """The components made ready, by name; arguments as `CoupledRecord.jobs` has them, but gaps stay gaps."""
+        spectra = {} if noises is None else noises
+        return {name: self.job(name, filled, noise=spectra.get(name)) for name in self.dynamics}
+
+    def job(
+        self,
+        component: str,
+        filled: Array | None = None,
+        *,
+        noise: NoiseSpectrum | None = None,
+        shared: SharedNoise | None = None,
+    ) -> Job:
+        """One component made ready."""
+        return Job(self.recording, self.dynamics[component], self.motions[component], noise=noise, shared=shared)

@@ -28,10 +28,11 @@ from aerobalance.io.units import Conversion, conversion, conversion_for, edge_un
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import is_gauge, si_unit
 from aerobalance.recording.errors import ReadError
-from aerobalance.recording.recording import Force, Recording
+from aerobalance.recording.recording import Recording
 
 if TYPE_CHECKING:
-    from aerobalance.balance.loads import LoadsFelt
+    from aerobalance.balance.loads import Loads
+    from aerobalance.estimation.result import ComponentForce
 
 __all__ = [
     "FORMATS",
@@ -326,7 +327,7 @@ def _column(channel: Channel, recording: Recording) -> dict[str, Array]:
     return {f"{channel.name} [{unit}]": values if change is None else as_it_went_in(values, change)}
 
 
-def write_force(path: Path | str, recording: Recording, force: Force) -> None:
+def write_force(path: Path | str, recording: Recording, force: Mapping[str, ComponentForce]) -> None:
     """Write the applied force beside the time column of its recording.
 
     Each component keeps its name and the unit it had in the recording's file, and is followed by its standard
@@ -339,7 +340,7 @@ def write_force(path: Path | str, recording: Recording, force: Force) -> None:
     recording
         The recording that the force was computed from.
     force
-        Force and uncertainty on the recording's clock, n samples.
+        Force and uncertainty by component, on the recording's clock.
 
     Raises
     ------
@@ -347,15 +348,15 @@ def write_force(path: Path | str, recording: Recording, force: Force) -> None:
         The force is not on the recording's clock; the ending stands for no format; the file cannot be written.
     """
     file = check_output(path)
-    if force.values.shape[0] != recording.samples:
-        raise ValueError(f"the force has {force.values.shape[0]} samples, the recording {recording.samples}")
     columns = _time_column(recording)
-    for index, name in enumerate(force.components):
+    for name, part in force.items():
+        if part.values.size != recording.samples:
+            raise ValueError(f"the force has {part.values.size} samples, the recording {recording.samples}")
         inside = si_unit(name)
         unit = (recording.channels[name].file_unit if name in recording else "") or inside
         change = conversion(unit, expected=inside)
-        values = change.outside(force.values[recording.rows, index])
-        u = change.outside(force.uncertainty[recording.rows, index])
+        values = change.outside(part.values[recording.rows])
+        u = change.outside(part.uncertainty[recording.rows])
         columns |= _result(file, f"{name} [{unit}]", values, u, least=u)
     _writer(file).write_columns(file, columns)
 
@@ -367,7 +368,7 @@ def _result(file: Path, label: str, values: Array, u: Array, *, least: Array) ->
     return {label: kept[0], f"u_{label}": kept[1]}
 
 
-def write_loads(path: Path | str, recording: Recording, felt: LoadsFelt) -> None:
+def write_loads(path: Path | str, recording: Recording, felt: Loads) -> None:
     """Write the loads felt beside the time column of their recording, and the channels that were no gauge outputs.
 
     Each load is followed by its standard uncertainty: ``time [s],NF [N],u_NF [N]``; the recording's pitch,

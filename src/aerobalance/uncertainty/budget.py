@@ -21,7 +21,7 @@ import numpy as np
 from scipy.signal import csd, welch
 
 from aerobalance.estimation.error_sources import Noise, Systematic
-from aerobalance.estimation.record import ForceEstimate
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
 
 SEGMENTS: Final = 8
@@ -78,7 +78,7 @@ class Scalar:
     parts: Mapping[str, float]
 
 
-def scalars(estimate: ForceEstimate) -> tuple[Scalar, ...]:
+def scalars(estimate: ComponentForce) -> tuple[Scalar, ...]:
     """Mean, rms about it, largest and least value of a force, with their standard uncertainties.
 
     Largest and least are the force at the instants where the estimate is largest and least.
@@ -91,19 +91,19 @@ def scalars(estimate: ForceEstimate) -> tuple[Scalar, ...]:
     return tuple(found)
 
 
-def _linear(name: str, estimate: ForceEstimate, weights: Array) -> Scalar:
+def _linear(name: str, estimate: ComponentForce, weights: Array) -> Scalar:
     parts = {part.name: float(np.sqrt(part.variance_of(weights))) for part in estimate.contributions}
     return Scalar(name, float(weights @ estimate.values), float(np.linalg.norm(list(parts.values()))), parts)
 
 
-def noise_power(estimate: ForceEstimate) -> float:
+def noise_power(estimate: ComponentForce) -> float:
     """Mean square of the noise about its mean [N^2]."""
     noises = [part for part in estimate.contributions if isinstance(part, Noise)]
     weights = np.full(estimate.values.size, 1 / estimate.values.size)
     return sum(float(np.mean(part.deviation**2)) - part.variance_of(weights) for part in noises)
 
 
-def _rms(estimate: ForceEstimate) -> Scalar:
+def _rms(estimate: ComponentForce) -> Scalar:
     """The rms about the mean: linear in the errors, and for noise their squares too, which do not vanish."""
     values = estimate.values
     centred = values - values.mean()
@@ -143,7 +143,7 @@ class ForceSpectrum:
     uncertainty: Array
 
 
-def spectrum(estimate: ForceEstimate, *, rate: float) -> ForceSpectrum:
+def spectrum(estimate: ComponentForce, *, rate: float) -> ForceSpectrum:
     """Power spectral density of the force by the method of [Welch1967]_, Hann windows that overlap by half.
 
     Parameters
@@ -201,7 +201,7 @@ class Share:
     scalars: Mapping[str, float]
 
 
-def budget(estimate: ForceEstimate) -> tuple[Share, ...]:
+def budget(estimate: ComponentForce) -> tuple[Share, ...]:
     """Uncertainty budget of a force, the largest contribution first."""
     found = scalars(estimate)
     squares = {part.name: float(np.mean(part.deviation**2)) for part in estimate.contributions}
@@ -228,7 +228,7 @@ def _not_rounding(u: float, square: float) -> float:
     return u if u > ROUNDING * np.sqrt(square) else 0.0
 
 
-def advice(estimate: ForceEstimate, *, unit: str = "N", sources: Mapping[str, str] | None = None) -> str:
+def advice(estimate: ComponentForce, *, unit: str = "N", sources: Mapping[str, str] | None = None) -> str:
     """One sentence on what to improve first, and what it would bring.
 
     Parameters

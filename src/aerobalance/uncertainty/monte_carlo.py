@@ -24,23 +24,18 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.coupled_force import filled_by
+from aerobalance.estimation.component_force import Method, estimated
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.decoupled_record import LoneJob
 from aerobalance.estimation.error_sources import Noise, Systematic
-from aerobalance.estimation.force import Method, estimated
+from aerobalance.estimation.force import Force, ForceRecord
 from aerobalance.estimation.force_smoother import Estimator
 from aerobalance.estimation.prior import Learned, Reading
-from aerobalance.estimation.record import ForceEstimate, Job
+from aerobalance.estimation.record import Job
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import Step, shape_of
-from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning
-from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import interpolate_gaps
 from aerobalance.uncertainty.budget import noise_power, scalars
 from aerobalance.uncertainty.sampling import drawn_coupled, drawn_dynamics, drawn_numbers
 
@@ -128,113 +123,57 @@ class MonteCarlo:
     doubts: tuple[str, ...] = field(default=())
 
 
-def monte_carlo(
-    recording: Recording,
-    dynamics: Dynamics,
-    estimate: ForceEstimate,
-    *,
-    draws: int,
-    seed: int,
-    motion: GroundMotion | None = None,
-    method: Method = "smoother",
-    bandwidth: float | None = None,
-) -> MonteCarlo:
-    """Check the uncertainty of an estimate by drawing everything that it depends on.
+def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, MonteCarlo]:
+    """Check of the uncertainty of a force [N], by component, by drawing everything that it depends on.
+
+    Where the components are coupled, every draw decouples the record anew with the matrices drawn.
 
     Parameters
     ----------
-    recording, dynamics, method, bandwidth
-        What the estimate was worked out from, and how.
-    estimate
-        The force with its uncertainty to first order.
+    force
+        The force, which holds what it was worked out from, and how.
     draws
         Number of draws, at least `FEWEST_DRAWS`.
     seed
-        Seed of the draws.
-    motion
-        The ground's motion that the estimate was worked out with; taken from the recording if None.
+        Seed of the draws; every component has draws of its own.
 
     Raises
     ------
     FitError
         The parameters are so uncertain that a draw of them is not physical.
+    ValueError
+        There are too few draws.
     """
-    _check(draws)
-    if motion is None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DataQualityWarning)  # said when the force was worked out
-            motion = GroundMotion.of(recording, dynamics.component)
-    job = Job.of(recording, dynamics, motion)
-
-    def changed(generator: np.random.Generator) -> Iterator[Job]:
-        if not dynamics.covariance.any():
-            return repeat(job, draws)
-        return (job.with_dynamics(other) for other in drawn_dynamics(generator, dynamics, draws))
-
-    trial = _Trial(job, estimate, changed, draws, np.random.default_rng(seed))
-    return trial.run(seed, method=method, bandwidth=bandwidth)
-
-
-def monte_carlo_of_coupled(
-    recording: Recording,
-    dynamics: CoupledDynamics,
-    estimates: Mapping[str, ForceEstimate],
-    *,
-    draws: int,
-    seed: int,
-    gravity: float = STANDARD_GRAVITY,
-    gravity_uncertainty: float = 0.0,
-    method: Method = "smoother",
-    bandwidth: float | None = None,
-) -> dict[str, MonteCarlo]:
-    """Check the uncertainty of coupled components: every draw takes the record apart anew with the matrices drawn.
-
-    Parameters
-    ----------
-    recording, dynamics, gravity, gravity_uncertainty, method, bandwidth
-        What the estimates were worked out from, and how.
-    estimates
-        The forces with their uncertainty to first order, of all components.
-    draws, seed
-        As in `monte_carlo`; every component has draws of its own.
-
-    Raises
-    ------
-    FitError
-        The matrices or the mass are so uncertain that a draw of them is not physical.
-    """
-    _check(draws)
+    if draws < FEWEST_DRAWS:
+        raise ValueError(f"draws must be at least {FEWEST_DRAWS}, not {draws}")
+    settings = force.settings
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)  # said when the force was worked out
-        record = CoupledRecord.of(recording, dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
-        filled = interpolate_gaps(record.loads)
-        if record.has_gaps:
-            filled = filled_by({name: one.values for name, one in estimates.items()}, record, filled=filled)
+        record, filled = force.record, force.filled
         found = {}
-        for name, estimate in estimates.items():
+        for name, estimate in force.items():
             job = record.job(name, filled, shared=estimate.shared)
-            changed = partial(_changed_record, record, job, filled, draws)
+            changed = partial(_changed, record, job, filled, draws)
             trial = _Trial(job, estimate, changed, draws, np.random.default_rng(seed))
-            found[name] = trial.run(seed, method=method, bandwidth=bandwidth)
+            found[name] = trial.run(seed, method=settings.method, bandwidth=settings.bandwidth)
     return found
 
 
-def _check(draws: int) -> None:
-    if draws < FEWEST_DRAWS:
-        raise ValueError(f"draws must be at least {FEWEST_DRAWS}, not {draws}")
-
-
-def _changed_record(
-    record: CoupledRecord, job: LoneJob, filled: Array, draws: int, generator: np.random.Generator
+def _changed(
+    record: ForceRecord, job: Job, filled: Array, draws: int, generator: np.random.Generator
 ) -> Iterator[Job]:
-    """The component taken apart with one draw of the dynamics after the other."""
+    """The component made ready with one draw of the dynamics after the other."""
+    if not isinstance(record, CoupledRecord) or not isinstance(job, LoneJob):
+        if not job.dynamics.covariance.any():
+            return repeat(job, draws)
+        return (job.with_dynamics(other) for other in drawn_dynamics(generator, job.dynamics, draws))
     matrices = record.dynamics.covariance.any()
     mass = record.dynamics.mass is not None and record.dynamics.mass.covariance.any()
     if not (matrices or (mass and record.platform.specific_force.any())):
         return repeat(job, draws)
-    changed = drawn_coupled(generator, record.dynamics, job.rows, draws)
+    drawn = drawn_coupled(generator, record.dynamics, job.rows, draws)
     component, shared = job.dynamics.component, job.shared
-    return (record.taken_with(other).job(component, filled, shared=shared) for other in changed)
+    return (record.taken_with(other).job(component, filled, shared=shared) for other in drawn)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,7 +181,7 @@ class _Trial:
     """An estimate, what it was worked out from, and where the draws come from."""
 
     job: Job
-    estimate: ForceEstimate
+    estimate: ComponentForce
     changed: Callable[[np.random.Generator], Iterator[Job]]
     draws: int
     generator: np.random.Generator
@@ -330,7 +269,9 @@ def _changed_sides(reading: Reading, steps: tuple[Step, ...], sizes: Array) -> A
     return error
 
 
-def _summed_up(estimate: ForceEstimate, errors: Iterator[Mapping[str, Array]], *, draws: int, seed: int) -> MonteCarlo:
+def _summed_up(
+    estimate: ComponentForce, errors: Iterator[Mapping[str, Array]], *, draws: int, seed: int
+) -> MonteCarlo:
     """Standard uncertainties and intervals from the draws, beside those to first order."""
     whole = np.empty((draws, estimate.values.size))
     energies: dict[str, list[float]] = {}
@@ -362,7 +303,7 @@ def _summed_up(estimate: ForceEstimate, errors: Iterator[Mapping[str, Array]], *
     )
 
 
-def _scalars(estimate: ForceEstimate, errors: Array) -> tuple[Compared, ...]:
+def _scalars(estimate: ComponentForce, errors: Array) -> tuple[Compared, ...]:
     """Spread of the numbers that sum up the force."""
     first = {item.name: item for item in scalars(estimate)}
     force = estimate.values + errors

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aerobalance.estimation.error_sources import Contribution, Systematic
-from aerobalance.estimation.record import ForceEstimate
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 
@@ -90,7 +90,7 @@ class Regression:
         return float(self.values[place]), float(self.uncertainty[place])
 
 
-def regress(estimate: ForceEstimate, regressors: Mapping[str, ArrayLike], *, span: slice = slice(None)) -> Regression:
+def regress(estimate: ComponentForce, regressors: Mapping[str, ArrayLike], *, span: slice = slice(None)) -> Regression:
     """Write a force as a sum of regressors by least squares.
 
     Parameters
@@ -165,7 +165,7 @@ def _under(weights: Array, density: Array) -> Array:
     return np.asarray(np.real((lines * power) @ lines.conj().T))
 
 
-def _column(name: str, values: ArrayLike, estimate: ForceEstimate) -> Array:
+def _column(name: str, values: ArrayLike, estimate: ComponentForce) -> Array:
     """One regressor, checked."""
     column = np.asarray(values, dtype=np.float64)
     if column.shape not in ((), estimate.values.shape):

@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import butter, filtfilt, iirnotch, sosfiltfilt
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force import reconstruct
+from aerobalance.estimation.force import estimate_force
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, acceleration_name
@@ -226,7 +226,7 @@ def _design(response: MeasuredResponse, rate: float) -> Array:
 def central_differences(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
     """Eq. (17) of [Gorbushin2020]_ with the paper's derivatives."""
     whole = without_gaps(recording, dynamics.component)
-    estimate = reconstruct(whole, dynamics, method="paper", gravity=settings.gravity)
+    estimate = estimate_force(whole, dynamics, method="paper", gravity=settings.gravity).only
     left = _one_mode(dynamics, "M, b and k are those of the first")
     return RivalEstimate(
         "central differences", estimate.values, estimate.method, f"no delay; first and last sample poor{left}"
@@ -236,15 +236,15 @@ def central_differences(recording: Recording, dynamics: Dynamics, settings: Sett
 def band_limited(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
     """Eq. (17) of [Gorbushin2020]_ limited to a band, customarily twice the natural frequency."""
     bandwidth = _corner(recording, settings, 2 * dynamics.natural_frequency)
-    estimate = reconstruct(
+    estimate = estimate_force(
         without_gaps(recording, dynamics.component), dynamics, bandwidth=bandwidth, gravity=settings.gravity
-    )
+    ).only
     return RivalEstimate("band-limited inverse", estimate.values, estimate.method, ZERO_PHASE, tuning=bandwidth)
 
 
 def this_estimator(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
     """The program's own estimate."""
-    estimate = reconstruct(recording, dynamics, gravity=settings.gravity)
+    estimate = estimate_force(recording, dynamics, gravity=settings.gravity).only
     return RivalEstimate(THIS, estimate.values, estimate.method, "no delay; every sample has its uncertainty")
 
 

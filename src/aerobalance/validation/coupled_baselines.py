@@ -15,19 +15,19 @@ import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics, Mode
-from aerobalance.estimation.coupled_force import filled_by, reconstruct_coupled
+from aerobalance.estimation.component_force import estimated
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.force import estimated
+from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.force_smoother import Smoothed
 from aerobalance.estimation.prior import learn
-from aerobalance.estimation.record import ForceEstimate, Job
+from aerobalance.estimation.record import Job
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import columns_of
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import interpolate_gaps
 from aerobalance.validation.baselines import (
     THIS,
     ZERO_PHASE,
@@ -77,7 +77,7 @@ class _Component:
 
     record: CoupledRecord
     filled: Array
-    own: Mapping[str, ForceEstimate]
+    own: Mapping[str, ComponentForce]
     place: int
 
     @property
@@ -224,11 +224,10 @@ def estimates_of_coupled(
         covariance=np.zeros_like(dynamics.covariance),
         mass=None if mass is None else replace(mass, covariance=np.zeros_like(mass.covariance)),
     )
-    record = CoupledRecord.of(recording, exact, gravity=gravity)
-    own = reconstruct_coupled(recording, exact, gravity=gravity)
-    filled = interpolate_gaps(record.loads)
-    if not np.isfinite(record.loads).all():
-        filled = filled_by({name: one.values for name, one in own.items()}, record, filled=filled)
+    own = estimate_force(recording, exact, gravity=gravity)
+    record, filled = own.record, own.filled
+    if not isinstance(record, CoupledRecord):
+        raise TypeError("the dynamics are not coupled")
     found = {}
     for name in components:
         part = _Component(record, filled, own, exact.components.index(name))

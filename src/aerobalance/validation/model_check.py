@@ -13,19 +13,24 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics, Mode
-from aerobalance.estimation.record import Job
+from aerobalance.estimation.force import Force
+from aerobalance.estimation.prior import Reading
+from aerobalance.estimation.record import FEWEST_SAMPLES, Job
+from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
 from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.identification.free_decay.event import first_look
 from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
 from aerobalance.identification.free_decay.waveform import fit_ring
-from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import frequency_text, share_text
 from aerobalance.validation.local_modes import Averaged, missing_mode, own_resonance
+from aerobalance.validation.peaks import Peak, peak_sentences
+from aerobalance.validation.unmeasured_rotation import turning_by_angles
 
 DRIFT: Final = 5.0
 """Standard uncertainties that frequency or damping has to be off before it is said to have changed."""
@@ -120,34 +125,83 @@ class Misfit:
         return found
 
 
-def misfit_of(recording: Recording, dynamics: Dynamics, *, noise: float, steps: Sequence[Step] = ()) -> Misfit:
-    """Look in a record for a mode that the dynamics lack, and for a frequency or damping that has changed.
+def contradictions(force: Force) -> list[str]:
+    """What a record says against the dynamics that its force was worked out with: a sentence for each finding.
 
     Parameters
     ----------
-    recording
-        The record.
-    dynamics
-        What is known of the balance.
+    force
+        The force, which holds the record.
+    """
+    jobs = force.record.jobs(force.filled)
+    both = [(jobs[name], part) for name, part in force.items()]
+    if isinstance(force.dynamics, CoupledDynamics):
+        peaks = [peak for job, part in both for peak in _peaks(job, noise=part.noise, steps=part.steps, hum=part.hum)]
+        turning = turning_by_angles(force.recording, force.dynamics, force)
+        return [*peak_sentences(peaks, force.dynamics.modes), *turning]
+    misfits = [(job, misfit_of(job, noise=part.noise, steps=part.steps, hum=part.hum)) for job, part in both]
+    return [text for job, misfit in misfits for text in misfit.sentences(job.dynamics)]
+
+
+def misfit_of(job: Job, *, noise: float, steps: Sequence[Step] = (), hum: Sequence[Line] = ()) -> Misfit:
+    """A mode of a record that the dynamics lack, and a frequency or damping that has changed.
+
+    Parameters
+    ----------
+    job
+        The component with its record and dynamics.
     noise
         Standard uncertainty of a reading of the load [N].
-    steps
-        Sudden changes of the force that were found in the record.
+    steps, hum
+        Sudden changes of the force, and lines of hum, that were found in the record.
     """
-    nothing = Misfit(dynamics.component)
-    reading = Job.of(recording, dynamics, GroundMotion.of(recording, dynamics.component)).reading()
-    reading = replace(reading, values=reading.values[:LONGEST])
-    if not reading.present.all() or float(np.ptp(reading.values)) == 0:
-        return nothing
-    release = _release(recording, dynamics, reading.values, noise=noise)
-    known = recording.channel(dynamics.component).values
+    seen = _unbroken(job, steps, hum)
+    if seen is None:
+        return Misfit(job.dynamics.component)
+    reading, within = seen
+    release = _release(job, reading.values, noise=noise)
+    known = job.load
     if release is not None:
-        return _possible(_after_release(release, dynamics), most=float(np.ptp(known)))
-    steps = [step for step in steps if step.instant < reading.values.size * reading.interval]
-    columns = columns_of(steps, reading)
+        return _possible(_after_release(release, job.dynamics), most=float(np.nanmax(known) - np.nanmin(known)))
+    left = _without_steps(reading, within)
+    found = _in_spectrum(left, job.dynamics, interval=reading.interval, noise=noise)
+    return _possible(found, most=float(np.nanstd(known)))
+
+
+def _peaks(job: Job, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]) -> list[Peak]:
+    """A narrow peak in the reading of a decoupled component, in which no mode of the dynamics shows."""
+    seen = _unbroken(job, steps, hum)
+    if seen is None:
+        return []
+    reading, within = seen
+    averaged = Averaged.of(_without_steps(reading, within), interval=reading.interval, noise=noise)
+    mode = None if averaged is None else missing_mode(averaged, job.dynamics)
+    return [] if mode is None else [Peak(job.dynamics.component, mode.mode.natural_frequency, mode.u_frequency)]
+
+
+def _unbroken(job: Job, steps: Sequence[Step], hum: Sequence[Line]) -> tuple[Reading, list[Step]] | None:
+    """The longest stretch of a reading without a gap, hum taken out, and the steps within; None where it is still."""
+    reading = job.reading()
+    lines = reading_of_lines(tuple(hum), count=reading.values.size, interval=reading.interval) if hum else 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], reading.present, [False])).astype(np.int8)))
+    stretches = edges.reshape(-1, 2)
+    if not len(stretches):
+        return None
+    first, last = (int(edge) for edge in stretches[np.argmax(stretches[:, 1] - stretches[:, 0])])
+    last = min(last, first + LONGEST)
+    values = (reading.values - lines)[first:last]
+    if values.size < FEWEST_SAMPLES or float(np.ptp(values)) == 0:
+        return None
+    begin, end = first * reading.interval, last * reading.interval
+    within = [replace(step, instant=step.instant - begin) for step in steps if begin <= step.instant < end]
+    return replace(reading, values=values), within
+
+
+def _without_steps(reading: Reading, steps: Sequence[Step]) -> Array:
+    """Reading less the mean, the steps and the free motion that explain it best, shape (n,)."""
+    columns = columns_of(list(steps), reading)
     sizes, *_ = np.linalg.lstsq(columns, reading.values, rcond=None)
-    found = _in_spectrum(reading.values - columns @ sizes, dynamics, interval=reading.interval, noise=noise)
-    return _possible(found, most=float(np.std(known)))
+    return np.asarray(reading.values - columns @ sizes)
 
 
 def _possible(found: Misfit, *, most: float) -> Misfit:
@@ -155,8 +209,9 @@ def _possible(found: Misfit, *, most: float) -> Misfit:
     return found if found.size is None or found.size <= most else replace(found, size=None)
 
 
-def _release(recording: Recording, dynamics: Dynamics, values: Array, *, noise: float) -> DecayFit | None:
+def _release(job: Job, values: Array, *, noise: float) -> DecayFit | None:
     """The record as a free decay, where that explains it down to its noise."""
+    recording, dynamics = job.recording, job.dynamics
     name = dynamics.component
     channel = replace(recording.channel(name), values=values)
     alone = Recording.from_columns(np.arange(values.size) / recording.rate, {name: channel}, name=recording.name)

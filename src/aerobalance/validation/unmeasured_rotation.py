@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.estimation.record import ForceEstimate
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.sensors import ground_sensors
 from aerobalance.motion.single_axis import without_gaps
@@ -84,7 +84,7 @@ class Bend:
 
 
 def turning_by_angles(
-    recording: Recording, dynamics: CoupledDynamics, estimates: Mapping[str, ForceEstimate]
+    recording: Recording, dynamics: CoupledDynamics, estimates: Mapping[str, ComponentForce]
 ) -> list[str]:
     """Say which forces hold a load of angular acceleration that only pitch or roll shows.
 
@@ -169,7 +169,7 @@ class Load(NamedTuple):
     clear: bool
 
 
-def _told(bend: Bend, loads: Array, estimates: Mapping[str, ForceEstimate]) -> Iterator[Load]:
+def _told(bend: Bend, loads: Array, estimates: Mapping[str, ComponentForce]) -> Iterator[Load]:
     """Components whose force may hold so much of the loads, shape (m, 6), that its uncertainty is too small."""
     for name, estimate in estimates.items():
         load = loads[:, COMPONENTS.index(name)]

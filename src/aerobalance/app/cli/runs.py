@@ -114,7 +114,7 @@ def force(
 ) -> None:
     """Work out the force that was applied, with the standard uncertainty of every sample, its budget and a check."""
     from aerobalance.app.commands import force as command
-    from aerobalance.app.commands.known import Check
+    from aerobalance.estimation.force import ForceSettings
 
     files = gauge_files(balance, zero, model_on_zero, zero_after, tare)
 
@@ -123,15 +123,11 @@ def force(
             rec,
             out,
             dynamics=dynamics,
-            method=method.value,
-            bandwidth=bandwidth,
-            gravity=gravity,
-            gravity_uncertainty=u_gravity,
-            hum=command.hum_of(hum),
+            settings=ForceSettings(method.value, bandwidth, gravity, u_gravity, command.hum_of(hum)),
             noise_record=noise_record,
             files=files,
             channel_map=channel_map,
-            check=None if monte_carlo is None else Check(monte_carlo, seed),
+            check=None if monte_carlo is None else command.Check(monte_carlo, seed),
             report=report,
         ),
         Manner(as_json, verbose, replace),

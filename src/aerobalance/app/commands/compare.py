@@ -9,11 +9,13 @@ from typing import Final
 import numpy as np
 
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.known import Coupled, read_known
 from aerobalance.app.commands.loads import Source, loads_account
 from aerobalance.app.commands.shared import Account, check_out, doubts, known_component
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.io import read
+from aerobalance.io.coupled_file import read_any_dynamics
 from aerobalance.io.kinds import PAGE
 from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.errors import FitError
@@ -52,18 +54,18 @@ def compare(
     """
     if component is not None:
         known_component(component)
-    known = read_known(dynamics)
+    known = dynamics_of(read_any_dynamics(dynamics))
     source = Source(known, files, gravity, channel_map)
     inputs = [path, dynamics, *source.paths, *(file for file in (truth, step) if file is not None)]
     check_out(out, *inputs, kind=PAGE)
-    if isinstance(known, Coupled):
+    if isinstance(known, CoupledDynamics):
         from aerobalance.app.commands.compare_coupled import compare_coupled  # noqa: PLC0415 - it takes parts of this
 
         if step is not None:
             raise ValueError("--step is for components each for itself: a step of one rings in all that are coupled")
         return compare_coupled(
             path,
-            known.dynamics,
+            known,
             source=source,
             inputs=inputs,
             truth=truth,
@@ -72,11 +74,11 @@ def compare(
             out=out,
         )
     component = component or "AF"
-    if component not in known.parts:
-        raise FitError(f"{dynamics} has no {component}; it has {', '.join(known.parts)}")
+    if component not in known:
+        raise FitError(f"{dynamics} has no {component}; it has {', '.join(known)}")
     return _compare_one(
         path,
-        known.parts[component],
+        known[component],
         source=source,
         inputs=inputs,
         truth=truth,
@@ -100,13 +102,13 @@ def _compare_one(
     """Every rival on one component that rings for itself."""
     component = balance.component
     with doubts() as collected:
-        recording, reduced = source.recording(path)
+        recording, reduced = source.with_loads(path)
         recording.channel(component)
         applied = None
         if truth is not None:
             values = truth_on_clock(recording, read(truth), component)
             applied = Truth.of(values, rate=recording.rate, natural_frequency=balance.natural_frequency)
-        response = None if step is None else _response(source.recording(step)[0], recording, balance)
+        response = None if step is None else _response(source.with_loads(step)[0], recording, balance)
         settings = Settings(gravity=source.gravity, response=response)
         found = estimates(recording, balance, settings=settings, truth=applied)
     account: Account = {
@@ -119,7 +121,7 @@ def _compare_one(
             for mode in balance.further_modes
         ],
         **standings(found, applied, half_range=half_range, unit=si_unit(component)),
-        **({} if reduced is None else {"loads": loads_account(reduced.felt, reduced.matrix)}),
+        **({} if reduced is None else {"loads": loads_account(reduced)}),
         "warnings": collected,
     }
     if out is not None:

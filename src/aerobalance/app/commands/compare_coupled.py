@@ -37,7 +37,7 @@ def compare_coupled(
         raise FitError(f"the dynamics have no {component}; they have {', '.join(dynamics.components)}")
     lowest = dynamics.modes[0].natural_frequency
     with doubts() as collected:
-        recording, reduced = source.recording(path)
+        recording, reduced = source.with_loads(path)
         truths: dict[str, Truth] = {}
         if truth is not None:
             applied = read(truth)
@@ -57,7 +57,7 @@ def compare_coupled(
             }
             for name, rows in found.items()
         },
-        **({} if reduced is None else {"loads": loads_account(reduced.felt, reduced.matrix)}),
+        **({} if reduced is None else {"loads": loads_account(reduced)}),
         "warnings": collected,
     }
     account["table"] = table_of(account)

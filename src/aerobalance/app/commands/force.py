@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.known import Check, Coupled, Known, Settings, read_known
-from aerobalance.app.commands.loads import Reduction, Source, loads_account
+from aerobalance.app.commands.loads import Source, loads_account
 from aerobalance.app.commands.shared import Account, check_out, doubts
 from aerobalance.app.commands.uncertainty import (
     Origins,
@@ -21,19 +20,38 @@ from aerobalance.app.commands.uncertainty import (
     monte_carlo_account,
     scalar_account,
 )
-from aerobalance.balance.calibration_nonlinearity import CurvatureErrors
-from aerobalance.balance.loads import static_uncertainty
-from aerobalance.estimation.force import Method
-from aerobalance.estimation.record import ForceEstimate, with_balance
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
+from aerobalance.estimation.force import Force, ForceSettings, estimate_force
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.io import check_output, write_force
 from aerobalance.io.artefacts import digest
+from aerobalance.io.coupled_file import read_any_dynamics
 from aerobalance.io.kinds import PAGE, TABLE
-from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge, si_unit
-from aerobalance.recording.errors import FitError, warn_quality
-from aerobalance.recording.recording import GAUGES_BECOME_LOADS, Force, Recording
-from aerobalance.uncertainty.monte_carlo import MonteCarlo
+from aerobalance.recording.components import COMPONENTS, si_unit
+from aerobalance.recording.errors import warn_quality
+from aerobalance.uncertainty.monte_carlo import MonteCarlo, monte_carlo
+from aerobalance.validation.model_check import contradictions
+
+DEFAULT_SEED: Final = 1
+"""Seed of Monte Carlo where none is given, so that the same inputs give the same result."""
+
+
+class Check(NamedTuple):
+    """A Monte Carlo check that is wanted.
+
+    Attributes
+    ----------
+    draws
+        Number of draws.
+    seed
+        Seed that they come from.
+    """
+
+    draws: int
+    seed: int = DEFAULT_SEED
 
 
 def force(
@@ -41,134 +59,74 @@ def force(
     out: Path,
     *,
     dynamics: Path,
-    method: Method = "smoother",
-    bandwidth: float | None = None,
-    gravity: float = STANDARD_GRAVITY,
-    gravity_uncertainty: float = 0.0,
-    hum: Hum = "mains",
+    settings: ForceSettings | None = None,
     noise_record: Path | None = None,
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
     check: Check | None = None,
     report: Path | None = None,
 ) -> Account:
-    """Force applied, with its uncertainty, from the loads felt or, with a balance, from its gauge outputs."""
+    """Force applied, with its uncertainty, from balance loads or, with a balance, from gauge outputs."""
     check_output(out)
-    known = read_known(dynamics)
-    settings = Settings(method, bandwidth, gravity, gravity_uncertainty, hum)
-    source = Source(known, files, gravity, channel_map)
+    known = dynamics_of(read_any_dynamics(dynamics))
+    settings = ForceSettings() if settings is None else settings
+    source = Source(known, files, settings.gravity, channel_map)
     inputs = [path, dynamics, *source.paths, *([] if noise_record is None else [noise_record])]
     check_out(out, *inputs, kind=TABLE)
     check_out(report, *inputs, out, kind=PAGE)
     with doubts() as collected:
         if files is not None:
             source = source._replace(known=_through(files.balance, known, dynamics=dynamics))
-        found = _found(path, source, settings, noise_record=noise_record, check=check)
-    recording, estimates, reduction = found.recording, found.estimates, found.reduction
-    write_force(out, recording, _force_of(estimates, recording))
+        calm = None if noise_record is None else source.read(noise_record)
+        found = estimate_force(source.read(path), source.known, noise=calm, **asdict(settings))
+        for text in contradictions(found):
+            warn_quality(f"{found.recording.name}: {text}")
+        checked = {} if check is None else monte_carlo(found, draws=check.draws, seed=check.seed)
+        for name, result in checked.items():
+            for text in result.doubts:
+                warn_quality(f"{found.recording.name}: {name}: {text}")
+    recording = found.recording
+    write_force(out, recording, found)
     origins = Origins(recording, dynamics, None if files is None else files.balance)
     account: Account = {
         "written": out.name,
-        "components": {name: found.account(name, origins) for name in estimates},
-        "components_without_dynamics": [name for name in COMPONENTS if name in recording and name not in estimates],
-        **({} if reduction is None else {"loads": loads_account(reduction.felt, reduction.matrix)}),
+        "components": {name: _account(found, name, origins, checked.get(name)) for name in found},
+        "components_without_dynamics": [name for name in COMPONENTS if name in recording and name not in found],
+        **({} if found.loads is None else {"loads": loads_account(found.loads)}),
         "warnings": collected,
     }
     if report is not None:
         from aerobalance.app.reports.force_report import write_force_report  # noqa: PLC0415 - plotting is slow
 
-        write_force_report(report, account, estimates, recording=recording, inputs=inputs)
+        write_force_report(report, account, found, inputs=inputs)
         account["report"] = report.name
     account["file"] = path.name
     return {**account, "summary": force_text(account), "details": budget_text(account["components"])}
 
 
-def _through(balance: Path, known: Known, *, dynamics: Path) -> Known:
+def _account(found: Force, name: str, origins: Origins, checked: MonteCarlo | None) -> Account:
+    """Plain data on one component."""
+    account = force_account(found[name], origins)
+    if name in found.noises:
+        account["noise_spectrum"] = noise_account(found.noises[name])
+    if checked is not None:
+        account["monte_carlo"] = monte_carlo_account(checked)
+    return account
+
+
+def _through(
+    balance: Path, known: IndependentDynamics | CoupledDynamics, *, dynamics: Path
+) -> IndependentDynamics | CoupledDynamics:
     """Dynamics for loads by a balance matrix: what another matrix left in them is not in these loads as well."""
-    if not isinstance(known, Coupled) or not known.dynamics.covariance_of_calibration.any():
+    if not isinstance(known, CoupledDynamics) or not known.covariance_of_calibration.any():
         return known
-    if known.dynamics.balance == digest(balance):
+    if known.balance == digest(balance):
         return known
     warn_quality(
         f"{dynamics.name} was found by another balance matrix than {balance.name}; what the calibration of that one "
         "left in the dynamics is added to the uncertainty"
     )
-    return Coupled(known.dynamics.with_calibration)
-
-
-class _Found(NamedTuple):
-    """The forces of a recording, and what else was found on the way, by component."""
-
-    recording: Recording
-    reduction: Reduction | None
-    estimates: dict[str, ForceEstimate]
-    noises: dict[str, NoiseSpectrum]
-    checked: dict[str, MonteCarlo]
-
-    def account(self, name: str, origins: Origins) -> Account:
-        """Plain data on one component."""
-        account = force_account(self.estimates[name], origins)
-        if name in self.noises:
-            account["noise_spectrum"] = noise_account(self.noises[name])
-        if name in self.checked:
-            account["monte_carlo"] = monte_carlo_account(self.checked[name])
-        return account
-
-
-def _found(
-    path: Path, source: Source, settings: Settings, *, noise_record: Path | None, check: Check | None
-) -> _Found:
-    """Work out the forces; what is doubtful is warned of."""
-    known = source.known
-    recording, reduction = source.recording(path)
-    if not known.names_in(recording):
-        gauges = any(is_gauge(name) for name in recording.channels)
-        raise FitError(
-            f"{path} has none of the components of the dynamics, {', '.join(known.components)}; it has "
-            f"{', '.join(recording.channels) or 'no channels'}" + (f"; {GAUGES_BECOME_LOADS}" if gauges else "")
-        )
-    noises = {}
-    if noise_record is not None:
-        noises = known.noises(source.recording(noise_record)[0], settings, run=recording)
-    estimates = known.forces(recording, settings, noises=noises)
-    if reduction is not None:
-        estimates = _with_matrix(estimates, reduction, known, rate=recording.rate)
-    texts = known.doubts(recording, estimates)
-    checked = {} if check is None else known.checked(recording, estimates, settings, check=check)
-    texts += [f"{name}: {text}" for name, result in checked.items() for text in result.doubts]
-    for text in texts:
-        warn_quality(f"{recording.name}: {text}")
-    return _Found(recording, reduction, estimates, noises, checked)
-
-
-def _with_matrix(
-    estimates: Mapping[str, ForceEstimate], reduction: Reduction, known: Known, *, rate: float
-) -> dict[str, ForceEstimate]:
-    """Add what is not known of the balance matrix to the uncertainty."""
-    felt, matrix = reduction.felt, reduction.matrix
-    static = static_uncertainty(felt, matrix, forces={name: found.values for name, found in estimates.items()})
-    highest = max(found.bandwidth for found in estimates.values())
-    curvature = CurvatureErrors.of(felt, matrix, rate=rate, highest=highest)
-    names = list(estimates)
-    densities = curvature.in_force(known.ringing(names, curvature.resolved), names)
-    return {
-        name: with_balance(
-            found,
-            np.hypot(static[name], curvature.offset(name)),
-            curvature=curvature.as_noise(density, bandwidth=found.bandwidth),
-        )
-        for (name, found), density in zip(estimates.items(), densities.T, strict=True)
-    }
-
-
-def _force_of(estimates: Mapping[str, ForceEstimate], recording: Recording) -> Force:
-    parts = list(estimates.values())
-    return Force(
-        components=tuple(estimates),
-        values=np.column_stack([part.values for part in parts]),
-        uncertainty=np.column_stack([part.uncertainty for part in parts]),
-        rate=recording.rate,
-    )
+    return known.with_calibration
 
 
 def noise_account(spectrum: NoiseSpectrum) -> Account:
@@ -199,7 +157,7 @@ def hum_of(text: str) -> Hum:
         raise ValueError(f"--hum must be mains, keep or frequencies in Hz such as 50,100, not {text}") from None
 
 
-def force_account(estimate: ForceEstimate, origins: Origins) -> Account:
+def force_account(estimate: ComponentForce, origins: Origins) -> Account:
     """Plain data on one component's force; instants are on the recording's own clock."""
     start = origins.recording.start
     unit = si_unit(estimate.component)

@@ -1,4 +1,4 @@
-"""Loads felt in the recordings that dynamics are identified from, where gauge outputs were recorded."""
+"""Balance loads in the recordings that dynamics are identified from, where gauge outputs were recorded."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.loads import Hanging, from_gauges
 from aerobalance.balance.matrix_errors import MatrixErrors
+from aerobalance.balance.reduction import NotWeighed
 from aerobalance.balance.weighing.result import Weighing
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import warn_quality
@@ -25,7 +25,7 @@ def releases_felt(
     channel_map: Path | None,
     counted: bool = True,
 ) -> tuple[list[Recording], list[MatrixErrors]]:
-    """Loads felt in place of gauge outputs, and where the matrix was used for them, release by release.
+    """Balance loads in place of gauge outputs, and where the matrix was used for them, release by release.
 
     What hangs on the balance does not change the ringing. But bridges that are curved ring as where they are, so the
     weight in a zero that was read with the model on is put back, as far as a weighing or natural zeros tell it.
@@ -43,18 +43,15 @@ def releases_felt(
     counted
         Whether what the calibration leaves is to be counted, for which the matrix must hold it.
     """
-    hung = Hanging(weighing)
+    model = NotWeighed() if weighing is None else weighing
     gravity = STANDARD_GRAVITY if weighing is None else weighing.gravity
-    found = [from_gauges(recording, files, hung, gravity=gravity, channel_map=channel_map) for recording in recordings]
-    if counted and not all(part.matrix.covariance.any() for _, part in found):
+    found = [files.loads(recording, model=model, gravity=gravity, channel_map=channel_map) for recording in recordings]
+    if counted and not all(loads.balance.covariance.any() for loads in found):
         warn_quality(
             f"{files.balance.name} holds no covariance of its coefficients; what its calibration leaves in the "
             "dynamics is not known"
         )
-    errors = [
-        MatrixErrors(part.matrix, part.felt.components, part.felt.transform, part.felt.native) for _, part in found
-    ]
-    return [recording for recording, _ in found], errors
+    return [loads.recording for loads in found], [loads.matrix_errors for loads in found]
 
 
 def with_sensitivity_error(recording: Recording, component: str, errors: MatrixErrors) -> Recording:

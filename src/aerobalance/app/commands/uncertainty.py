@@ -11,7 +11,7 @@ import numpy as np
 
 from aerobalance.app.commands.answers import rounded, short
 from aerobalance.app.commands.shared import Account, table_text
-from aerobalance.estimation.record import ForceEstimate
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import Share, advice, budget, scalars, spectrum
@@ -65,7 +65,7 @@ class Origins:
         return f"{' and '.join(channels)}{how}"
 
 
-def scalar_account(estimate: ForceEstimate, recording: Recording) -> Account:
+def scalar_account(estimate: ComponentForce, recording: Recording) -> Account:
     """Mean, rms about it and extremes of a force, with their standard uncertainties."""
     found = {item.name: item for item in scalars(estimate)}
     account: Account = {}
@@ -87,13 +87,13 @@ def significant(rows: Sequence[Share]) -> list[Share]:
     ]
 
 
-def budget_rms(estimate: ForceEstimate) -> dict[str, float]:
+def budget_rms(estimate: ComponentForce) -> dict[str, float]:
     """Rms of every contribution, zero for what is only lost in calculating."""
     least = NOTHING * max(estimate.budget.values(), default=0.0)
     return {name: rms if rms > least else 0.0 for name, rms in estimate.budget.items()}
 
 
-def budget_account(estimate: ForceEstimate, origins: Origins) -> Account:
+def budget_account(estimate: ComponentForce, origins: Origins) -> Account:
     """Uncertainty budget, what to improve first, and the spectrum with its uncertainty."""
     unit = si_unit(estimate.component)
     rows = [

@@ -11,8 +11,8 @@ import numpy as np
 
 from aerobalance.app.commands.answers import quantities, quantity_table, short
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.loads import weighed_loads
-from aerobalance.app.commands.shared import Account, check_out, doubts, known_component
+from aerobalance.app.commands.shared import Account, check_out, doubts, known_component, recording_of
+from aerobalance.balance.reduction import weighing_points
 from aerobalance.balance.weighing import weigh as weigh_points
 from aerobalance.io import load_channel_map
 from aerobalance.io.mass_file import read_masses, weighing_payload, write_weighing
@@ -49,7 +49,11 @@ def weigh(
         if files is None:
             points = read_points(paths, names, channel_map=chosen)
         else:
-            points = weighed_loads(paths, files, gravity=gravity, channel_map=channel_map, names=names)
+            if files.zero_after or files.tare or files.mass is not None:
+                raise ValueError("weighing takes --zero alone: tares and closing zeros would take off what is weighed")
+            recordings = [recording_of(path, channel_map) for path in paths]
+            zero = files.zeros(channel_map)
+            points = weighing_points(recordings, files.matrix(), zero=zero, gravity=gravity, names=names)
         weighing = weigh_points(points, gravity=gravity)
     if out is not None:
         inputs = [*paths, *(() if files is None else files.paths)]

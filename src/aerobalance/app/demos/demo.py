@@ -37,7 +37,8 @@ from aerobalance.app.reports.demo_report import (
     write_report,
 )
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force import Method
+from aerobalance.estimation.component_force import Method
+from aerobalance.estimation.force import ForceSettings
 from aerobalance.identification.base_excitation.paper_procedure import reference_fit
 from aerobalance.identification.base_excitation.sine_dwell import find_dwells
 from aerobalance.io import read, read_table, write_recording
@@ -255,7 +256,7 @@ def _cut(run: _Run, noise: float, generator: np.random.Generator) -> Account:
         out = run.path(f"force_{short}_{tag}.csv")
         result = run.note(
             f"force {path.name}, {words}",
-            force.force(path, out, dynamics=dynamics, method=method, bandwidth=bandwidth),
+            force.force(path, out, dynamics=dynamics, settings=ForceSettings(method, bandwidth)),
         )
         for text in result["components"]["AF"]["assumptions"]:
             if text not in run.assumptions:

@@ -16,19 +16,17 @@ import numpy as np
 
 from aerobalance import __version__
 from aerobalance.app.commands import calibration, force, weighing
-from aerobalance.app.commands import loads as loads_command
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.identify_coupled import identify_decays
-from aerobalance.app.commands.known import Coupled
 from aerobalance.app.commands.shared import Account, doubts, seed_for
 from aerobalance.app.reports.page import write_page
 from aerobalance.app.reports.six_figures import SixFigure, six_figure
-from aerobalance.estimation.coupled_force import reconstruct_coupled
+from aerobalance.estimation.force import estimate_force
 from aerobalance.io import read, write_recording
 from aerobalance.io.balfit_file import write_balfit_schedule
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
+from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.calibration_stand import CalibrationStand
@@ -106,7 +104,7 @@ def run_six(out: Path, *, seed: int | None = None) -> Account:
         found = force.force(run, out / "force.csv", dynamics=dynamics, files=files)
         diagonal = _diagonal(run, dynamics, files)
     forces = read(out / "force.csv")
-    felt = loads_command.reduced(read(run), files)[0]
+    felt = files.loads(read(run))
     raw = {name: felt.values[:, place] for place, name in enumerate(felt.components)}
     rows = _rows(balance, simulation, forces, raw=raw, diagonal=diagonal)
     account: Account = {
@@ -222,11 +220,9 @@ def _diagonal(run: Path, dynamics: Path, files: BalanceFiles) -> Mapping[str, Ar
         damping=np.diag(np.abs(np.diag(known.damping))),
         covariance=np.zeros_like(known.covariance),
     )
-    recording, _ = loads_command.from_gauges(
-        read(run), files, Coupled(alone), gravity=STANDARD_GRAVITY, channel_map=None
-    )
+    recording = files.loads(read(run), model=alone).recording
     with doubts():
-        return {name: found.values for name, found in reconstruct_coupled(recording, alone, bandwidth=band).items()}
+        return {name: found.values for name, found in estimate_force(recording, alone, bandwidth=band).items()}
 
 
 def _rows(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -23,7 +23,7 @@ from aerobalance.app.monitor.running_spectrum import RunningSpectrum
 from aerobalance.app.monitor.steady import newest_steady
 from aerobalance.balance.load_envelope import LoadEnvelope
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.zeros import GaugeZero, beyond_weight, seen_on_zero, without_weight
+from aerobalance.balance.reduction import gauge_zero_of_readings
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.io.hdf5_layout import StoredChannel
@@ -213,14 +213,10 @@ class View:
         names = [f"r{gauge}" for gauge in balance.gauges]
         if not all(name in read for name in names):
             return {}
-        nothing = np.zeros(len(names))
-        zero = GaugeZero(np.array([read[name] for name in names]), nothing, "the last second", nothing)
-        weight = np.array([weights.get(name, 0.0) if name in loads else 0.0 for name in COMPONENTS])
-        point = beyond_weight(seen_on_zero(zero, balance), weight, weights, balance)
-        under = without_weight(replace(zero, weight=weight, operating_point=point), balance)
-        beyond = point if balance.direct is None else balance.direct @ point
+        known = {name: value if name in loads else 0.0 for name, value in weights.items()}
+        under, beyond = gauge_zero_of_readings(read, balance, weight=known, source="the last second")
         given = dict(zip(names, under.values.tolist(), strict=True))
-        return given | dict(zip(loads, np.asarray(beyond).tolist(), strict=True))
+        return given | dict(zip(loads, beyond.tolist(), strict=True))
 
     @property
     def means(self) -> Array:

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.signal import welch
 
 from aerobalance.app.reports.page import PLACE_HOLDERS, empty_figure, inline, legend, write_page
-from aerobalance.estimation.record import ForceEstimate
+from aerobalance.estimation.force import Force
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.io.artefacts import provenance
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
 from aerobalance.uncertainty.budget import budget, segment_length, spectrum
 
@@ -34,9 +34,8 @@ BEFORE: Final = 0.3
 def write_force_report(
     path: Path,
     account: Mapping[str, Any],
-    estimates: Mapping[str, ForceEstimate],
+    force: Force,
     *,
-    recording: Recording,
     inputs: Sequence[Path],
 ) -> None:
     """Write what was found of the force as one HTML file that needs nothing else, whole or not at all.
@@ -47,10 +46,8 @@ def write_force_report(
         The HTML file.
     account
         What `aerobalance.app.commands.force` found.
-    estimates
-        The force of each component.
-    recording
-        The loads that it was worked out from.
+    force
+        The forces, with the loads that they were worked out from.
     inputs
         Files named with their SHA-256.
 
@@ -59,8 +56,8 @@ def write_force_report(
     ValueError
         The file cannot be written.
     """
-    figures = {}
-    for name, estimate in estimates.items():
+    figures, recording = {}, force.recording
+    for name, estimate in force.items():
         load = recording.channel(name).values
         window = closer_view(estimate)
         figures[name] = {
@@ -73,13 +70,13 @@ def write_force_report(
         "found": account,
         "file": recording.name,
         "figures": figures,
-        "units": {name: si_unit(name).replace("*", "·") for name in estimates},
+        "units": {name: si_unit(name).replace("*", "·") for name in force},
         "origin": provenance(inputs),
     }
     write_page(path, "force.html.j2", content)
 
 
-def closer_view(estimate: ForceEstimate) -> slice:
+def closer_view(estimate: ComponentForce) -> slice:
     """Samples around the first step, or else around the largest value."""
     values = estimate.values
     if estimate.steps:
@@ -92,7 +89,7 @@ def closer_view(estimate: ForceEstimate) -> slice:
     return slice(first, first + length)
 
 
-def force_figure(estimate: ForceEstimate, load: Array, *, time: Array, window: slice) -> str:
+def force_figure(estimate: ComponentForce, load: Array, *, time: Array, window: slice) -> str:
     """Draw the raw load and the force with its 95 % band: the whole record above, closer below."""
     colours, unit = PLACE_HOLDERS, si_unit(estimate.component).replace("*", "·")
     figure, axes = empty_figure(colours, (7.6, 6.2), rows=2, heights=(1, 1.3))
@@ -128,7 +125,7 @@ def envelope(time: Array, values: Array) -> tuple[Array, Array]:
     return np.repeat(middle, 2), np.column_stack([pieces.min(axis=1), pieces.max(axis=1)]).ravel()
 
 
-def spectrum_figure(estimate: ForceEstimate, load: Array, *, rate: float) -> str:
+def spectrum_figure(estimate: ComponentForce, load: Array, *, rate: float) -> str:
     """Draw the spectra of load and force, the latter with its two bands."""
     colours, unit = PLACE_HOLDERS, si_unit(estimate.component).replace("*", "·")
     figure, (ax,) = empty_figure(colours, (7.6, 3.8), rows=1)
@@ -167,7 +164,7 @@ def spectrum_figure(estimate: ForceEstimate, load: Array, *, rate: float) -> str
     return inline(figure, f"spectrum-{name}", f"Spectra of load felt and force applied of {name}")
 
 
-def budget_figure(estimate: ForceEstimate) -> str:
+def budget_figure(estimate: ComponentForce) -> str:
     """Draw the budget: what each contribution has, and what would be left of the whole if its cause were halved."""
     colours, unit = PLACE_HOLDERS, si_unit(estimate.component).replace("*", "·")
     rows = [row for row in budget(estimate) if row.rms > 0]

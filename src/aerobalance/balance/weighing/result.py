@@ -216,6 +216,10 @@ class Weighing:
             values[self._offsets()] = 0.0
         return self.model.loads(np.atleast_2d(weight_direction(pitch, roll)), values)
 
+    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
+        """Weight along a component [N, N*m], shape (n,); gravity is that of the weighing, whatever is said."""
+        return np.asarray(self.loads(pitch=pitch, roll=roll, offsets=False)[:, self.components.index(name)])
+
     def uncertainty(
         self, *, pitch: ArrayLike, roll: ArrayLike = 0.0, offsets: bool = True, since: Sequence[Attitudes] = ()
     ) -> Array:

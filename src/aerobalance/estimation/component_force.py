@@ -1,0 +1,277 @@
+r"""The force along one component that has been made ready, Eq. (17) of [Gorbushin2020]_.
+
+Three ways, one signature: the optimal estimator (the default), the paper's own derivatives, and the inverse limited to
+a band. Each gives every sample a standard uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal, get_args
+
+import numpy as np
+
+from aerobalance.estimation.direct import band_limited, central_differences
+from aerobalance.estimation.force_smoother import Apart, Estimator, Smoothed, taken_apart
+from aerobalance.estimation.prior import Learned, Reading
+from aerobalance.estimation.record import Job
+from aerobalance.estimation.result import ComponentForce
+from aerobalance.estimation.spectra.line_noise import Hum, Line
+from aerobalance.estimation.spectra.noise_floor import departure_of
+from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
+from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, NoiseSpectrum
+from aerobalance.motion.single_axis import Unknown
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.errors import FitError, warn_quality
+
+Method = Literal["smoother", "paper"]
+
+SAME_RATE: Final = 1e-3
+"""Relative difference of two sampling rates that are the same."""
+
+FREQUENCIES: Final = 4097
+"""Frequencies from zero to half the sampling rate at which spectra are compared."""
+
+EXPLAINED_BLOCK: Final = 256
+"""Samples over which it is looked whether the readings are explained."""
+
+SLOW: Final = 0.5
+"""Frequency over the natural one below which noise that rises at low frequency has most of its power."""
+
+
+def noise_of_job(job: Job) -> NoiseSpectrum:
+    """Spectrum of the noise of a component that has been made ready, its record being one of noise alone."""
+    reading = job.reading()
+    return noise_spectrum_of(
+        reading.values,
+        job.dynamics,
+        interval=reading.interval,
+        input_density=reading.input_density,
+        name=job.recording.name,
+    )
+
+
+def estimated(job: Job, *, method: Method, bandwidth: float | None, hum: Hum) -> ComponentForce:
+    """Work out the force of one component that has been made ready."""
+    if by_smoother(method=method, bandwidth=bandwidth):
+        return Fitted.of(job, hum=hum).estimate()
+    if job.noise is not None or hum not in ("mains", "keep"):
+        what = "lines for hum" if job.noise is None else "a spectrum of noise"
+        raise ValueError(f"only the smoother without a bandwidth can take {what}")
+    _check(job)
+    return central_differences(job) if bandwidth is None else band_limited(job, bandwidth)
+
+
+def by_smoother(*, method: Method, bandwidth: float | None) -> bool:
+    """Whether these settings ask for the optimal estimator.
+
+    Raises
+    ------
+    ValueError
+        There is no such method.
+    """
+    if method not in get_args(Method):
+        raise ValueError(f"method must be smoother or paper, not {method!r}")
+    return method == "smoother" and bandwidth is None
+
+
+def _check(job: Job) -> None:
+    if not np.isfinite(job.dynamics.natural_frequency):
+        raise FitError(
+            f"mass and stiffness of {job.dynamics.component} leave the range that can be calculated with; check the "
+            "units"
+        )
+    if job.noise is not None and abs(job.noise.interval / job.interval - 1) > SAME_RATE:
+        raise FitError(
+            f"{job.recording.name} has {1 / job.interval:g} samples a second and the record of noise "
+            f"{1 / job.noise.interval:g}: record the noise with the rate, gains and filters of the run"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """One component by the smoother of `estimation.statespace.kalman`, its prior learned and its steps found.
+
+    Attributes
+    ----------
+    job
+        The component made ready.
+    hum
+        What was to be taken for hum.
+    apart
+        What the record is made of.
+    smoothed
+        The force.
+    """
+
+    job: Job
+    hum: Hum
+    apart: Apart
+    smoothed: Smoothed
+
+    @classmethod
+    def of(cls, job: Job, *, hum: Hum) -> Fitted:
+        """Work out the force of a component that has been made ready.
+
+        Raises
+        ------
+        FitError
+            The balance is not in the range that can be calculated with, or the noise has another sampling rate.
+        """
+        _check(job)
+        apart = taken_apart(_with_noise(job), hum=hum)
+        return cls(job, hum, apart, Smoothed.of(apart.reading, learned=apart.learned, steps=apart.steps))
+
+    def estimate(self) -> ComponentForce:
+        """The force with its uncertainty; says what is doubtful about it."""
+        job, apart, fit = self.job, self.apart, self.smoothed
+        reading, steps, learned = apart.reading, apart.steps, apart.learned
+        if apart.floor is not None:
+            _doubt(job, apart.floor.sentence(job.dynamics.component, unit=si_unit(job.dynamics.component)))
+        elif job.noise is None and job.shared is None:
+            _tell_of_faint(job, learned)
+        white = fit.innovations
+        if job.shared is None:
+            level = _unexplained(job, white)
+        else:  # what is noisier by what is not known there is no fault of the model
+            level = np.maximum(job.shared.level, _unexplained(job, np.where(job.shared.level > 1, 0.0, white)))
+        lines = fit.sized(apart.hum)
+        if self.hum == "mains":
+            _tell_of_hum(job, lines, large=apart.large)
+        estimator = fit.estimator
+
+        def through(series: Array) -> Array:
+            return estimator.run(np.where(reading.present[:, None], series, 0.0))
+
+        def again(other: Job) -> Array:
+            changed = other.reading(hum=reading.hum)
+            return Estimator.of(changed, learned=learned, steps=steps).run(changed.filled[:, None])[:, 0]
+
+        def moved(item: Unknown) -> Array:
+            return -through(job.felt_under(item)[:, None])[:, 0]
+
+        noise = learned.noise if job.shared is None else job.shared.before
+        return job.finish(
+            fit.force,
+            [
+                *fit.noise_errors(level, sources=(job.dynamics.component, job.motion_source)),
+                *fit.step_errors(),
+                job.parameter_errors(through(reading.filled[:, None])[:, 0], again, through),
+                *job.motion_errors(moved),
+                *job.reading_errors(fit.force, through),
+            ],
+            method=f"smoother: {learned.spectrum}, by Whittle's likelihood{_words_on_noise(job, learned)}",
+            noise=noise,
+            bandwidth=_resolved_bandwidth(reading, learned),
+            noise_gain=float(np.sqrt(np.mean(fit.variance))) / noise,
+            steps=tuple(steps),
+            hum=lines,
+            learned=learned,
+            shared=job.shared,
+        )
+
+
+def _words_on_noise(job: Job, learned: Learned) -> str:
+    """What the noise of the readings is taken for, where that is said or seen."""
+    if job.noise is not None:
+        return f"; noise of the record of noise: {job.noise}"
+    if job.shared is not None:
+        return "; noise that other components show is taken off"
+    if isinstance(learned.color, ColoredNoise):
+        return f"; noise with {len(learned.color.humps)} hump(s), seen in the run"
+    return ""
+
+
+def _doubt(job: Job, text: str) -> None:
+    warn_quality(f"{job.recording.name}: {text}")
+
+
+def _with_noise(job: Job) -> Reading:
+    """The reading with the noise that was given, unless its white part is not that of the run."""
+    reading = job.reading()
+    ratio = None if job.noise is None else departure_of(reading)
+    if ratio is None:
+        return reading
+    _doubt(
+        job,
+        f"the white noise of {job.dynamics.component} has {ratio:.2g} times the power that it has in the record of "
+        "noise, as another gain, filter or cabling, or a force of a very wide band, would make it; it is judged from "
+        "the run, and what the noise has beyond white is taken as recorded",
+    )
+    return replace(reading, noise=None)
+
+
+def _tell_of_faint(job: Job, learned: Learned) -> None:
+    """Say that a force which is fainter than the noise may be noise with a color."""
+    frequency = np.linspace(0, 0.5 / job.interval, FREQUENCIES)[1:]
+    felt = np.abs(job.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
+    size = float(np.sqrt(np.mean(felt) / job.interval))
+    low = float(np.sum(felt[frequency < SLOW * job.dynamics.natural_frequency]))
+    if not 0 < size < learned.noise or low < float(np.sum(felt)) / 2:
+        return
+    name, unit = job.dynamics.component, si_unit(job.dynamics.component)
+    _doubt(
+        job,
+        f"{name} fluctuates by {size:.2g} {unit} rms beside a white noise of {learned.noise:.2g} {unit}: that is "
+        "taken for force, but noise of the electronics that rises at low frequency (1/f) looks the same and is then "
+        "an error of that size, which the uncertainty does not hold; a record of noise alone (--noise-record) decides",
+    )
+
+
+def _tell_of_hum(job: Job, lines: tuple[Line, ...], *, large: tuple[Line, ...]) -> None:
+    """Say which lines at frequencies of the mains are not in the force, and which are because they are large."""
+    told = (
+        (
+            lines,
+            (
+                "are taken for mains hum and not for force; if a force was applied at such a frequency it is missing "
+                'from the result: keep it with --hum keep (hum="keep")'
+            ),
+        ),
+        (
+            large,
+            (
+                "lie where the mains do, but are so large a part of the record that they are taken for force; if they "
+                "are hum, the force is wrong by them: name their frequencies with --hum"
+            ),
+        ),
+    )
+    unit = si_unit(job.dynamics.component)
+    for some, what in told:
+        named = [f"{line.frequency:.7g} Hz ({line.amplitude:.3g} {unit} in the reading)" for line in some]
+        if named:
+            warn_quality(
+                f"{job.recording.name}: steady lines of {job.dynamics.component} at {', '.join(named)} {what}"
+            )
+
+
+def _unexplained(job: Job, white: Array) -> Array:
+    """Variance of the innovations over what is expected, 1 where chance explains it, shape (n,); warns elsewhere."""
+    count = max(white.size // EXPLAINED_BLOCK, 1)
+    blocks = np.array_split(white, count)
+    level = np.array([np.mean(block**2) for block in blocks])
+    # the mean square over m samples scatters by sqrt(2 / m); eight times that is never reached by chance
+    strange = np.flatnonzero(level > 1 + 8 * np.sqrt(2 * count / white.size))
+    if strange.size:
+        worst = int(strange[np.argmax(level[strange])])
+        start, stop = (job.recording.start + edge * white.size / count * job.interval for edge in (worst, worst + 1))
+        warn_quality(
+            f"{job.recording.name}: in {strange.size} of {count} stretches the readings of {job.dynamics.component} "
+            f"depart from what the model of balance and load expects, most between {start:.4g} and {stop:.4g} s "
+            f"({np.sqrt(level[worst]):.2g} times the chance scatter); the uncertainty from noise is raised by as much "
+            "there, but an error that the model makes everywhere is not in it"
+        )
+    raised = np.ones(count)
+    raised[strange] = level[strange]
+    return np.repeat(raised, [block.size for block in blocks])
+
+
+def _resolved_bandwidth(reading: Reading, learned: Learned) -> float:
+    """Frequency up to which the force is stronger in the reading than the noise [Hz]; 0 if it is nowhere."""
+    frequency = np.linspace(0, 0.5 / reading.interval, FREQUENCIES)[1:]
+    transfer = np.abs(reading.dynamics.response(frequency)) ** 2
+    force = transfer * learned.spectrum.density(frequency)
+    noise = transfer * reading.input_density + learned.noise_density(frequency, interval=reading.interval)
+    above = np.flatnonzero(force > noise)
+    return float(frequency[above[-1]]) if above.size else 0.0

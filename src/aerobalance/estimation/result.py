@@ -1,0 +1,119 @@
+"""The force applied along one component: every sample with its uncertainty and where that is from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from aerobalance.estimation.correlated_noise import SharedNoise
+from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
+from aerobalance.estimation.prior import Learned
+from aerobalance.estimation.spectra.line_noise import Line
+from aerobalance.estimation.steps import Step
+from aerobalance.recording.channel import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComponentForce:
+    """The force applied along one component, and how it was found.
+
+    Attributes
+    ----------
+    component
+        Which component.
+    values
+        Applied force, shape (n,) [N].
+    uncertainty
+        Standard uncertainty of every sample, shape (n,) [N].
+    method
+        Words for the method and its settings.
+    noise
+        Standard uncertainty of a reading of the load [N].
+    bandwidth
+        Frequency up to which the force is resolved [Hz].
+    noise_gain
+        Noise of the force over noise of the reading [1].
+    steps
+        Sudden changes of the force that were found.
+    hum
+        Steady lines of the reading that were taken for hum and not for force.
+    assumptions
+        What was taken as zero because the recording does not have it.
+    budget
+        Root mean square of each contribution to the uncertainty [N].
+    contributions
+        The contributions themselves.
+    learned
+        Prior of the force and noise that the smoother took; None for the other methods.
+    shared
+        Noise that other components show and that was taken off the readings; None where none was.
+    """
+
+    component: str
+    values: Array
+    uncertainty: Array
+    method: str
+    noise: float
+    bandwidth: float
+    noise_gain: float
+    steps: tuple[Step, ...] = ()
+    hum: tuple[Line, ...] = ()
+    assumptions: tuple[str, ...] = ()
+    budget: dict[str, float] = field(default_factory=dict)
+    contributions: tuple[Contribution, ...] = ()
+    learned: Learned | None = None
+    shared: SharedNoise | None = None
+
+
+def with_balance(
+    estimate: ComponentForce, static: Array, *, curvature: tuple[float, Array] = (0.0, np.ones(1))
+) -> ComponentForce:
+    """Add the uncertainty of the balance matrix, its zeros and tares to an estimate.
+
+    The error of a matrix is a function of the load: to first order a gain and an offset. Both go through Eq. (17) of
+    [Gorbushin2020]_ unchanged, as it is linear, so the error of the force is that of a static load of its size. What
+    is curved in it comes on top where the load changes (`aerobalance.balance.calibration_nonlinearity`).
+
+    Parameters
+    ----------
+    estimate
+        The force from loads that were taken as exact but for their noise.
+    static
+        Standard uncertainty of a static load of the force's size, shape (n,) [N]; NaN counts as the largest.
+    curvature
+        Standard uncertainty from the matrix's curvature under loads that change [N], and the spectrum of that error
+        as `aerobalance.estimation.error_sources.Noise` takes it.
+    """
+    known = np.isfinite(static)
+    filled = np.where(known, static, np.max(static[known], initial=0.0))
+    parts: list[Contribution] = [_gain_and_offset(estimate.values, filled)]
+    deviation, spectrum = curvature
+    if deviation > 0:
+        level = np.full(filled.size, deviation)
+        parts.append(Noise("curvature of the balance matrix, ringing", "balance", level, spectrum))
+    return replace(
+        estimate,
+        uncertainty=np.sqrt(estimate.uncertainty**2 + filled**2 + deviation**2),
+        budget={
+            **estimate.budget,
+            parts[0].name: float(np.sqrt(np.mean(filled**2))),
+            **{part.name: deviation for part in parts[1:]},
+        },
+        contributions=(*estimate.contributions, *parts),
+    )
+
+
+def _gain_and_offset(values: Array, static: Array) -> Systematic:
+    """The error of a matrix as a gain and an offset: its variance is then a parabola over the force."""
+    size = float(np.max(np.abs(values), initial=0.0)) or 1.0
+    share = values / size
+    terms = np.column_stack([np.ones(share.size), 2 * share, share**2])
+    offset, both, gain = np.linalg.lstsq(terms, static**2, rcond=1e-9)[0]
+    level, vectors = np.linalg.eigh([[offset, both], [both, gain]])
+    covariance = (vectors * np.maximum(level, 0.0)) @ vectors.T
+    slopes = np.column_stack([np.ones(share.size), share])
+    found = float(np.mean(np.sum((slopes @ covariance) * slopes, axis=1)))
+    covariance *= float(np.mean(static**2)) / found if found > 0 else 0.0
+    names = ("offset", f"gain, at {size:.4g}")
+    return Systematic("balance matrix, zeros and tares", "balance", names, slopes, covariance)
