@@ -95,7 +95,7 @@ def test_noise_of_an_angle_behind_a_filter_is_told_as_what_it_may_be(rng):
     # under gusts of some N*m, in which 1 s tells nothing of it, it may be either
     gust = sosfilt(butter(2, 30, fs=RATE, output="sos"), rng.normal(0, 1, run.pitch.size))
     gust *= 100 * dynamics.mass.matrix[1, 1] / gust.std()
-    moved = estimates | {"PM": replace(estimates["PM"], values=estimates["PM"].values + gust)}
+    moved = dict(estimates) | {"PM": replace(estimates["PM"], values=estimates["PM"].values + gust)}
     texts = turning_by_angles(recording, dynamics, moved)
     assert len(texts) == 1
     assert "unless it is noise of pitch that a filter has coloured" in texts[0]

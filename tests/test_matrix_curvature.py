@@ -42,7 +42,7 @@ def felt_by(matrix: BalanceMatrix, outputs: Array) -> Loads:
     channels = {name: Channel(name, values, "mV/V", noise=0.0) for name, values in gauges.items()}
     recording = Recording.from_columns(np.arange(COUNT) / RATE, channels, name="run")
     plain = replace(matrix, geometry=None)
-    return loads_of_outputs(recording, plain, zero=GaugeZero(np.zeros(6), np.zeros(6), "none", np.zeros(6)))
+    return loads_of_outputs(recording, plain, zero=GaugeZero.taken_off(plain))
 
 
 def ringing(frequency: Array) -> Array:
