@@ -1,169 +1,264 @@
-r"""Before the test: the uncertainty that a balance, its noise and a sampling rate allow, against the bandwidth wanted.
+"""Uncertainty of the force that a test can reach, from the dynamics, the noise of the sensors and the sampling rate.
 
-A force that is known to stay below a bandwidth B, and to be strong against the noise there, can be had from Eq. (17)
-of [Gorbushin2020]_ limited to B. White noise of the reading then gives the variance 2 h sigma^2 int_0^B 1/\|G\|^2 df
-(h the sampling interval), white noise of the ground's accelerometer M^2 2 h sigma_a^2 B. Where the force is weak, the
-Wiener bound int S_F R / (\|G\|^2 S_F + R) df is below that; it is what the smoother attains.
-
-References
-----------
-.. [Gorbushin2020] A. R. Gorbushin, A. A. Bolshakova, "Unsteady axial force measurement by the strain gauge balance",
-   Measurement 152 (2020) 107381. https://doi.org/10.1016/j.measurement.2019.107381
+It is worked out before the test, by `aerobalance.uncertainty.wiener_bound`, at several bandwidths and sampling rates.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.recording.channel import Array
+from aerobalance.estimation.live.coupled import SLOWEST
+from aerobalance.estimation.live.live_force import LAG_PERIODS
+from aerobalance.recording.components import si_unit
+from aerobalance.uncertainty.wiener_bound import (
+    ACCELERATION,
+    ANGULAR_ACCELERATION,
+    PARAMETERS,
+    Attainable,
+    WienerBound,
+)
 
-GRID: Final = 4097
-"""Frequencies over which spectra are integrated."""
+BELOW: Final = (0.1, 0.2, 0.5, 0.8, 1.0)
+"""Usual bandwidths over the lowest natural frequency."""
 
-PERIODS_OF_LAG: Final = 5
-"""Lag of the live estimate, in periods of the natural frequency."""
+ABOVE: Final = (1.0, 1.25, 2.0, 4.0)
+"""Usual bandwidths over the highest natural frequency."""
 
-FRACTIONS: Final = (0.1, 0.2, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0)
-"""Bandwidths of the table, over the natural frequency."""
+THROUGH: Final = 1.25
+"""Bandwidth that sampling rates are compared at, over the highest natural frequency."""
+
+FASTER: Final = (1, 2, 4, 8)
+"""Sampling rates that are compared, over the one planned."""
+
+REMEDIES: Final[Mapping[str, str]] = {
+    ACCELERATION: "quieter accelerometers on the ground end, or a stiffer support",
+    ANGULAR_ACCELERATION: "a quieter sensor of the ground end's rotation, or accelerometers farther apart",
+    PARAMETERS: "weighing and identification with more, larger or longer releases",
+}
+"""What makes a contribution smaller."""
+
+QUIETER: Final = "a quieter amplifier, more excitation or a higher sampling rate"
+"""What makes the contribution of a reading smaller."""
 
 
-@dataclass(frozen=True, slots=True)
-class Attainable:
-    """Standard uncertainty of one sample of the force, limited to a bandwidth.
+@dataclass(frozen=True, slots=True, eq=False)
+class ComponentPlan:
+    """What a test can reach of one component.
 
     Attributes
     ----------
-    bandwidth
-        Highest frequency of the force [Hz].
-    reading
-        From the noise of the reading [N].
-    acceleration
-        From the noise of the ground's accelerometer [N].
-    parameters
-        From mass, stiffness, damping and delay as they are known, for a force of the given size [N].
-    noise_gain
-        Noise of the force over noise of the reading, without regard to the force's size [1].
+    component
+        Which component.
+    unit
+        Unit of its force: N or N*m.
+    natural_frequencies
+        Of all modes of its dynamics, the first mode of a single component first, else the lowest [Hz].
+    noise
+        Standard uncertainty of one reading [N, N*m].
+    force
+        Root mean square of the force [N, N*m]; None where it is taken as strong against the noise.
+    table
+        The attainable uncertainty at each bandwidth.
+    at_other_rates
+        The same through resonance at 1, 2, 4 and 8 times the sampling rate, with the same noise per sample.
+    live_lag
+        Time by which the live force follows the readings unless told otherwise [s].
     """
 
-    bandwidth: float
-    reading: float
-    acceleration: float
-    parameters: float
-    noise_gain: float
+    component: str
+    unit: str
+    natural_frequencies: tuple[float, ...]
+    noise: float
+    force: float | None
+    table: tuple[Attainable, ...]
+    at_other_rates: tuple[Attainable, ...]
+    live_lag: float
 
     @property
-    def total(self) -> float:
-        """All together [N]."""
-        return float(np.sqrt(self.reading**2 + self.acceleration**2 + self.parameters**2))
-
-    @property
-    def limited_by(self) -> str:
-        """The largest contribution."""
-        parts = {
-            "noise of the balance reading": self.reading,
-            "noise of the ground accelerometer": self.acceleration,
-            "mass, stiffness, damping, delay": self.parameters,
-        }
-        return max(parts, key=lambda name: parts[name])
+    def advice(self) -> str:
+        """One sentence: what limits the uncertainty through resonance, and what helps against it."""
+        row = self.at_other_rates[0]
+        remedy = REMEDIES.get(row.limited_by, QUIETER)
+        return f"{self.component} up to {row.bandwidth:.4g} Hz is limited by the {row.limited_by}: {remedy}"
 
 
-def attainable(
-    dynamics: Dynamics,
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """What a test can reach, by component.
+
+    Attributes
+    ----------
+    rate
+        Sampling rate [Hz].
+    acceleration_noise
+        Standard uncertainty of one reading of the ground end's acceleration along each axis [m/s^2].
+    angular_acceleration_noise
+        The same of its angular acceleration about each axis [rad/s^2].
+    components
+        The plan of each component.
+    parameters_left_out
+        Whether the dynamics have uncertainties that are not counted, because no force is given.
+    """
+
+    rate: float
+    acceleration_noise: float
+    angular_acceleration_noise: float
+    components: Mapping[str, ComponentPlan]
+    parameters_left_out: bool
+
+    def __getitem__(self, component: str) -> ComponentPlan:
+        """Plan of one component."""
+        return self.components[component]
+
+
+def plan(
+    dynamics: Dynamics | CoupledDynamics | Mapping[str, Dynamics] | Sequence[Dynamics],
     *,
-    bandwidth: float,
     rate: float,
-    noise: float,
+    noise: float | Mapping[str, float],
     acceleration_noise: float = 0.0,
-    force: float | None = None,
-) -> Attainable:
-    """Work out the uncertainty that can be reached.
+    angular_acceleration_noise: float = 0.0,
+    force: float | Mapping[str, float] | None = None,
+    bandwidths: Sequence[float] = (),
+) -> Plan:
+    """Return the standard uncertainty of the force that a test can reach, by bandwidth and sampling rate [N, N*m].
 
     Parameters
     ----------
     dynamics
-        The balance with its model.
-    bandwidth
-        Highest frequency of the force [Hz]; above zero, at most half of `rate`.
+        The balance with its model: one component, several that are not coupled, or coupled ones.
     rate
         Sampling rate [Hz].
     noise
-        Standard uncertainty of one reading of the load [N]; above zero.
+        Standard uncertainty of one reading of the load [N, N*m], by component where there are several.
     acceleration_noise
-        Standard uncertainty of one reading of the ground's acceleration [m/s^2].
+        Standard uncertainty of one reading of the ground end's acceleration, along each axis [m/s^2].
+    angular_acceleration_noise
+        Standard uncertainty of one reading of its angular acceleration, about each axis [rad/s^2]; for coupled
+        dynamics, which know the moving mass as a rigid body.
     force
-        Root mean square of the force, taken as equally strong up to `bandwidth` [N]; strong against the noise, and
-        without a share of the parameters, where left out.
+        Root mean square of the force, spread evenly up to the bandwidth [N, N*m]; by component where there are
+        several. If left out, the force is taken as strong against the noise, and the parameters of the dynamics as
+        known.
+    bandwidths
+        Highest frequencies of the force [Hz]; if left out, some below, between and above the natural frequencies.
 
     Raises
     ------
     ValueError
-        An argument is out of range.
+        An argument is out of range or not given for every component, or the noise of the ground end is given and the
+        dynamics do not know the mass that it acts on.
     """
-    if not 0 < bandwidth <= rate / 2:
-        raise ValueError(
-            f"bandwidth must lie between 0 and half the sampling rate ({rate / 2:g} Hz), not {bandwidth:g}"
+    _check_positive(rate, "rate")
+    for name, value in (
+        ("acceleration_noise", acceleration_noise),
+        ("angular_acceleration_noise", angular_acceleration_noise),
+    ):
+        if not 0 <= value < np.inf:
+            raise ValueError(f"{name} must be zero or more, not {value:g}")
+    for bandwidth in bandwidths:
+        if not 0 < bandwidth <= rate / 2:
+            raise ValueError(
+                f"bandwidth must lie between 0 and half the sampling rate ({rate / 2:g} Hz), not {bandwidth:g}"
+            )
+    parts = _parts(dynamics)
+    names = [name for part in parts for name in _names(part)]
+    noises = _by_component(noise, names, "noise")
+    forces = None if force is None else _by_component(force, names, "force")
+    found: dict[str, ComponentPlan] = {}
+    for part in parts:
+        bound = WienerBound.of(
+            part,
+            noise=noises,
+            acceleration_noise=acceleration_noise,
+            angular_acceleration_noise=angular_acceleration_noise,
         )
-    if not (0 < noise < np.inf and 0 <= acceleration_noise < np.inf):
-        raise ValueError("noise must be positive, and acceleration_noise zero or more")
-    if force is not None and not 0 < force < np.inf:
-        raise ValueError(f"force must be positive, not {force:g}")
-    frequency = np.linspace(0, bandwidth, GRID)
-    response = dynamics.response(frequency)
-    interval = 1 / rate
-    of_reading = 2 * interval * noise**2 / np.abs(response) ** 2
-    of_ground = np.full(GRID, 2 * interval * (dynamics.mass * acceleration_noise) ** 2)
-    gain = float(np.sqrt(np.trapezoid(of_reading, frequency))) / noise
-    shrink: Array = np.ones(GRID)
-    if force is not None:
-        spectrum = force**2 / bandwidth
-        shrink = spectrum / (spectrum + of_reading + of_ground)
-    wrong = np.zeros(GRID) if force is None else force**2 / bandwidth * _relative_variance(dynamics, frequency)
-    reading, ground, parameters = (
-        float(np.sqrt(np.trapezoid(part, frequency))) for part in (of_reading * shrink, of_ground * shrink, wrong)
-    )
-    return Attainable(bandwidth, reading, ground, parameters, gain)
+        found |= _planned(bound, forces, rate=rate, bandwidths=bandwidths)
+    uncertain = any(part.covariance.any() for part in parts)
+    return Plan(rate, acceleration_noise, angular_acceleration_noise, found, uncertain and force is None)
 
 
-def _relative_variance(dynamics: Dynamics, frequency: Array) -> Array:
-    """Relative variance of the force from the parameters of the dynamics, shape (m,).
+def _parts(
+    dynamics: Dynamics | CoupledDynamics | Mapping[str, Dynamics] | Sequence[Dynamics],
+) -> tuple[Dynamics, ...] | tuple[CoupledDynamics]:
+    """Return the dynamics that are not coupled with each other."""
+    if isinstance(dynamics, CoupledDynamics):
+        return (dynamics,)
+    if isinstance(dynamics, Dynamics):
+        return (dynamics,)
+    parts = tuple(dynamics.values() if isinstance(dynamics, Mapping) else dynamics)
+    wrong = [part for part in parts if not isinstance(part, Dynamics)]
+    if wrong or not parts:
+        raise ValueError(
+            "dynamics must be Dynamics, several of them as a mapping or a sequence, or CoupledDynamics, not "
+            + (f"{type(wrong[0]).__name__} among them" if wrong else "empty")
+        )
+    names = [part.component for part in parts]
+    if len(set(names)) < len(names):
+        raise ValueError(f"dynamics must be given once for each component, not for {', '.join(names)}")
+    return parts
 
-    With one mode it is that of Eq. (17) of [Gorbushin2020]_ from its coefficients.
-    """
-    first, *further = dynamics.modes
-    response = dynamics.response(frequency)
-    s = 2j * np.pi * frequency
-    M, k, b = dynamics.mass, dynamics.stiffness, dynamics.damping
-    # dG/dp; the first mode is 1 / (1 + s b/k + s^2 M/k), and the derivative of 1/D is -D' / D^2
-    own = -first.share * first.response(frequency) ** 2
-    slopes = {
-        "mass": own * s**2 / k,
-        "stiffness": -own * (s * b + s**2 * M) / k**2,
-        "damping": own * s / k,
-        # the delay is that of the load behind the ground's acceleration: it does not touch F/AF
-        "delay": np.zeros_like(s),
+
+def _names(part: Dynamics | CoupledDynamics) -> tuple[str, ...]:
+    return part.components if isinstance(part, CoupledDynamics) else (part.component,)
+
+
+def _check_positive(value: float, name: str) -> None:
+    if not 0 < value < np.inf:
+        raise ValueError(f"{name} must be positive, not {value:g}")
+
+
+def _by_component(given: float | Mapping[str, float], names: Sequence[str], what: str) -> dict[str, float]:
+    """Return one positive number for every component."""
+    if not isinstance(given, Mapping):
+        if len(names) > 1:
+            raise ValueError(f"{what} must be given by component, for {', '.join(names)}, not as one number")
+        given = dict.fromkeys(names, given)
+    lacking = [name for name in names if name not in given]
+    if lacking:
+        raise ValueError(f"{what} of {', '.join(lacking)} is missing; it is given for {', '.join(given) or 'none'}")
+    for name in names:
+        _check_positive(given[name], f"{what} of {name}")
+    return {name: float(given[name]) for name in names}
+
+
+def _planned(
+    bound: WienerBound, force: Mapping[str, float] | None, *, rate: float, bandwidths: Sequence[float]
+) -> dict[str, ComponentPlan]:
+    """Return the plans of components whose forces are estimated together."""
+    modes = bound.natural_frequencies
+    chosen = tuple(bandwidths) or _usual_bandwidths(modes, rate)
+    through = min(THROUGH * max(modes, default=np.inf), rate / 2)
+    table = [bound.attainable(force, bandwidth=bandwidth, rate=rate) for bandwidth in chosen]
+    faster = [bound.attainable(force, bandwidth=through, rate=factor * rate) for factor in FASTER]
+    slowest = SLOWEST * min(modes, default=0.0)
+    return {
+        name: ComponentPlan(
+            component=name,
+            unit=si_unit(name),
+            natural_frequencies=modes,
+            noise=bound.noise[name],
+            force=None if force is None else force[name],
+            table=tuple(rows[place] for rows in table),
+            at_other_rates=tuple(rows[place] for rows in faster),
+            live_lag=LAG_PERIODS / max(bound.channel_frequencies[place], slowest),
+        )
+        for place, name in enumerate(bound.components)
     }
-    for number, mode in enumerate(further, 2):
-        f, zeta = mode.natural_frequency, mode.damping_ratio
-        ratio = frequency / f
-        curve = -mode.share * mode.response(frequency) ** 2
-        slopes[f"natural_frequency_{number}"] = curve * 2 * (ratio**2 - 1j * zeta * ratio) / f
-        slopes[f"damping_ratio_{number}"] = curve * 2j * ratio
-        slopes[f"share_{number}"] = mode.response(frequency) - first.response(frequency)
-    J = np.column_stack([slopes[name] for name in dynamics.parameters]) / response[:, None]
-    return np.asarray(np.real(np.sum((J @ dynamics.covariance) * np.conj(J), axis=1)))
 
 
-def usual_bandwidths(dynamics: Dynamics, rate: float) -> tuple[float, ...]:
-    """Bandwidths around the natural frequency, up to half the sampling rate [Hz]."""
-    f0 = dynamics.natural_frequency
-    chosen = [fraction * f0 for fraction in FRACTIONS if fraction * f0 < rate / 2]
-    return (*chosen, rate / 2)
-
-
-def live_lag(dynamics: Dynamics) -> float:
-    """Lag of the live estimate [s]: `PERIODS_OF_LAG` periods of the natural frequency."""
-    return PERIODS_OF_LAG / dynamics.natural_frequency
+def _usual_bandwidths(natural_frequencies: Sequence[float], rate: float) -> tuple[float, ...]:
+    """Return bandwidths below, between and above natural frequencies, up to half the sampling rate [Hz]."""
+    chosen: set[float] = set()
+    if natural_frequencies:
+        low, high = min(natural_frequencies), max(natural_frequencies)
+        chosen = {*(part * low for part in BELOW), *(part * high for part in ABOVE)}
+        if low < high:
+            chosen.add(float(np.sqrt(low * high)))
+    return (*sorted(bandwidth for bandwidth in chosen if bandwidth < rate / 2), rate / 2)

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+
+import numpy as np
 
 from aerobalance.app.commands.shared import Account, doubts, table_text
-from aerobalance.dynamics.single import Dynamics
-from aerobalance.io.coupled_file import dynamics_kind, read_coupled
-from aerobalance.io.dynamics_file import read_dynamics
-from aerobalance.recording.components import si_unit
-from aerobalance.uncertainty.coupled_planning import Sensors
-from aerobalance.uncertainty.planning import Attainable, attainable, live_lag, usual_bandwidths
-
-QUIETER: Final = "a quieter amplifier, more excitation or a higher sampling rate"
-"""What helps against the noise of a reading."""
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.io.coupled_file import modes_payload, read_any_dynamics
+from aerobalance.uncertainty.planning import ComponentPlan, Plan
+from aerobalance.uncertainty.planning import plan as plan_test
+from aerobalance.uncertainty.wiener_bound import Attainable
 
 Amount = float | Mapping[str, float]
 """One number, or one for each component."""
@@ -32,144 +29,128 @@ def plan(
     force: Amount | None = None,
     bandwidths: Sequence[float] = (),
 ) -> Account:
-    """Attainable uncertainty against bandwidth and sampling rate.
-
-    `turn_noise`, and noise and force by component, are for components that ring together.
-    """
-    if not 0 < rate < float("inf"):
-        raise ValueError(f"--rate must be positive, not {rate:g}")
-    if dynamics_kind(dynamics) == "coupled":
-        from aerobalance.app.commands.plan_coupled import plan_coupled  # noqa: PLC0415 - it takes parts of this
-
-        if not isinstance(noise, Mapping) or not (force is None or isinstance(force, Mapping)):
-            raise ValueError("the components ring together: give --noise and --force by component, NF=0.5 and so on")
-        return plan_coupled(
-            read_coupled(dynamics),
-            Sensors(noise, acceleration_noise, turn_noise),
+    """Attainable uncertainty against bandwidth and sampling rate, of every component or of one."""
+    known = read_any_dynamics(dynamics)
+    names = known.components if isinstance(known, CoupledDynamics) else tuple(known)
+    if component is not None and component not in names:
+        raise ValueError(f"{dynamics} has no {component}; it has {', '.join(names)}")
+    if component is not None and not isinstance(known, CoupledDynamics):
+        known = {component: known[component]}
+    with doubts() as collected:
+        found = plan_test(
+            known,
             rate=rate,
-            component=component,
+            noise=noise,
+            acceleration_noise=acceleration_noise,
+            angular_acceleration_noise=turn_noise,
             force=force,
             bandwidths=bandwidths,
         )
-    known = read_dynamics(dynamics)
-    if component is None:
-        if len(known) > 1:
-            raise ValueError(f"{dynamics} has {', '.join(known)}; name one with --component")
-        component = next(iter(known))
-    if component not in known:
-        raise ValueError(f"{dynamics} has no {component}; it has {', '.join(known)}")
-    return _plan_one(
-        known[component],
-        rate=rate,
-        noise=_own(noise, component, "--noise"),
-        acceleration_noise=acceleration_noise,
-        force=None if force is None else _own(force, component, "--force"),
-        bandwidths=bandwidths,
-    )
-
-
-def _plan_one(
-    chosen: Dynamics,
-    *,
-    rate: float,
-    noise: float,
-    acceleration_noise: float,
-    force: float | None,
-    bandwidths: Sequence[float],
-) -> Account:
-    """Attainable uncertainty of a component that rings for itself."""
-    sensors = {"noise": noise, "acceleration_noise": acceleration_noise, "force": force}
-    with doubts() as collected:
-        rows = [
-            attainable(chosen, bandwidth=bandwidth, rate=rate, **sensors)  # type: ignore[arg-type]
-            for bandwidth in (bandwidths or usual_bandwidths(chosen, rate))
-        ]
-        faster = [
-            attainable(chosen, bandwidth=_edge(chosen, rate), rate=factor * rate, **sensors)  # type: ignore[arg-type]
-            for factor in (1, 2, 4, 8)
-        ]
+    coupled = known if isinstance(known, CoupledDynamics) else None
+    parts = [part for name, part in found.components.items() if component in (None, name)]
+    accounts = {part.component: _part(part, found, coupled=coupled is not None) for part in parts}
     account: Account = {
-        "component": chosen.component,
-        "unit": si_unit(chosen.component),
-        "natural_frequency": {"value": chosen.natural_frequency, "unit": "Hz"},
-        "further_natural_frequencies": [mode.natural_frequency for mode in chosen.further_modes],
-        "rate": rate,
-        "noise_of_reading": noise,
-        "noise_of_acceleration": acceleration_noise,
-        "force_rms": force,
-        "attainable": [_row(row) for row in rows],
-        "at_other_rates": [
-            {"rate": factor * rate, **_row(row)} for factor, row in zip((1, 2, 4, 8), faster, strict=True)
-        ],
-        "live_lag": {"value": live_lag(chosen), "unit": "s"},
-        "advice": _advice(faster[0], chosen, force),
+        **({} if coupled is None else {"modes": modes_payload(coupled)}),
+        **({"components": accounts} if coupled is not None or len(parts) > 1 else accounts[parts[0].component]),
         "warnings": collected,
     }
-    return {**account, "summary": _summary(account)}
+    return {**account, "summary": _summary(parts, found, coupled=coupled is not None)}
 
 
-def _own(amount: Amount, component: str, option: str) -> float:
-    """The number for one component."""
-    if not isinstance(amount, Mapping):
-        return amount
-    if component not in amount:
-        raise ValueError(f"{option} is given for {', '.join(amount)}, not for {component}")
-    return amount[component]
+def _part(part: ComponentPlan, whole: Plan, *, coupled: bool) -> Account:
+    """Plain data on one component."""
+    frequencies: Account = {}
+    if not coupled:  # the modes of coupled components belong to all of them
+        first, *further = part.natural_frequencies
+        frequencies = {
+            "natural_frequency": {"value": first, "unit": "Hz"},
+            "further_natural_frequencies": further,
+        }
+    return {
+        "component": part.component,
+        "unit": part.unit,
+        **frequencies,
+        "rate": whole.rate,
+        "noise_of_reading": part.noise,
+        "noise_of_acceleration": whole.acceleration_noise,
+        **({"noise_of_angular_acceleration": whole.angular_acceleration_noise} if coupled else {}),
+        "force_rms": part.force,
+        "attainable": [_row(row, coupled=coupled) for row in part.table],
+        "at_other_rates": [{"rate": row.rate, **_row(row, coupled=coupled)} for row in part.at_other_rates],
+        "live_lag": {"value": part.live_lag, "unit": "s"},
+        "advice": _advice(part, whole),
+    }
 
 
-def _edge(dynamics: Dynamics, rate: float) -> float:
-    """Bandwidth at which sampling rates are compared: through resonance, where the rate allows it."""
-    return min(1.25 * dynamics.natural_frequency, rate / 2)
-
-
-def _row(row: Attainable) -> Account:
+def _row(row: Attainable, *, coupled: bool) -> Account:
+    """Plain data on one line; what only coupled components have stands behind the reading of the component itself."""
+    others = {name: u for name, u in row.readings.items() if name != row.component}
+    more = {
+        "u_other_readings": others,
+        "u_angular_acceleration": row.angular_acceleration,
+        "u_decoupled": row.decoupled,
+    }
     return {
         "bandwidth": row.bandwidth,
         "u": row.total,
-        "u_reading": row.reading,
+        "u_reading": row.readings[row.component],
         "u_acceleration": row.acceleration,
+        **(more if coupled else {}),
         "u_parameters": row.parameters,
         "noise_gain": row.noise_gain,
         "limited_by": row.limited_by,
     }
 
 
-def _advice(row: Attainable, dynamics: Dynamics, force: float | None) -> str:
-    """Say what to improve first."""
-    improve = {
-        "noise of the balance reading": QUIETER,
-        "noise of the ground accelerometer": "a quieter accelerometer on the ground end (or a stiffer support)",
-        "mass, stiffness, damping, delay": "weighing and identification: a longer record, or several releases",
-    }[row.limited_by]
-    text = f"up to {row.bandwidth:.4g} Hz the limit is the {row.limited_by}: {improve}"
-    if force is None and dynamics.covariance.any():
-        text += ". Give --force to see what mass, stiffness and damping add"
-    return text
+def _advice(part: ComponentPlan, whole: Plan) -> str:
+    """Say what to improve first, and which option would tell more."""
+    hint = ". Give --force to see what the uncertainty of the dynamics adds" if whole.parameters_left_out else ""
+    return part.advice + hint
 
 
-def _summary(account: Account) -> str:
-    unit = account["unit"]
-    others = ", ".join(f"{frequency:.5g}" for frequency in account["further_natural_frequencies"])
-    further = f" (further modes {others} Hz)" if others else ""
-    table = table_text(
-        f"{account['component']}: standard uncertainty of one sample, f0 = "
-        f"{account['natural_frequency']['value']:.5g} Hz{further}, {account['rate']:.5g} Hz",
-        ("bandwidth", "u", "reading", "accelerometer", "parameters", "noise gain", "limited by"),
-        [("Hz", unit, unit, unit, unit, "", "")]
-        + [
+def _summary(parts: Sequence[ComponentPlan], whole: Plan, *, coupled: bool) -> str:
+    texts = []
+    if coupled:
+        texts += [f"coupled components, modes at {_listed(parts[0].natural_frequencies)} Hz, {whole.rate:.5g} Hz", ""]
+    for part in parts:
+        title = f"{part.component}: standard uncertainty of one sample"
+        if not coupled:
+            first, *further = part.natural_frequencies
+            modes = f" (further modes {_listed(further)} Hz)" if further else ""
+            title += f", f0 = {first:.5g} Hz{modes}, {whole.rate:.5g} Hz"
+        texts += [_table(part, title, coupled=coupled), ""]
+    lags = [f"{1e3 * part.live_lag:.3g} ms" + (f" ({part.component})" if len(parts) > 1 else "") for part in parts]
+    rates = table_text(
+        "u through resonance, sampled faster at the same noise per sample",
+        ("", "up to", *(f"{row.rate:.5g} Hz" for row in parts[0].at_other_rates)),
+        [
             (
-                f"{row['bandwidth']:.4g}",
-                *(f"{row[key]:.3g}" for key in ("u", "u_reading", "u_acceleration", "u_parameters", "noise_gain")),
-                row["limited_by"],
+                f"{part.component} [{part.unit}]",
+                f"{part.at_other_rates[0].bandwidth:.4g} Hz",
+                *(f"{row.total:.3g}" for row in part.at_other_rates),
             )
-            for row in account["attainable"]
+            for part in parts
         ],
     )
-    rates = table_text(
-        f"up to {account['at_other_rates'][0]['bandwidth']:.4g} Hz, sampled faster at the same noise per sample",
-        ("rate", "u", "limited by"),
-        [("Hz", unit, "")]
-        + [(f"{row['rate']:.5g}", f"{row['u']:.3g}", row["limited_by"]) for row in account["at_other_rates"]],
-    )
-    lag = f"live, the force follows {1e3 * account['live_lag']['value']:.3g} ms behind"
-    return "\n".join([table, "", rates, "", lag, account["advice"], ""])
+    live = f"live, the force follows {', '.join(lags)} behind"
+    return "\n".join([*texts, rates, "", live, *(_advice(part, whole) for part in parts), ""])
+
+
+def _table(part: ComponentPlan, title: str, *, coupled: bool) -> str:
+    """The attainable uncertainty of one component against bandwidth."""
+    decoupled = ("decoupled",) if coupled else ()
+    headings = ("bandwidth", "u", *decoupled, "readings", "ground end", "parameters", "noise gain", "limited by")
+    units = ("Hz", *(part.unit for _ in headings[1:-2]), "", "")
+    rows = []
+    for row in part.table:
+        readings = float(np.linalg.norm(list(row.readings.values())))
+        ground = float(np.hypot(row.acceleration, row.angular_acceleration))
+        sizes = (row.total, *((row.decoupled,) if coupled else ()), readings, ground, row.parameters, row.noise_gain)
+        largest = row.contributions[row.limited_by]
+        cells = (f"{row.bandwidth:.4g}", *(f"{size:.3g}" for size in sizes), f"{row.limited_by}, {largest:.3g}")
+        rows.append(cells)
+    return table_text(title, headings, [units, *rows])
+
+
+def _listed(frequencies: Sequence[float]) -> str:
+    return ", ".join(f"{frequency:.5g}" for frequency in frequencies)
