@@ -97,7 +97,7 @@ def test_a_mean_over_a_span_uses_only_the_span() -> None:
 
 def test_wrong_calls_and_poor_data_are_named() -> None:
     force = _force(_columns() @ TRUTH)
-    with pytest.raises(FitError, match="regressor twice is zero, or a sum"):
+    with pytest.raises(FitError, match="regressor twice is zero or a linear combination"):
         regress(force, {**SWING, "twice": 2 * SWING["angle"]})
     with pytest.raises(FitError, match="too few for 1 regressors"):
         regress(force, {"mean": 1.0}, span=slice(0, 40))
@@ -105,7 +105,7 @@ def test_wrong_calls_and_poor_data_are_named() -> None:
         regress(force, {"angle": np.ones(3)})
     with pytest.raises(ValueError, match="not finite"):
         regress(force, {"angle": np.full(SAMPLES, np.nan)})
-    with pytest.raises(ValueError, match="neighbouring samples"):
+    with pytest.raises(ValueError, match="consecutive samples"):
         regress(force, SWING, span=slice(0, 1000, 2))
     with pytest.raises(ValueError, match="no regressor drag"):
         regress(force, SWING).of("drag")

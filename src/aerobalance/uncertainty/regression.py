@@ -1,8 +1,9 @@
-"""A force as a sum of what moves with it: static and dynamic derivatives, a polar, the mean of a stretch.
+"""Linear regression of a force on measured quantities: static and dynamic derivatives, a polar, the mean of a window.
 
-Ordinary least squares on the force, with the uncertainty of the force carried through sample by sample, and with what
-the regressors leave over (buffeting) taken as noise of whatever spectrum it shows. Its spectrum is judged with sine
-tapers [Riedel1995]_ around each frequency; what the fit has taken away there is given back.
+It is ordinary least squares. The covariance of the coefficients has two parts: the uncertainty of the force, which is
+propagated sample by sample, and the scatter of what no regressor explains (buffeting), taken as stationary noise of
+any spectrum. That spectrum is estimated from the residual with sine tapers [Riedel1995]_ and corrected for what the
+fit has taken out of it at each frequency.
 
 References
 ----------
@@ -25,33 +26,33 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 
 TAPERS: Final = 12
-"""Fewest tapers that a spectrum is averaged over: it is then known to 1 / sqrt(12), or 29 %, on its own."""
+"""Fewest tapers that a spectrum is averaged over: its relative standard uncertainty is then 1 / sqrt(12), or 29 %."""
 
-ALIKE: Final = 1e-10
-"""Part of a regressor that the others do not explain, below which they are taken to explain it all [1]."""
+COLLINEAR: Final = 1e-10
+"""Norm of what the regressors before it leave of a regressor, over its own, below which it depends on them [1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Regression:
-    """A force as a sum of regressors, each with its coefficient.
+class ForceRegression:
+    """Coefficients of a force on p regressors, with their covariance.
 
     Attributes
     ----------
     names
         The p regressors.
     values
-        Their coefficients, shape (p,) [N over the unit of the regressor].
+        Their coefficients, shape (p,) [N or N*m over the unit of the regressor].
     measured
-        Covariance because the force is uncertain, shape (p, p). It alone counts for what the force was in this
-        stretch, such as its mean there.
+        Covariance from the uncertainty of the force, shape (p, p). It alone counts for what the force was in this
+        window, such as its mean there.
     scatter
-        Covariance because the force has parts that no regressor explains and that would be others in another run,
-        shape (p, p).
+        Covariance from the parts of the force that no regressor explains and that would differ in another run, shape
+        (p, p).
     degrees_of_freedom
-        Of the standard uncertainties, shape (p,): `measured` counts as known exactly, `scatter` is judged from the
-        record.
+        Of the standard uncertainties, shape (p,), by Welch and Satterthwaite: `measured` counts as known exactly,
+        `scatter` is estimated from the record.
     residual
-        What the regressors do not explain, over the stretch, shape (n,) [N].
+        What the regressors do not explain in the window, shape (n,) [N, N*m].
     """
 
     names: tuple[str, ...]
@@ -73,11 +74,11 @@ class Regression:
 
     @property
     def measured_uncertainty(self) -> Array:
-        """Standard uncertainty of the coefficients of the force as it was in this stretch, shape (p,)."""
+        """Standard uncertainty of the coefficients of the force as it was in this window, shape (p,)."""
         return np.sqrt(np.diag(self.measured))
 
     def of(self, name: str) -> tuple[float, float]:
-        """Coefficient of a regressor and its standard uncertainty.
+        """Return the coefficient of a regressor and its standard uncertainty.
 
         Raises
         ------
@@ -90,46 +91,50 @@ class Regression:
         return float(self.values[place]), float(self.uncertainty[place])
 
 
-def regress(estimate: ComponentForce, regressors: Mapping[str, ArrayLike], *, span: slice = slice(None)) -> Regression:
-    """Write a force as a sum of regressors by least squares.
+def regress(
+    estimate: ComponentForce, regressors: Mapping[str, ArrayLike], *, span: slice = slice(None)
+) -> ForceRegression:
+    """Return the coefficients of a force on regressors, by least squares [N or N*m over the unit of the regressor].
 
     Parameters
     ----------
     estimate
         The force.
     regressors
-        What it goes with, by name: values at every sample of the force, shape (n,), or one for all of them. A constant
-        must be among them if the force has one. They are taken as known exactly.
+        By name, the values at every sample of the force, shape (n,), or one value for all of them. A constant must be
+        among them if the force has one. They are taken as known exactly.
     span
-        The samples to use, a slice without a step; all of them if left out.
+        The window of samples to use, a slice without a step; all of them if left out.
 
     Raises
     ------
     ValueError
         A regressor has another shape or is not finite, or the span has a step.
     FitError
-        The regressors are alike, or too many for the samples.
+        The regressors are linearly dependent in the window, or too many for its samples.
     """
     first, stop, step = span.indices(estimate.values.size)
     if step != 1 or not regressors:
-        raise ValueError("regress needs a regressor, and a span of neighbouring samples")
+        raise ValueError(
+            f"regress needs at least one regressor and a span of consecutive samples, not {len(regressors)} and {span}"
+        )
     columns = np.column_stack([_column(name, values, estimate)[first:stop] for name, values in regressors.items()])
     force, tapers = estimate.values[first:stop], max(TAPERS, 2 * columns.shape[1])
     if force.size < 4 * tapers:
         raise FitError(
-            f"{force.size} samples of {estimate.component} are too few for {columns.shape[1]} regressors; take a span "
+            f"{force.size} samples of {estimate.component} are too few for {columns.shape[1]} regressors; use a span "
             f"of at least {4 * tapers}"
         )
-    basis, weights = _solved(columns, tuple(regressors))
+    basis, weights = _least_squares(columns, tuple(regressors))
     values = weights @ force
     residual = force - columns @ values
     scatter, freedom = _scatter(weights, residual, basis=basis, tapers=tapers)
-    whole = np.zeros((weights.shape[0], estimate.values.size))
-    whole[:, first:stop] = weights
+    over_record = np.zeros((weights.shape[0], estimate.values.size))
+    over_record[:, first:stop] = weights
     none = np.zeros_like(scatter)
-    measured = sum((covariance_of(part, whole) for part in estimate.contributions), none)
+    measured = sum((covariance_of(part, over_record) for part in estimate.contributions), none)
     share = np.diag(scatter) / np.maximum(np.diag(measured + scatter), np.finfo(float).tiny)
-    return Regression(
+    return ForceRegression(
         names=tuple(regressors),
         values=values,
         measured=measured,
@@ -140,7 +145,7 @@ def regress(estimate: ComponentForce, regressors: Mapping[str, ArrayLike], *, sp
 
 
 def covariance_of(part: Contribution, weights: Array) -> Array:
-    """Covariance that a contribution gives to weighted sums of the samples, shape (p, p).
+    """Return the covariance of weighted sums of the samples from one contribution, shape (p, p).
 
     Parameters
     ----------
@@ -152,12 +157,15 @@ def covariance_of(part: Contribution, weights: Array) -> Array:
     if isinstance(part, Systematic):
         gradient = weights @ part.slopes
         return np.asarray(gradient @ part.covariance @ gradient.T)
-    count = 2 * weights.shape[1]  # as in the variance of one sum: the record's end does not touch its beginning
-    return _under(weights * part.deviation, part.relative_density(count // 2 + 1))
+    count = 2 * weights.shape[1]  # zero-padded, so that the record's end does not correlate with its beginning
+    return _noise_covariance(weights * part.deviation, part.relative_density(count // 2 + 1))
 
 
-def _under(weights: Array, density: Array) -> Array:
-    """Covariance of sums of a noise, shape (p, p), by its density at m = n + 1 frequencies, 1 for a white one of 1."""
+def _noise_covariance(weights: Array, density: Array) -> Array:
+    """Return the covariance of weighted sums of a noise, shape (p, p).
+
+    Its density is given at n + 1 frequencies from 0 to half the sampling rate, and is 1 for white noise of variance 1.
+    """
     count = 2 * weights.shape[1]
     lines = np.fft.rfft(weights, count, axis=1)
     power = density / count
@@ -166,50 +174,50 @@ def _under(weights: Array, density: Array) -> Array:
 
 
 def _column(name: str, values: ArrayLike, estimate: ComponentForce) -> Array:
-    """One regressor, checked."""
+    """Return one regressor at every sample, shape (n,)."""
     column = np.asarray(values, dtype=np.float64)
     if column.shape not in ((), estimate.values.shape):
         raise ValueError(f"regressor {name} must have shape {estimate.values.shape}, not {column.shape}")
     if not np.isfinite(column).all():
-        raise ValueError(f"regressor {name} is not finite everywhere; leave such samples out by a span")
+        raise ValueError(f"regressor {name} is not finite everywhere; choose a span without such samples")
     return np.broadcast_to(column, estimate.values.shape)
 
 
-def _solved(columns: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
-    """Orthonormal basis of the regressors, shape (n, p), and the weights that give the coefficients, (p, n)."""
+def _least_squares(columns: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
+    """Return an orthonormal basis of the regressors, shape (n, p), and the weights of the coefficients, (p, n)."""
     size = np.linalg.norm(columns, axis=0)
     basis, triangle = np.linalg.qr(columns / np.where(size > 0, size, 1.0))
-    alone = np.abs(np.diag(triangle))
-    if alone.min() < ALIKE:
-        worst = names[int(np.argmin(alone))]
+    independent = np.abs(np.diag(triangle))
+    if independent.min() < COLLINEAR:
+        worst = names[int(np.argmin(independent))]
         raise FitError(
-            f"regressor {worst} is zero, or a sum of those before it, in this span, so its coefficient cannot be "
-            "told; leave it out or take a span where it moves on its own"
+            f"regressor {worst} is zero or a linear combination of those before it in this span, so its coefficient "
+            "cannot be determined; leave it out or use a span where it varies on its own"
         )
     return basis, np.linalg.solve(triangle, basis.T) / size[:, None]
 
 
 def _scatter(weights: Array, residual: Array, *, basis: Array, tapers: int) -> tuple[Array, Array]:
-    """Covariance that the residual, as noise of its spectrum, gives to the sums, and the degrees of freedom of each.
+    """Return the covariance of the coefficients from the residual, and the degrees of freedom of each.
 
-    Where the residual's own spectrum is level over the tapers' band, the expected power that the fit has left of it is
-    1 less what the tapered basis holds at that frequency; the sum over the tapers is divided by what is left. The
-    tapers are orthonormal, so p regressors hold p of them at most, half of all.
+    The residual is noise of the spectrum that it shows. Where it is level over the band of the tapers, the fit leaves
+    of its power at a frequency the part 1 less that of the tapered basis there; the sum over the tapers is divided by
+    what it leaves. The tapers are orthonormal, so p regressors take p of them at most, half of all.
     """
     samples = residual.size
     place = np.arange(1, samples + 1) * np.pi / (samples + 1)
-    power, left = np.zeros((2, samples + 1))
+    power, remaining = np.zeros((2, samples + 1))
     for order in range(1, tapers + 1):
         taper = np.sqrt(2 / (samples + 1)) * np.sin(order * place)
         power += np.abs(np.fft.rfft(residual * taper, 2 * samples)) ** 2
-        held = np.abs(np.fft.rfft(basis * taper[:, None], 2 * samples, axis=0)) ** 2
-        left += 1 - held.sum(axis=1)
-    density = power / left
-    # near zero (and half the rate) every taper's value is real, or a pair of frequencies tells the same
+        of_basis = np.abs(np.fft.rfft(basis * taper[:, None], 2 * samples, axis=0)) ** 2
+        remaining += 1 - of_basis.sum(axis=1)
+    density = power / remaining
+    # near 0 and half the rate every taper's value is real, or a pair of frequencies holds the same information
     lines = np.arange(samples + 1)
     edge = np.minimum(lines, samples - lines) < tapers
-    freedom = np.maximum(np.where(edge, left, 2 * left), 1.0)
+    freedom = np.maximum(np.where(edge, remaining, 2 * remaining), 1.0)
     share = np.abs(np.fft.rfft(weights, 2 * samples, axis=1)) ** 2 * density
     total = share.sum(axis=1)
     loss = np.where(total > 0, (share / freedom).sum(axis=1) / np.where(total > 0, total, 1.0), 1.0)
-    return _under(weights, density), np.asarray(1 / loss)
+    return _noise_covariance(weights, density), np.asarray(1 / loss)
