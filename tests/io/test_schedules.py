@@ -12,8 +12,8 @@ from aerobalance.app.cli import main
 from aerobalance.io import read
 from aerobalance.io.load_columns import balance_type_of, load_key
 from aerobalance.io.schedule import read_schedule, write_balfit_schedule
-from aerobalance.io.units import conversion
 from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
+from aerobalance.recording.units import conversion
 
 POUND = 0.45359237 * 9.80665  # international pound (1959) and standard gravity (1901), both exact
 INCH = 0.0254

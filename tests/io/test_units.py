@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from aerobalance.io.units import ALLOWED, Conversion, conversion, conversion_for, edge_unit, expected_unit, readable
+from aerobalance.recording.units import (
+    ALLOWED,
+    Conversion,
+    conversion,
+    conversion_for,
+    edge_unit,
+    expected_unit,
+    readable,
+)
 
 POUND_FORCE = 0.45359237 * 9.80665  # international pound (1959) and standard gravity (1901), both exact
 INCH = 0.0254

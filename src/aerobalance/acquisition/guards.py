@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from aerobalance.balance.load_envelope import LoadEnvelope, Station
 from aerobalance.io.hdf5_layout import StoredChannel
-from aerobalance.io.units import conversion_for
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError
+from aerobalance.recording.units import conversion_for
 
 if TYPE_CHECKING:
     from aerobalance.balance.matrix import BalanceMatrix

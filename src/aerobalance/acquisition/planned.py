@@ -21,9 +21,9 @@ from aerobalance.acquisition.rig_values import HALF_RANGES
 from aerobalance.acquisition.setup import Setup, Simulated
 from aerobalance.balance.load_envelope import LoadEnvelope
 from aerobalance.io.hdf5_layout import StoredChannel
-from aerobalance.io.units import conversion_for
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.errors import FitError
+from aerobalance.recording.units import conversion_for
 
 if TYPE_CHECKING:
     from aerobalance.balance.matrix import BalanceMatrix

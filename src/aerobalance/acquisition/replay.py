@@ -15,9 +15,9 @@ from aerobalance.acquisition.source import Block, SourceChannel, SourceEndedErro
 from aerobalance.io import load_channel_map, read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import can_read, read_blocks
-from aerobalance.io.units import conversion_for
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
+from aerobalance.recording.units import conversion_for
 
 AGAIN: Final = "the recording begins again"
 """What is said of the time before the first sample of another round."""

@@ -51,9 +51,9 @@ from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.messages import first_fault
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.toml_text import read_toml, toml_in, toml_text
-from aerobalance.io.units import conversion_for
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError, ReadError
+from aerobalance.recording.units import conversion_for
 
 LATEST: Final = 1.0
 """Longest delay of a channel [s]; the live force waits for it."""

@@ -24,11 +24,11 @@ from aerobalance.io.opening import opened_file
 from aerobalance.io.table import Column, Table, recording_from, table_from
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.text_table import describe_text, guess_encoding
-from aerobalance.io.units import Conversion, conversion, conversion_for, edge_unit
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import is_gauge, si_unit
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.units import Conversion, conversion, conversion_for, edge_unit
 
 if TYPE_CHECKING:
     from aerobalance.balance.loads import Loads

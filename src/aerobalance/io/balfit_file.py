@@ -18,9 +18,9 @@ from aerobalance.io.balfit_symbols import Columns, columns_of
 from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, settle_capacities
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_cells import number_in, separator_of, split_line
-from aerobalance.io.units import Conversion, conversion
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError, warn_quality
+from aerobalance.recording.units import Conversion, conversion
 
 NAME: Final = "BALFIT load schedule"
 """What to call the format in messages."""

@@ -16,9 +16,9 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.terms import Term, by_label
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_table import read_text
-from aerobalance.io.units import conversion
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError, warn_quality
+from aerobalance.recording.units import conversion
 
 FILE_TYPE: Final = "DATA_REDUCTION_MATRIX_IN_AMES_FORMAT"
 MOMENT_UNIT: Final = "N*m"

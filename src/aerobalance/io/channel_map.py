@@ -17,7 +17,6 @@ from aerobalance.io.table import Column, check_time, on_clock
 from aerobalance.io.text_cells import SEPARATORS
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.toml_text import read_toml
-from aerobalance.io.units import Conversion, conversion, conversion_for
 from aerobalance.recording.analog_filter import HIGHEST_ORDER, AntiAlias, Kind
 from aerobalance.recording.channel import (
     Array,
@@ -28,6 +27,7 @@ from aerobalance.recording.channel import (
 from aerobalance.recording.components import is_gauge
 from aerobalance.recording.errors import ReadError, warn_quality
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.units import Conversion, conversion, conversion_for
 
 Position = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
 

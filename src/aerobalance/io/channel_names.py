@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from aerobalance.io.columns import Heading
-from aerobalance.io.units import ALLOWED, conversion, conversion_for
 from aerobalance.recording.channel import QUANTITIES, unit_inside
 from aerobalance.recording.components import COMPONENTS, is_gauge
+from aerobalance.recording.units import ALLOWED, conversion, conversion_for
 
 _LOADS: Final[Mapping[str, tuple[str, ...]]] = {
     "AF": ("axialkraft", "kraft axial", "axial force", "force axiale", "fuerza axial", "forza assiale", "axial"),

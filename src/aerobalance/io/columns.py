@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.io.units import readable
 from aerobalance.recording.channel import Array, SensorSpec
 from aerobalance.recording.errors import ReadError
+from aerobalance.recording.units import readable
 
 _SQUARE: Final = re.compile(r"(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 _ROUND: Final = re.compile(r"(?P<name>.*?)\s*\((?P<unit>.*)\)\s*")

@@ -16,9 +16,9 @@ from aerobalance.io.text_clock import ALIKE
 from aerobalance.io.text_layout import Layout, TextLayout
 from aerobalance.io.text_table import describe_text, guess_encoding, read_text_columns, read_text_table
 from aerobalance.io.toml_text import quoted
-from aerobalance.io.units import expected_unit
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError, warn_quality
+from aerobalance.recording.units import expected_unit
 
 NAME: Final = "CSV text"
 """What to call the format in messages."""

@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 
 from aerobalance.balance.load_formats import BalanceType, role_of
-from aerobalance.io.units import ALLOWED, Conversion, conversion
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
+from aerobalance.recording.units import ALLOWED, Conversion, conversion
 
 Capacities = Mapping[str, tuple[float, str]]
 """Largest allowed load by component: value and unit."""

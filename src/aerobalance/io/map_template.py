@@ -12,8 +12,8 @@ from aerobalance.io.columns import Heading
 from aerobalance.io.text_clock import is_time_name, is_time_unit
 from aerobalance.io.text_layout import TextLayout, separator_word
 from aerobalance.io.toml_text import quoted
-from aerobalance.io.units import readable
 from aerobalance.recording.channel import QUANTITIES
+from aerobalance.recording.units import readable
 
 
 def map_text(file: Path, headings: Sequence[Heading], *, found: TextLayout | None = None) -> str:

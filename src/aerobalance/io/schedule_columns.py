@@ -12,9 +12,9 @@ from aerobalance.io.channel_map import ChannelMap, MappedChannel
 from aerobalance.io.columns import split_label
 from aerobalance.io.load_columns import load_conversion
 from aerobalance.io.schedule_names import MARKS, is_output_of, mark_of
-from aerobalance.io.units import conversion
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
+from aerobalance.recording.units import conversion
 
 _MAPPED: Final = ("column", "unit", "scale", "offset", "sign", "excitation", "shunt_expected", "shunt_measured")
 """What a channel map may say of a column of a schedule; what else it says is of recordings."""

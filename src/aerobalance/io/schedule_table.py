@@ -25,10 +25,10 @@ from aerobalance.io.schedule_names import FALSE, TRUE
 from aerobalance.io.sheet_cells import Row, Sheet, sheets_of
 from aerobalance.io.text_cells import MISSING, number_in
 from aerobalance.io.text_layout import Layout
-from aerobalance.io.units import conversion, readable
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import is_gauge
 from aerobalance.recording.errors import ReadError
+from aerobalance.recording.units import conversion, readable
 
 NAME: Final = "table of loads and outputs"
 """What to call the format in messages."""

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.io.columns import RawColumn, RawColumns
-from aerobalance.io.units import ALLOWED, conversion_for, expected_unit
 from aerobalance.recording.channel import Array, Channel, SensorSpec
 from aerobalance.recording.errors import FitError, ReadError, warn_quality
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.units import ALLOWED, conversion_for, expected_unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,10 +16,10 @@ from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_
 from aerobalance.io.tdms_tasks import Stamped, seconds_after, start_stamps
 from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.io.text_layout import Layout
-from aerobalance.io.units import conversion, readable
 from aerobalance.recording.channel import QUANTITIES, Array
 from aerobalance.recording.components import is_gauge
 from aerobalance.recording.errors import ReadError, warn_quality
+from aerobalance.recording.units import conversion, readable
 
 if TYPE_CHECKING:
     from nptdms import TdmsChannel, TdmsFile

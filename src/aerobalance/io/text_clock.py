@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.io.text_cells import number_in, stamp_format, stamp_pattern
-from aerobalance.io.units import conversion
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
+from aerobalance.recording.units import conversion
 
 ALIKE: Final = 0.02
 """Relative difference up to which two statements of one sampling rate agree."""

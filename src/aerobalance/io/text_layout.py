@@ -12,7 +12,7 @@ from aerobalance.io.columns import split_label
 from aerobalance.io.text_cells import SEPARATORS, Kind, kind_of, split_line
 from aerobalance.io.text_clock import FoundClock, StatedRate, find_clock, is_time_name, is_time_unit, stated_rate
 from aerobalance.io.text_limits import MOST_COLUMNS
-from aerobalance.io.units import readable
+from aerobalance.recording.units import readable
 
 HEAD: Final = 1 << 20
 """Bytes from which the layout is recognised, so that a long file takes no longer than a short one."""

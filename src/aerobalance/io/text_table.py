@@ -18,9 +18,9 @@ from aerobalance.io.text_clock import seconds_of
 from aerobalance.io.text_layout import Layout, TextLayout, recognise
 from aerobalance.io.text_limits import check_columns, check_first_line, check_lines
 from aerobalance.io.text_rows import Grid, Lines, no_number, read_cells
-from aerobalance.io.units import expected_unit
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError, warn_quality
+from aerobalance.recording.units import expected_unit
 
 _BOMS: Final = (
     (b"\xef\xbb\xbf", "utf-8"),

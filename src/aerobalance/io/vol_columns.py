@@ -12,10 +12,10 @@ import numpy as np
 
 from aerobalance.io.columns import split_label
 from aerobalance.io.load_columns import load_conversion, load_key, load_unit_of, ratio_outputs
-from aerobalance.io.units import conversion
 from aerobalance.io.vol_blocks import Block, Entry, VolText
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError, warn_quality
+from aerobalance.recording.units import conversion
 
 _GENERIC: Final = re.compile(
     r"((ch|chan|channel|ai|ain|col|column|bridge|gauge|gage|in|input|sensor|signal|out|output|volt|voltage|v|adc)?"

@@ -16,7 +16,6 @@ import numpy as np
 from aerobalance.balance.load_formats import BalanceType, Geometry
 from aerobalance.balance.schedule import Schedule
 from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, load_key, settle_capacities
-from aerobalance.io.units import conversion
 from aerobalance.io.vol_blocks import Block, take_apart
 from aerobalance.io.vol_columns import (
     Reading,
@@ -30,6 +29,7 @@ from aerobalance.io.vol_columns import (
 )
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import warn_quality
+from aerobalance.recording.units import conversion
 
 NAME: Final = "voltage calibration file (.vol)"
 """What to call the format in messages."""

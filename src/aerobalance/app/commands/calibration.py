@@ -29,8 +29,8 @@ from aerobalance.io.matrix_file import read_matrix
 from aerobalance.io.schedule import read_schedule
 from aerobalance.io.sheet_cells import is_workbook
 from aerobalance.io.text_table import read_text
-from aerobalance.io.units import conversion
 from aerobalance.recording.channel import Array
+from aerobalance.recording.units import conversion
 
 SHOWN_INTERACTIONS: Final = 6
 """Interactions that have changed which the short answer shows."""

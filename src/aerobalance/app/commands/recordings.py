@@ -14,10 +14,10 @@ from aerobalance.io import as_it_went_in, check_output, column_names, hdf5_file,
 from aerobalance.io.kinds import CONVERTED
 from aerobalance.io.matrix_file import is_matrix
 from aerobalance.io.safe_write import replacing
-from aerobalance.io.units import conversion_for, edge_unit
 from aerobalance.recording.channel import Channel, SensorSpec
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.noise import channel_noise
+from aerobalance.recording.units import conversion_for, edge_unit
 
 NO_TIME: Final = 1e-12
 """Share of the length of a recording below which an instant is zero but for rounding."""

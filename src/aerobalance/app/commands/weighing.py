@@ -17,8 +17,8 @@ from aerobalance.balance.weighing import weigh as weigh_points
 from aerobalance.io import load_channel_map
 from aerobalance.io.mass_file import read_masses, weighing_payload, write_weighing
 from aerobalance.io.points import read_points
-from aerobalance.io.units import conversion
 from aerobalance.recording.components import STANDARD_GRAVITY, mass_unit
+from aerobalance.recording.units import conversion
 
 _AMOUNT: Final = re.compile(
     r"(?P<number>[-+]?[\d.,]+(?:e[-+]?\d+)?|[-+]?(?:nan|inf))\s*(?P<unit>[^\d\s.,][^.,]*)?", re.IGNORECASE

@@ -14,9 +14,9 @@ import numpy as np
 from aerobalance.acquisition.pretest_checks import Change, Checked, check_return, check_shunt, mean_change
 from aerobalance.acquisition.setup import stored_channels
 from aerobalance.app.monitor.messages import Means, TakeMeans
-from aerobalance.io.units import conversion_for
 from aerobalance.recording.components import COMPONENTS, is_gauge, si_unit
 from aerobalance.recording.errors import FitError, ReadError
+from aerobalance.recording.units import conversion_for
 
 if TYPE_CHECKING:
     from aerobalance.app.monitor.station import Station

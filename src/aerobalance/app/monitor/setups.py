@@ -10,8 +10,8 @@ from aerobalance.acquisition.rig_values import CLOSED, HALF_RANGES, LARGEST_SHAR
 from aerobalance.acquisition.setup import Record, SetChannel, Setup, Simulated, load_setup, setup_from, stored_channels
 from aerobalance.acquisition.source import SourceChannel
 from aerobalance.app.monitor.folder import Folder
-from aerobalance.io.units import conversion_for
 from aerobalance.recording.errors import ReadError
+from aerobalance.recording.units import conversion_for
 
 SHAKEN: Final = {"frequency": 100.0, "amplitude": 30.0}
 """Drive of the vibration rig when the page opens it [Hz, N]: its motion stands out of the accelerometer's noise."""

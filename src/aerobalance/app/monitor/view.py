@@ -28,9 +28,9 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.text_cells import LARGEST
-from aerobalance.io.units import Conversion, conversion_for
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, acceleration_name, is_gauge, si_unit
+from aerobalance.recording.units import Conversion, conversion_for
 
 FINEST: Final = 1e-3
 """Length of the shortest bin of a chart [s]."""
