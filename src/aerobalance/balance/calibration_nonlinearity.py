@@ -1,10 +1,10 @@
-"""What is not known of the curvature of a balance matrix, in a force that changes fast.
+"""Errors of the loads by the nonlinear part of what a calibration leaves uncertain, as a spectrum.
 
-The error of a matrix is a function of the loads felt. As far as it is linear it stretches and turns the loads, and the
-dynamics are identified from loads that are stretched and turned as well, so that Eq. (17) of [Gorbushin2020]_ makes
-the error of a static load of it. The rest is curved: under loads that change it is an error with a spectrum of its
-own, as wide as that of the loads and wider, to which D e' + A e'' belong as to the loads themselves, and its mean is
-not that of the mean load.
+The error of a balance matrix is a function of the loads. Its linear part stretches and rotates the loads, and the
+dynamics are identified from loads that are stretched and rotated as well, so that Eq. (17) of [Gorbushin2020]_ turns
+it into the error of a static load. The nonlinear part does not cancel so: under loads that change it is an error with
+a spectrum of its own, as wide as that of the loads and wider, which the inverse response amplifies as it does
+the loads themselves; and its mean differs from the error at the mean load, as a rectified signal's does.
 
 References
 ----------
@@ -35,12 +35,12 @@ SEGMENTS: Final = 16
 """Segments at most, spread over the record."""
 
 FITTED: Final = 20_000
-"""Samples at most by which the linear part of the terms is found."""
+"""Samples at most that the linear part of the terms is fitted to."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CurvatureErrors:
-    """Spectrum of the errors that the curvature of a matrix leaves in loads felt.
+class NonlinearErrors:
+    """Spectrum of the errors that the nonlinear part of a matrix's uncertainty leaves in the balance loads.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class CurvatureErrors:
     frequency
         Frequencies from 0 to half the sampling rate, evenly spaced, shape (m,) [Hz].
     density
-        Two-sided cross spectral densities of the loads' errors at the first k of them, shape (k, c, c) [N^2/Hz ...].
+        Two-sided cross-spectral density of the errors at the first k of them, shape (k, c, c) [N^2/Hz ...].
     rectified
-        Covariance of the mean errors, less those at the mean loads, shape (c, c) [N^2 ...].
+        Covariance of the mean errors less the errors at the mean loads, shape (c, c) [N^2 ...].
     rate
         Sampling rate [Hz].
     """
@@ -63,8 +63,8 @@ class CurvatureErrors:
     rate: float
 
     @classmethod
-    def of(cls, felt: Loads, *, rate: float, highest: float) -> CurvatureErrors:
-        """Work it out from the covariance of the matrix and the loads of a recording, shape (n, c).
+    def of(cls, felt: Loads, *, rate: float, highest: float) -> NonlinearErrors:
+        """Return the spectrum for the loads of a recording, from the covariance of the matrix.
 
         Parameters
         ----------
@@ -73,7 +73,7 @@ class CurvatureErrors:
         rate
             Sampling rate [Hz].
         highest
-            Frequency above which nothing is wanted [Hz].
+            Highest frequency that the density is given at [Hz].
         """
         matrix = felt.balance
         native = felt.native[np.isfinite(felt.native).all(axis=1)]
@@ -82,7 +82,7 @@ class CurvatureErrors:
         kept = int(np.searchsorted(frequency, highest, side="right"))
         power = np.zeros((kept, len(matrix.components)))
         count = 0
-        for part in _curved_parts(native, matrix, size=size):
+        for part in _nonlinear_parts(native, matrix, size=size):
             transform = np.fft.rfft(part, axis=0)[:kept]
             for bridge, covariance in enumerate(matrix.covariance):
                 power[:, bridge] += np.real(np.sum((transform @ covariance) * transform.conj(), axis=1))
@@ -92,7 +92,7 @@ class CurvatureErrors:
         T = felt.transform @ _to_loads(matrix, np.median(native, axis=0))
 
         def of_loads(variance: Array) -> Array:
-            # the coefficients of all bridges come from the same points, and go together as their readings do
+            # the coefficients of all bridges come from the same points, and are correlated as their readings are
             deviation = np.sqrt(np.maximum(variance, 0.0))
             bridges = deviation[..., :, None] * matrix.residual_correlation * deviation[..., None, :]
             return np.asarray(T @ bridges @ T.T, dtype=np.float64)
@@ -111,26 +111,26 @@ class CurvatureErrors:
         return self.frequency[: self.density.shape[0]]
 
     def offset(self, component: str) -> float:
-        """Standard uncertainty of a force from the mean of the errors, beyond that at the mean load [N, N*m]."""
+        """Return the standard uncertainty of a force from the mean error less that at the mean load [N, N*m]."""
         place = self.components.index(component)
         return float(np.sqrt(max(self.rectified[place, place], 0.0)))
 
-    def in_force(self, ringing: NDArray[np.complex128], components: list[str]) -> Array:
-        """Two-sided densities of what a force gets beyond the error of a static load, shape (k, n) [N^2/Hz ...].
+    def in_force(self, inverse: NDArray[np.complex128], components: list[str]) -> Array:
+        """Return the two-sided density of the error of each force beyond that of a static load, (k, n) [N^2/Hz ...].
 
         Parameters
         ----------
-        ringing
-            Force over load felt at the frequencies `resolved`, less 1: D s + A s^2, shape (k, n, n).
+        inverse
+            Force over balance load at the frequencies `resolved`, less 1: D s + A s^2, shape (k, n, n).
         components
             Names of these n components.
         """
         places = [self.components.index(name) for name in components]
         own = self.density[:, places][:, :, places]
-        return np.real(np.einsum("mij,mjk,mik->mi", ringing, own, ringing.conj()))
+        return np.real(np.einsum("mij,mjk,mik->mi", inverse, own, inverse.conj()))
 
     def as_noise(self, density: Array, *, bandwidth: float) -> tuple[float, Array]:
-        """Standard deviation of an error with such a density, and its spectrum with mean 1, cut off at a bandwidth."""
+        """Return the standard deviation of an error of this density below a bandwidth, and its spectrum of mean 1."""
         whole = np.zeros(self.frequency.size)
         whole[: density.size] = np.where(self.resolved <= bandwidth, density, 0.0)
         mean = float(np.mean(whole))
@@ -140,12 +140,12 @@ class CurvatureErrors:
 
 
 def _variables(native: Array, matrix: BalanceMatrix) -> Array:
-    """What the terms are made of at these loads, shape (n, c)."""
+    """Return the normalised variables of the terms at these loads, shape (n, c)."""
     return native / matrix.load_scale if matrix.way == "iterative" else matrix.outputs(native) / matrix.output_scale
 
 
 def _rectified(native: Array, matrix: BalanceMatrix) -> Array:
-    """Mean of the terms less what they are at the mean, shape (t,)."""
+    """Return the mean of the terms less the terms at the mean load, shape (t,)."""
     x = _variables(native[:: max(len(native) // FITTED, 1)], matrix)
     mean = np.ascontiguousarray(x.mean(axis=0)[None, :])
     terms = codes(matrix.terms)
@@ -153,8 +153,8 @@ def _rectified(native: Array, matrix: BalanceMatrix) -> Array:
     return np.asarray(found)
 
 
-def _curved_parts(native: Array, matrix: BalanceMatrix, *, size: int) -> Iterator[Array]:
-    """Terms of the matrix less their linear parts, windowed, of some segments of the loads, shape (size, t)."""
+def _nonlinear_parts(native: Array, matrix: BalanceMatrix, *, size: int) -> Iterator[Array]:
+    """Yield the terms of the matrix less their linear parts, windowed, of segments of the loads, shape (size, t)."""
     x = _variables(native, matrix)
     some = np.ascontiguousarray(x[:: max(len(x) // FITTED, 1)])
     slopes = np.linalg.lstsq(_with_one(some), kernels.design(*codes(matrix.terms), some), rcond=None)[0]
@@ -171,7 +171,7 @@ def _with_one(x: Array) -> Array:
 
 
 def _to_loads(matrix: BalanceMatrix, at: Array) -> Array:
-    """Error of loads by the error of each column of the matrix, scaled, shape (c, c) [N, N*m]."""
+    """Return the error of the loads by the normalised error of each bridge, shape (c, c) [N, N*m]."""
     if matrix.way == "non-iterative":
         return np.diag(matrix.load_scale)
     return np.asarray(matrix.sensitivity(at[None, :])[0] * matrix.output_scale)

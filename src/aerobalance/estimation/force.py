@@ -14,7 +14,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from aerobalance.balance.calibration_nonlinearity import CurvatureErrors
+from aerobalance.balance.calibration_nonlinearity import NonlinearErrors
 from aerobalance.balance.loads import Loads, static_uncertainty
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.reduction import reduce_outputs
@@ -274,7 +274,7 @@ def _with_matrix(
     """Add what is not known of the balance matrix to the uncertainty."""
     static = static_uncertainty(loads, forces={name: found.values for name, found in parts.items()})
     highest = max(found.bandwidth for found in parts.values())
-    curvature = CurvatureErrors.of(loads, rate=loads.recording.rate, highest=highest)
+    curvature = NonlinearErrors.of(loads, rate=loads.recording.rate, highest=highest)
     order = [dynamics.components.index(name) for name in parts]
     inverse = dynamics.inverse_response(curvature.resolved)[:, order][:, :, order]
     densities = curvature.in_force(inverse - np.eye(len(order)), list(parts))

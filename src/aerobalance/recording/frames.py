@@ -58,7 +58,7 @@ class ResolvedLoads:
     def of(
         cls, values: ArrayLike, *, uncertainty: ArrayLike = 0.0, correlation: ArrayLike | None = None
     ) -> ResolvedLoads:
-        """Loads with the standard uncertainty of each and the correlation between them.
+        """Return loads from the standard uncertainty of each and the correlation between them.
 
         Parameters
         ----------
@@ -92,22 +92,24 @@ class ResolvedLoads:
         """Standard uncertainty of every value, shape (n, 6)."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=1, axis2=2), 0.0))
 
-    def mapped(self, matrix: Array, *, slopes: Array | None = None, unknowns: Array | None = None) -> ResolvedLoads:
-        """The loads times a matrix, with the uncertainty of what the matrix depends on.
+    def transformed(
+        self, matrix: Array, *, slopes: Array | None = None, parameter_covariance: Array | None = None
+    ) -> ResolvedLoads:
+        """Return the loads times a matrix, with the uncertainty of the k quantities that the matrix depends on.
 
         Parameters
         ----------
         matrix
             Shape (6, 6), or (n, 6, 6).
         slopes
-            Change of the result with k quantities, shape (n, 6, k).
-        unknowns
-            Covariance of these, shape (k, k) or (n, k, k).
+            Derivative of the result by these quantities, shape (n, 6, k).
+        parameter_covariance
+            Their covariance, shape (k, k) or (n, k, k).
         """
         values = np.einsum("...ij,...j->...i", matrix, self.values)
         covariance = matrix @ self.covariance @ np.swapaxes(matrix, -1, -2)
-        if slopes is not None and unknowns is not None:
-            covariance = covariance + slopes @ unknowns @ np.swapaxes(slopes, -1, -2)
+        if slopes is not None and parameter_covariance is not None:
+            covariance = covariance + slopes @ parameter_covariance @ np.swapaxes(slopes, -1, -2)
         return ResolvedLoads(values, covariance)
 
 
@@ -115,7 +117,7 @@ class ResolvedLoads:
 class Frame:
     """A reference point and axes, given in those of another frame: a body in its balance, a moment centre in a body.
 
-    It is turned against the other frame nose right by yaw, then nose up by pitch, then right side down by roll.
+    It is rotated against the other frame nose right by yaw, then nose up by pitch, then right side down by roll.
 
     Attributes
     ----------
@@ -146,7 +148,7 @@ class Frame:
 
     @classmethod
     def of_rotation(cls, rotation: Array, *, point: ArrayLike = (0.0, 0.0, 0.0)) -> Frame:
-        """Frame whose axes are turned by a matrix that takes vectors from the other frame's axes into its own.
+        """Return the frame of a rotation matrix, which takes vectors from the other frame's axes into its own.
 
         Parameters
         ----------
@@ -158,7 +160,7 @@ class Frame:
         if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9):
             raise ValueError("rotation must have shape (3, 3), its rows of length 1 and at right angles")
         if np.linalg.det(rotation) < 0:
-            raise ValueError("rotation turns a right-handed triple into a left-handed one: an axis has a wrong sign")
+            raise ValueError("rotation makes a left-handed triple of a right-handed one: an axis has a wrong sign")
         pitch = float(np.arcsin(np.clip(-rotation[0, 2], -1, 1)))
         yaw = float(np.arctan2(-rotation[0, 1], rotation[0, 0]))
         roll = float(np.arctan2(-rotation[1, 2], rotation[2, 2]))
@@ -183,7 +185,7 @@ class Frame:
         return np.asarray(np.linalg.inv(self.matrix).T)
 
     def loads(self, given: ResolvedLoads) -> ResolvedLoads:
-        """Loads in this frame.
+        """Return loads in this frame [N, N*m].
 
         Parameters
         ----------
@@ -191,11 +193,11 @@ class Frame:
             Loads in the other frame.
         """
         if not self.covariance.any():
-            return given.mapped(self.matrix)
-        return given.mapped(self.matrix, slopes=self._slopes(given.values), unknowns=self.covariance)
+            return given.transformed(self.matrix)
+        return given.transformed(self.matrix, slopes=self._slopes(given.values), parameter_covariance=self.covariance)
 
     def _slopes(self, values: Array) -> Array:
-        """Change of the loads with point and angles, shape (n, 6, 6)."""
+        """Return the derivative of the loads by point and angles, shape (n, 6, 6)."""
         turned, by_angles = rotation(self.pitch, self.roll, self.yaw)
         slopes = []
         for axis in range(3):
@@ -212,7 +214,7 @@ def wind_loads(
     sideslip: ArrayLike = 0.0,
     angle_covariance: ArrayLike | None = None,
 ) -> ResolvedLoads:
-    """Loads in wind axes: lift, side force and drag in the places of NF, SF and AF, and moments about the wind's axes.
+    """Return lift, side force and drag in the places of NF, SF and AF, and moments about the wind's axes [N, N*m].
 
     Drag is along the wind, positive downstream; lift is at right angles to it in the body's plane of symmetry,
     positive up; side force is at right angles to both, positive to the right. The reference point stays.
@@ -237,7 +239,7 @@ def wind_loads(
     aside, by_beta = np.swapaxes(yaw, -1, -2), -np.swapaxes(by_yaw, -1, -2)
     matrix = _load_matrix(aside @ back, np.zeros(3))
     if angle_covariance is None:
-        return body.mapped(matrix)
+        return body.transformed(matrix)
     slopes = [
         np.einsum("nij,nj->ni", _load_matrix(turn, np.zeros(3)), body.values)
         for turn in (aside @ by_alpha, by_beta @ back)
@@ -245,7 +247,7 @@ def wind_loads(
     unknowns = np.asarray(angle_covariance, dtype=np.float64)
     if unknowns.shape not in ((2, 2), (samples, 2, 2)):
         raise ValueError(f"angle_covariance must have shape (2, 2) or ({samples}, 2, 2), not {unknowns.shape}")
-    return body.mapped(matrix, slopes=np.stack(slopes, axis=2), unknowns=unknowns)
+    return body.transformed(matrix, slopes=np.stack(slopes, axis=2), parameter_covariance=unknowns)
 
 
 def coefficients(
@@ -257,7 +259,7 @@ def coefficients(
     span: float,
     pressure_uncertainty: ArrayLike = 0.0,
 ) -> ResolvedLoads:
-    """Coefficients: forces over q S, the pitching moment over q S c, yawing and rolling moment over q S b.
+    """Return the coefficients: forces over q S, pitching moment over q S c, yawing and rolling moment over q S b [1].
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""What the uncertainty of a force comes to: for its mean, rms, peaks and spectrum, and what to improve first.
+"""Uncertainty budget of a force: of its mean, rms, peaks and spectrum, and what to improve first.
 
-To first order [JCGM100]_: an error that holds along the record does not average out, noise does, by its spectrum. The
-force lies within the noise of its estimate: what the smoother has smoothed away belongs to its rms and spectrum, and
-what noise has added to a direct inverse does not.
+Uncertainty is propagated to first order [JCGM100]_: a systematic error does not average out along the record, noise
+does, by its spectrum. Rms and spectrum are corrected for the noise of the estimate: the power that the smoother has
+taken out of the force is added, and the power that noise has added to a direct inverse is subtracted.
 
 References
 ----------
@@ -25,10 +25,10 @@ from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
 
 SEGMENTS: Final = 8
-"""Parts of the record, without overlap, that a spectrum is averaged over."""
+"""Segments of the record, counted without overlap, that a spectrum is averaged over."""
 
 LONGEST_SEGMENT: Final = 4096
-"""Samples of one such part at most."""
+"""Samples of one such segment at most."""
 
 OVERLAP_LOSS: Final = 19 / 18
 """Variance of an average over half-overlapping Hann segments over that of independent ones [Welch1967]_."""
@@ -79,7 +79,7 @@ class Scalar:
 
 
 def scalars(estimate: ComponentForce) -> tuple[Scalar, ...]:
-    """Mean, rms about it, largest and least value of a force, with their standard uncertainties.
+    """Return mean, rms about it, largest and least value of a force, with their standard uncertainties [N, N*m].
 
     Largest and least are the force at the instants where the estimate is largest and least.
     """
@@ -97,14 +97,14 @@ def _linear(name: str, estimate: ComponentForce, weights: Array) -> Scalar:
 
 
 def noise_power(estimate: ComponentForce) -> float:
-    """Mean square of the noise about its mean [N^2]."""
+    """Return the mean square of the noise of a force about its mean [N^2]."""
     noises = [part for part in estimate.contributions if isinstance(part, Noise)]
     weights = np.full(estimate.values.size, 1 / estimate.values.size)
     return sum(float(np.mean(part.deviation**2)) - part.variance_of(weights) for part in noises)
 
 
 def _rms(estimate: ComponentForce) -> Scalar:
-    """The rms about the mean: linear in the errors, and for noise their squares too, which do not vanish."""
+    """Return the rms about the mean: first order in the errors, and second order in noise, whose square has a mean."""
     values = estimate.values
     centred = values - values.mean()
     sign = 1 if estimate.learned is not None else -1
@@ -144,7 +144,7 @@ class ForceSpectrum:
 
 
 def spectrum(estimate: ComponentForce, *, rate: float) -> ForceSpectrum:
-    """Power spectral density of the force by the method of [Welch1967]_, Hann windows that overlap by half.
+    """Return the one-sided power spectral density of a force by [Welch1967]_, Hann windows that overlap by half.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def spectrum(estimate: ComponentForce, *, rate: float) -> ForceSpectrum:
 
 
 def segment_length(samples: int) -> int:
-    """Samples of one segment of a spectrum."""
+    """Return the number of samples of one segment of a spectrum."""
     return min(max(samples // SEGMENTS, 32), LONGEST_SEGMENT, samples)
 
 
@@ -202,7 +202,7 @@ class Share:
 
 
 def budget(estimate: ComponentForce) -> tuple[Share, ...]:
-    """Uncertainty budget of a force, the largest contribution first."""
+    """Return the uncertainty budget of a force, the largest contribution first."""
     found = scalars(estimate)
     squares = {part.name: float(np.mean(part.deviation**2)) for part in estimate.contributions}
     whole = sum(squares.values())
@@ -224,12 +224,12 @@ def budget(estimate: ComponentForce) -> tuple[Share, ...]:
 
 
 def _not_rounding(u: float, square: float) -> float:
-    """Zero for what is zero but for rounding."""
+    """Return an uncertainty, or zero where it is an error of rounding."""
     return u if u > ROUNDING * np.sqrt(square) else 0.0
 
 
 def advice(estimate: ComponentForce, *, unit: str = "N", sources: Mapping[str, str] | None = None) -> str:
-    """One sentence on what to improve first, and what it would bring.
+    """Return one sentence on what to improve first, and what it would bring.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 
 from aerobalance.balance.calibration.fit import calibrate
-from aerobalance.balance.calibration_nonlinearity import CurvatureErrors
+from aerobalance.balance.calibration_nonlinearity import NonlinearErrors
 from aerobalance.balance.loads import Loads, loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.zeros import GaugeZero
@@ -81,7 +81,7 @@ def test_errors_of_matrices_drawn(way: str, rng) -> None:
     loads = shaking(rng)
     outputs = matrix.outputs(loads)
     felt = felt_by(matrix, outputs)
-    curvature = CurvatureErrors.of(felt, rate=RATE, highest=HIGHEST)
+    curvature = NonlinearErrors.of(felt, rate=RATE, highest=HIGHEST)
     densities = curvature.in_force(ringing(curvature.resolved), list(matrix.components))
     foretold = np.array([curvature.as_noise(part, bandwidth=HIGHEST)[0] for part in densities.T])
     found = np.array(
@@ -99,7 +99,7 @@ def test_means_of_errors_of_matrices_drawn(way: str, rng) -> None:
     matrix = calibrated(rng, model="27", way=way)
     outputs = matrix.outputs(shaking(rng))
     felt = felt_by(matrix, outputs)
-    curvature = CurvatureErrors.of(felt, rate=RATE, highest=HIGHEST)
+    curvature = NonlinearErrors.of(felt, rate=RATE, highest=HIGHEST)
     foretold = [curvature.offset(name) for name in matrix.components]
     found = np.array([mean_error(drawn(matrix, rng), matrix, outputs, felt.native) for _ in range(24)])
     # normal deviates, as they are linear in the coefficients but for a percent
@@ -110,7 +110,7 @@ def test_means_of_errors_of_matrices_drawn(way: str, rng) -> None:
 
 def test_a_linear_matrix_has_no_curvature(rng) -> None:
     matrix = calibrated(rng, model="linear")
-    curvature = CurvatureErrors.of(felt_by(matrix, matrix.outputs(shaking(rng))), rate=RATE, highest=HIGHEST)
+    curvature = NonlinearErrors.of(felt_by(matrix, matrix.outputs(shaking(rng))), rate=RATE, highest=HIGHEST)
     densities = curvature.in_force(ringing(curvature.resolved), list(matrix.components))
     # what is left of a linear term is rounding: 1e-15 of capacity, enlarged by (200 / 40)^2
     deviations = [curvature.as_noise(part, bandwidth=HIGHEST)[0] for part in densities.T]
@@ -120,6 +120,6 @@ def test_a_linear_matrix_has_no_curvature(rng) -> None:
 
 def test_nothing_comes_of_a_band_without_frequencies(rng) -> None:
     matrix = calibrated(rng, model="27")
-    curvature = CurvatureErrors.of(felt_by(matrix, matrix.outputs(shaking(rng))), rate=RATE, highest=HIGHEST)
+    curvature = NonlinearErrors.of(felt_by(matrix, matrix.outputs(shaking(rng))), rate=RATE, highest=HIGHEST)
     deviation, spectrum = curvature.as_noise(np.zeros(curvature.resolved.size), bandwidth=HIGHEST)
     assert deviation == 0 and spectrum.tolist() == [1.0]
