@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import secrets
 from collections.abc import Iterator
@@ -15,6 +16,15 @@ import seeds
 
 VARIABLE = "AEROBALANCE_SEED"
 SEED = pytest.StashKey[int]()
+
+STARTERS = ("aerobalance.acquisition.session", "aerobalance.app.monitor.workers")
+LOADED = [
+    "aerobalance.acquisition.simulated",
+    "aerobalance.acquisition.recorder",
+    "aerobalance.app.monitor.engine",
+    "aerobalance.app.monitor.learner",
+    "aerobalance.app.monitor.jobs",
+]
 
 # Without a time limit for one example: a busy machine would fail it.
 hypothesis.settings.register_profile("fixed", derandomize=True, database=None, deadline=None)
@@ -31,6 +41,24 @@ def seed() -> int:
 def rng(seed: int) -> np.random.Generator:
     """Random numbers of this test, the same at every run unless another seed is given."""
     return np.random.default_rng(seed)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quick_starts() -> Iterator[None]:
+    """Let sources, recorders and engines begin from a process that has their libraries loaded, where there is fork.
+
+    Each is a process of its own as it is in use, and may be killed; but some two hundred of them do not each take
+    seconds to load the same. Programs that a test runs start theirs as in use.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        yield
+        return
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(LOADED)
+    with pytest.MonkeyPatch.context() as patch:
+        for starter in STARTERS:
+            patch.setattr(f"{starter}._SPAWN", context)
+        yield
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

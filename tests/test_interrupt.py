@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from seeds import trials
+
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are those of POSIX")
 IMPORT = "import time:"
 FIRST = "aerobalance.app.cli.interrupt"
 WAIT = 60.0
-INSTANTS = 20
 
 
 @pytest.fixture(autouse=True)
@@ -71,8 +72,8 @@ def test_interrupt_while_the_program_loads_or_works(here):
     assert (code, said) == (0, [])
     complete = (here / "out.csv").read_bytes()
     files = left(here)
-    codes = []
-    for place in np.linspace(0, total - 3, INSTANTS).round().astype(int):
+    codes, instants = [], trials(6, 20)
+    for place in np.linspace(0, total - 3, instants).round().astype(int):
         (here / "out.csv").write_text("old")
         code, said, _ = ended_at(here, words, place)
         codes.append(code)
@@ -84,7 +85,7 @@ def test_interrupt_while_the_program_loads_or_works(here):
             assert written or now == b"old", place
         else:  # the result was there before the signal was
             assert (code, said, now) == (0, [], complete), place
-    assert codes.count(130) >= INSTANTS // 2, codes
+    assert codes.count(130) >= instants // 2, codes
     assert codes[0] == 130
 
 

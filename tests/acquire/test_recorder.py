@@ -30,6 +30,7 @@ from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import Provenance, StoredChannel
 from aerobalance.recording.errors import DataQualityWarning, FitError
+from seeds import trials
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N"))
 
@@ -182,7 +183,7 @@ def kill_recorders(folder, count, seed):
 
 
 def test_kill_of_recorder_or_source_loses_nothing_acknowledged(tmp_path, seed) -> None:
-    kill_recorders(tmp_path, 10, seed)
+    kill_recorders(tmp_path, trials(3, 10), seed)
 
 
 @pytest.mark.long
