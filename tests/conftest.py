@@ -1,21 +1,18 @@
-"""Seeds of all tests: fixed by default, set from outside, and told where a test fails."""
+"""What all tests share: random numbers, processes that begin at once, and one run of the demo."""
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
-import secrets
+import pickle
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
-import hypothesis
-import numpy as np
 import pytest
 
-import seeds
-
-VARIABLE = "AEROBALANCE_SEED"
-SEED = pytest.StashKey[int]()
+pytest_plugins = ["seeds"]
 
 STARTERS = ("aerobalance.acquisition.session", "aerobalance.app.monitor.workers")
 LOADED = [
@@ -25,22 +22,6 @@ LOADED = [
     "aerobalance.app.monitor.learner",
     "aerobalance.app.monitor.jobs",
 ]
-
-# Without a time limit for one example: a busy machine would fail it.
-hypothesis.settings.register_profile("fixed", derandomize=True, database=None, deadline=None)
-hypothesis.settings.register_profile("fresh", derandomize=False, database=None, deadline=None)
-
-
-@pytest.fixture
-def seed() -> int:
-    """Seed of this test, for what takes one; it follows from that of the run and from the test's name."""
-    return seeds.new_seed()
-
-
-@pytest.fixture
-def rng(seed: int) -> np.random.Generator:
-    """Random numbers of this test, the same at every run unless another seed is given."""
-    return np.random.default_rng(seed)
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -61,59 +42,40 @@ def quick_starts() -> Iterator[None]:
         yield
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        "--seed",
-        default=os.environ.get(VARIABLE) or str(seeds.DEFAULT),
-        help=f"seed of all random numbers, or 'fresh' to draw one (default: {VARIABLE}, or {seeds.DEFAULT})",
-    )
+@pytest.fixture(scope="session")
+def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Folder of the demo and its account, not to be written to; run once for all processes of the tests."""
+    from aerobalance.app.demos.demo import run_demo
+    from aerobalance.recording.errors import DataQualityWarning
+    from seeds import new_seed, running
+
+    shared = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ and os.name != "nt":
+        shared = shared.parent
+    folder, kept = shared / "demo", shared / "demo.pickle"
+    with one_at_a_time(shared / "demo.lock"):
+        if not kept.exists():
+            with running("the demo"):  # whichever test comes first
+                seed = new_seed()
+            with pytest.warns(DataQualityWarning, match="not steady"):  # the unsteady record is there to be doubted
+                kept.write_bytes(pickle.dumps(run_demo(folder, seed=seed)))
+    return folder, pickle.loads(kept.read_bytes())
 
 
-@pytest.hookimpl(tryfirst=True)  # before Hypothesis reads its own option
-def pytest_configure(config: pytest.Config) -> None:
-    given = config.option.seed
-    if given == "fresh":
-        given = str(secrets.randbits(32))
-    if not given.isdecimal():
-        raise pytest.UsageError(f"--seed and {VARIABLE} take a whole number of at least 0, or fresh; got {given!r}")
-    config.option.seed = given  # the workers of pytest-xdist are given the options as they are now
-    seed = config.stash[SEED] = int(given)
-    seeds.set_seed(seed)
-    if seed == seeds.DEFAULT:
-        hypothesis.settings.load_profile("fixed")
-    else:
-        hypothesis.settings.load_profile("fresh")
-        config.option.hypothesis_seed = given
+@contextlib.contextmanager
+def one_at_a_time(file: Path) -> Iterator[None]:
+    """Wait until no other process of the tests is here, where they share folders."""
+    with file.open("w") as lock:
+        with contextlib.suppress(ImportError):
+            import fcntl
+
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    with seeds.running(item.nodeid):
-        return (yield)
-
-
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_fixture_setup(fixturedef: pytest.FixtureDef[Any], request: pytest.FixtureRequest) -> Iterator[None]:
-    if fixturedef.scope == "function":
-        return (yield)
-    # what several tests share must not depend on which of them comes first
-    with seeds.running(f"{fixturedef.baseid}::{fixturedef.argname}[{request.param_index}]"):
-        return (yield)
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
-    report = yield
-    if report.failed:
-        report.sections.append(("Seed", f"bring it back with: {_again(item.config)} '{item.nodeid}'"))
-    return report
-
-
-def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    failed = terminalreporter.stats.get("failed", []) + terminalreporter.stats.get("error", [])
-    if failed:
-        terminalreporter.write_line(f"seed {config.stash[SEED]}; bring a failure back with: {_again(config)} NAME")
-
-
-def _again(config: pytest.Config) -> str:
-    return f"python -m pytest --seed {config.stash[SEED]}"
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """Return one more than there are processors: a part of the tests waits for clocks and for other programs."""
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
+    return 1 + (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)

@@ -1,17 +1,31 @@
-"""The one place where tests get random numbers from.
+"""The one place where tests get random numbers from: a plug-in of pytest with the fixtures `rng` and `seed`.
 
 Each test has numbers of its own, which follow from one seed and the test's name: they stay the same whatever else
 runs, in whatever order. The seed is fixed unless ``--seed`` or the environment variable AEROBALANCE_SEED sets it.
 """
 
+from __future__ import annotations
+
 import hashlib
+import os
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
+import hypothesis
 import numpy as np
+import pytest
 
 DEFAULT = 0
 """Seed of a run that is given none."""
+
+VARIABLE = "AEROBALANCE_SEED"
+SEED = pytest.StashKey[int]()
+
+# Without a time limit for one example: a busy machine would fail it.
+hypothesis.settings.register_profile("fixed", derandomize=True, database=None, deadline=None)
+hypothesis.settings.register_profile("fresh", derandomize=False, database=None, deadline=None)
 
 
 class _Source:
@@ -52,17 +66,6 @@ def new_seed() -> int:
     return _source.draw()
 
 
-def fresh() -> tuple[np.random.Generator, int]:
-    """Return a generator of the running test, and its seed for the message of an assertion."""
-    seed = new_seed()
-    return np.random.default_rng(seed), seed
-
-
-def generator() -> np.random.Generator:
-    """Return a generator of the running test."""
-    return fresh()[0]
-
-
 def seed_from(rng: np.random.Generator) -> int:
     """Return a seed for what takes one, drawn from a generator."""
     return int(rng.integers(2**31))
@@ -71,3 +74,73 @@ def seed_from(rng: np.random.Generator) -> int:
 def trials(fixed: int, soak: int) -> int:
     """Return how often a random experiment is repeated: more often where the seed is not the fixed one."""
     return fixed if _source.seed == DEFAULT else soak
+
+
+@pytest.fixture
+def seed() -> int:
+    """Seed of this test, for what takes one; it follows from that of the run and from the test's name."""
+    return new_seed()
+
+
+@pytest.fixture
+def rng(seed: int) -> np.random.Generator:
+    """Random numbers of this test, the same at every run unless another seed is given."""
+    return np.random.default_rng(seed)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--seed",
+        default=os.environ.get(VARIABLE) or str(DEFAULT),
+        help=f"seed of all random numbers, or 'fresh' to draw one (default: {VARIABLE}, or {DEFAULT})",
+    )
+
+
+@pytest.hookimpl(tryfirst=True)  # before Hypothesis reads its own option
+def pytest_configure(config: pytest.Config) -> None:
+    given = config.option.seed
+    if given == "fresh":
+        given = str(secrets.randbits(32))
+    if not given.isdecimal():
+        raise pytest.UsageError(f"--seed and {VARIABLE} take a whole number of at least 0, or fresh; got {given!r}")
+    config.option.seed = given  # the workers of pytest-xdist are given the options as they are now
+    seed = config.stash[SEED] = int(given)
+    set_seed(seed)
+    if seed == DEFAULT:
+        hypothesis.settings.load_profile("fixed")
+    else:
+        hypothesis.settings.load_profile("fresh")
+        config.option.hypothesis_seed = given
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    with running(item.nodeid):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_fixture_setup(fixturedef: pytest.FixtureDef[Any], request: pytest.FixtureRequest) -> Iterator[None]:
+    if fixturedef.scope == "function":
+        return (yield)
+    # what several tests share must not depend on which of them comes first
+    with running(f"{fixturedef.baseid}::{fixturedef.argname}[{request.param_index}]"):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
+    report = yield
+    if report.failed:
+        report.sections.append(("Seed", f"bring it back with: {_again(item.config)} '{item.nodeid}'"))
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    failed = terminalreporter.stats.get("failed", []) + terminalreporter.stats.get("error", [])
+    if failed:
+        terminalreporter.write_line(f"seed {config.stash[SEED]}; bring a failure back with: {_again(config)} NAME")
+
+
+def _again(config: pytest.Config) -> str:
+    return f"python -m pytest --seed {config.stash[SEED]}"

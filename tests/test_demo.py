@@ -15,22 +15,21 @@ from aerobalance.app.demos.comparison import split_deviation
 from aerobalance.app.demos.demo import step_data
 from aerobalance.app.reports.demo_report import step_figure
 from aerobalance.app.reports.page import PLACE_HOLDERS, number, significant, with_uncertainty
-from demo_run import demo_once
 from html_pages import Balanced
 
 
 class Demo:
     """One run of the demo and its page."""
 
-    def __init__(self) -> None:
-        self.folder, self.account = demo_once()
+    def __init__(self, folder: Path, account: dict) -> None:
+        self.folder, self.account = folder, account
         self.seed = self.account["seed"]
         self.page = Path(self.account["report"]).read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
-def demo() -> Demo:
-    return Demo()
+def demo(demo_run) -> Demo:
+    return Demo(*demo_run)
 
 
 def test_every_printed_number_agrees(demo):
@@ -118,7 +117,8 @@ def test_step_picture_fits_a_readme(demo, tmp_path):
     assert len(head) < 150_000
 
 
-def test_figures_leave_pyplot_alone(demo):
+def test_figures_leave_pyplot_alone(demo, tmp_path):
+    step_figure(tmp_path / "step.png", step_data(demo.folder, "10N", release=1.0003))
     assert "matplotlib.pyplot" not in sys.modules, demo.seed
 
 

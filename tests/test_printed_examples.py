@@ -17,7 +17,6 @@ from aerobalance.app.cli import main
 from aerobalance.app.cli.program import app
 from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.simulation.published import CABLE_CUT
-from demo_run import demo_once
 
 README = Path(__file__).parents[1] / "README.md"
 WAIT = 60.0
@@ -54,10 +53,10 @@ def hears_ctrl_c():
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory, demo_run):
     """A copy of what the demo wrote: examples write into it."""
     made = tmp_path_factory.mktemp("build") / "demo"
-    shutil.copytree(demo_once()[0], made)
+    shutil.copytree(demo_run[0], made)
     return made
 
 

@@ -36,8 +36,8 @@ def test_three(number):
 def suite(pytester, monkeypatch):
     """A folder for a small suite of tests, with the seeds of this one."""
     monkeypatch.delenv("AEROBALANCE_SEED", raising=False)
-    for name in ("conftest.py", "seeds.py"):
-        (pytester.path / name).write_text((HERE / name).read_text(encoding="utf-8"), encoding="utf-8")
+    (pytester.path / "seeds.py").write_text((HERE / "seeds.py").read_text(encoding="utf-8"), encoding="utf-8")
+    pytester.makeconftest('pytest_plugins = ["seeds"]')
     return pytester
 
 
@@ -101,7 +101,7 @@ def test_no_test_draws_elsewhere() -> None:
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
         if isinstance(node, ast.Call) and draws_by_itself(ast.unparse(node.func), node.args + node.keywords)
     ]
-    assert found == ["conftest.py: secrets.randbits(32)"]
+    assert found == ["seeds.py: secrets.randbits(32)"]
 
 
 def draws_by_itself(function: str, arguments: list) -> bool:

@@ -15,6 +15,7 @@ from aerobalance.acquisition.recorder import run_recorder
 from aerobalance.acquisition.session import Recorder, Session
 from aerobalance.acquisition.setup import parse_setup
 from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
+from aerobalance.app.cli import main
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.held_file import is_held, recover_all
@@ -142,10 +143,16 @@ def test_file_that_is_cut_short_is_told(tmp_path) -> None:
     assert "run.h5 was cut short by another program" in recorder.progress.reason
 
 
-def command(folder, *words):
-    program = [sys.executable, "-m", "aerobalance.app.cli", *words]
-    done = subprocess.run(program, cwd=folder, capture_output=True, text=True, check=False)
-    return done.returncode, done.stderr
+@pytest.fixture
+def command(tmp_path, monkeypatch, capsys):
+    """Call the program in the folder: exit code and what it says on standard error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words):
+        capsys.readouterr()
+        return main([*words]), capsys.readouterr().err
+
+    return call
 
 
 def test_command_says_where_the_record_is(tmp_path) -> None:
@@ -166,7 +173,7 @@ def test_command_says_where_the_record_is(tmp_path) -> None:
     assert len(samples_of(tmp_path / "run-2.h5")) == told["samples"] == 4 * 25000
 
 
-def test_file_that_is_being_written_is_not_replaced(tmp_path) -> None:
+def test_file_that_is_being_written_is_not_replaced(tmp_path, command) -> None:
     from aerobalance.io.safe_write import replacing
 
     file = tmp_path / "run.h5"
@@ -176,10 +183,10 @@ def test_file_that_is_being_written_is_not_replaced(tmp_path) -> None:
         session.start()
         follow(recorder, lambda progress: progress.blocks >= 3)
         assert is_held(file)
-        code, text = command(tmp_path, "record", "--seconds", "1", "--replace", "-o", "run.h5")
+        code, text = command("record", "--seconds", "1", "--replace", "-o", "run.h5")
         assert (code, "is being recorded" in text) == (2, True), text
         shutil.copyfile(file, tmp_path / "copy.h5")
-        code, text = command(tmp_path, "convert", "copy.h5", "-o", "run.h5")
+        code, text = command("convert", "copy.h5", "-o", "run.h5")
         assert (code, "is being recorded" in text) == (2, True), text
         with pytest.raises(ValueError, match="is being recorded"), replacing(file):
             pass
@@ -241,8 +248,8 @@ def test_folder_that_is_read_only_is_told_in_plain_words(tmp_path) -> None:
             recorder.ready()
 
 
-def test_name_that_is_too_long_is_a_wrong_call(tmp_path) -> None:
-    code, text = command(tmp_path, "record", "--seconds", "1", "-o", "a" * 300 + ".h5")
+def test_name_that_is_too_long_is_a_wrong_call(command) -> None:
+    code, text = command("record", "--seconds", "1", "-o", "a" * 300 + ".h5")
     assert code == 2, text
     assert "File name too long" in text
 
