@@ -13,7 +13,7 @@ from aerobalance.estimation.force import estimate_force, force_record, noise_spe
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.recording.errors import FitError
-from aerobalance.recording.gravity import Attitudes, PullOnZero
+from aerobalance.recording.gravity import Attitudes, GravityOnZero
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.monte_carlo import monte_carlo
 from aerobalance.uncertainty.sampling import drawn_coupled
@@ -101,7 +101,7 @@ def test_a_wrong_mass_is_wrong_in_the_zero_of_the_loads_too(at_zero: float, rng,
     felt = dynamics.load_felt(force, interval=1 / RATE) + mass.weight(np.array([pitch]))[:, own]
     recording = recording_of(felt + NOISE * rng.normal(size=felt.shape), pitch=np.full(COUNT, pitch))
     zero = [Attitudes(np.array([at_zero]), np.zeros(1))]
-    recording = replace(recording, pull_on_zero=PullOnZero.of(zero, gravity=STANDARD_GRAVITY))
+    recording = replace(recording, gravity_on_zero=GravityOnZero.of(zero, gravity=STANDARD_GRAVITY))
     found = estimate_force(recording, dynamics)
     checked = monte_carlo(found, draws=25, seed=seed)
 

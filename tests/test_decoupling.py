@@ -98,7 +98,7 @@ def test_slopes_are_those_of_differences(drawn: Drawn, rng) -> None:
     decays = [mode.damping_ratio * mode.angular_frequency for mode in (*lone.dynamics.modes, *lone.still)]
     periods = int(np.ceil(17 / min(decays) / (count / RATE))) + 2
     slopes = lone.parameter_slopes(np.tile(loads, (periods, 1)), interval=1 / RATE)[-2 * count : -count]
-    # a hidden coordinate has no unit of its own, and forces and moments differ in theirs: steps fit all elements only
+    # an internal coordinate has no unit of its own, and forces and moments differ in theirs: steps fit all only
     # in units that make the rows as large as the columns; without, some would make oscillations that grow
     unit = np.diag(matrix_balance(dynamics.inertia, permute=False)[1])
     for number, own in zip(lone.rows(dynamics), slopes.T, strict=True):

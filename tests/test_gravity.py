@@ -1,4 +1,4 @@
-"""Pull of gravity: its slopes, and what is not known of it where run and zero hang in the same field."""
+"""Gravity: its slopes, and what is not known of it where run and zero hang in the same field."""
 
 from dataclasses import replace
 
@@ -9,7 +9,14 @@ from aerobalance.motion.platform import PlatformMotion
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
-from aerobalance.recording.gravity import Attitudes, Pull, PullOnZero, gravity_share, pull_of_gravity, weight_direction
+from aerobalance.recording.gravity import (
+    Attitudes,
+    Gravity,
+    GravityOnZero,
+    gravity_components,
+    gravity_share,
+    weight_direction,
+)
 from aerobalance.recording.recording import Recording
 
 U_ZERO, U_GAIN, U_GRAVITY = np.radians(0.05), 0.002, 0.01
@@ -18,11 +25,11 @@ AFT, RIGHT, UP = (COMPONENTS.index(name) for name in ("AF", "SF", "NF"))
 
 def test_slopes_are_those_of_the_pull(rng):
     pitch, roll = rng.uniform(-3, 3, (2, 50))
-    found, step = Pull.of(pitch, roll, gravity=STANDARD_GRAVITY), 1e-4
+    found, step = Gravity.of(pitch, roll, gravity=STANDARD_GRAVITY), 1e-4
     moved = {"pitch": (step, 0.0), "roll": (0.0, step)}
     for name, (up, over) in moved.items():
         more, less = (
-            pull_of_gravity(pitch + sign * up, roll + sign * over, gravity=STANDARD_GRAVITY) for sign in (1, -1)
+            gravity_components(pitch + sign * up, roll + sign * over, gravity=STANDARD_GRAVITY) for sign in (1, -1)
         )
         # g h^2 / 6 of the third derivative, and rounding of g over h
         np.testing.assert_allclose(found.slopes[name], (more - less) / (2 * step), atol=2e-8 + 1e-10)
@@ -43,11 +50,11 @@ def test_signs_of_the_pull():
 def test_zeros_count_alike_however_long_they_are():
     one = Attitudes(np.array([0.1, np.nan, 0.1]), np.zeros(3))
     other = Attitudes(np.full(1000, 0.3), np.full(1000, 0.2))
-    found = PullOnZero.of([one, other], gravity=9.8)
+    found = GravityOnZero.of([one, other], gravity=9.8)
     assert found.acceleration[AFT] == pytest.approx(9.8 * (np.sin(0.1) + np.sin(0.3)) / 2)
     assert found.slope("pitch gain")[AFT] == pytest.approx(9.8 * (0.1 * np.cos(0.1) + 0.3 * np.cos(0.3)) / 2)
     assert found.slope("roll zero")[RIGHT] == pytest.approx(9.8 * (np.cos(0.1) + np.cos(0.3) * np.cos(0.2)) / 2)
-    nothing = PullOnZero.of([], gravity=9.8)
+    nothing = GravityOnZero.of([], gravity=9.8)
     assert not nothing.acceleration.any() and not nothing.slope("pitch zero").any()
 
 
@@ -63,8 +70,10 @@ def pitched(pitch, roll, zero, coupling=None):
         channels["ground_acceleration"] = Channel(
             "ground_acceleration", values, "m/s^2", noise=0.01, coupling=coupling
         )
-    on_zero = PullOnZero.of([(np.array([angle]), np.array([side])) for angle, side in zero], gravity=STANDARD_GRAVITY)
-    return replace(Recording.from_columns(np.arange(400) / 1000, channels), pull_on_zero=on_zero)
+    on_zero = GravityOnZero.of(
+        [(np.array([angle]), np.array([side])) for angle, side in zero], gravity=STANDARD_GRAVITY
+    )
+    return replace(Recording.from_columns(np.arange(400) / 1000, channels), gravity_on_zero=on_zero)
 
 
 @pytest.mark.parametrize("zero", [[], [(0.2, -0.1)], [(-0.3, 0.4), (0.1, 0.0)]])
@@ -75,7 +84,7 @@ def test_what_is_not_known_of_gravity_counts_from_the_zero(zero):
     def counted(pitch_off=0.0, pitch_gain=0.0, roll_off=0.0, roll_gain=0.0, gravity=STANDARD_GRAVITY):
         """Pull of the run less the mean of the zeros, with angles that are wrong alike in both."""
         pulls = [
-            pull_of_gravity(p * (1 + pitch_gain) + pitch_off, r * (1 + roll_gain) + roll_off, gravity=gravity)[0]
+            gravity_components(p * (1 + pitch_gain) + pitch_off, r * (1 + roll_gain) + roll_off, gravity=gravity)[0]
             for p, r in (run, *zero)
         ]
         return pulls[0] - (np.mean(pulls[1:], axis=0) if zero else 0.0)

@@ -59,7 +59,7 @@ def truth() -> CoupledDynamics:
 
 
 def in_loads(M: Array, C: Array, K: Array, into: Array, felt: Array) -> CoupledDynamics:
-    """A structure in loads: hidden are such loads that none held makes."""
+    """A structure in loads: internal are such loads that none held makes."""
     at_rest = np.linalg.solve(K, into)
     unseen = np.cross(at_rest[:, 0], at_rest[:, 1])  # normal to both
     turn = np.vstack([felt, unseen * np.linalg.norm(felt) / np.linalg.norm(unseen)])
@@ -119,9 +119,9 @@ def test_loads_of_a_bending_structure(rng):
         assert found / scale == pytest.approx(direct / scale, abs=1e-8 * np.abs(direct / scale).max())
 
 
-@pytest.mark.parametrize("hidden", [1, 2])
-def test_directions_that_change_nothing(hidden, rng):
-    n, size = 2, 2 + hidden
+@pytest.mark.parametrize("internal", [1, 2])
+def test_directions_that_change_nothing(internal, rng):
+    n, size = 2, 2 + internal
     spring = np.eye(size) + 0.3 * rng.normal(size=(size, size))
     brake = 0.1 * np.eye(size) + 0.02 * rng.normal(size=(size, size))
     matrices = np.concatenate([spring.ravel(), brake.ravel()])
@@ -133,8 +133,8 @@ def test_directions_that_change_nothing(hidden, rng):
         return np.linalg.inv(np.eye(size) + s * (A @ brake) + s**2 * A)[:, :n, :n]
 
     rows = invariances(matrices, n, loads=np.eye(n))
-    assert len(rows) == 2 * hidden**2
-    assert np.linalg.matrix_rank(rows, tol=1e-9 * np.linalg.norm(rows)) == 2 * hidden**2
+    assert len(rows) == 2 * internal**2
+    assert np.linalg.matrix_rank(rows, tol=1e-9 * np.linalg.norm(rows)) == 2 * internal**2
     for row in rows:
         step = 1e-5 * row / np.linalg.norm(row)
         change = felt_over_applied(matrices + step) - felt_over_applied(matrices - step)
@@ -211,7 +211,7 @@ def test_force_error_with_hidden_coordinates():
 def test_a_bending_mode_is_found(rng):
     true = truth()
     fit = quietly(recordings(true, rng))
-    assert fit.dynamics.hidden == 1, fit.notes
+    assert fit.dynamics.internal == 1, fit.notes
     (place,) = fit.further
     assert fit.modes[place].natural_frequency == pytest.approx(true.modes[place].natural_frequency, rel=1e-3)
     table = ModeTable.of(fit.dynamics, sizes=HALF_RANGE)
@@ -226,7 +226,7 @@ def test_a_bending_mode_is_found(rng):
     relative = true_force_error(fit.dynamics, true, sizes=fit.applied) / fit.force_error
     assert relative.max() < norm.isf(NEVER / 4)  # at worst one deviate carries it all
     forced = quietly(recordings(true, rng), modes=2)
-    assert forced.dynamics.hidden == 0
+    assert forced.dynamics.internal == 0
     named = [re.search(r"near (\S+) Hz as the 2 modes found do not", note) for note in forced.notes]
     lacking = [float(match[1]) for match in named if match]
     # the two that ring most are found; four digits are printed of a first guess without noise to speak of
@@ -238,11 +238,11 @@ def test_a_first_guess_that_leads_nowhere_is_replaced(monkeypatch, rng):
     expected = quietly(made, modes=3)
     guess_of, asked = further_coupled.guess_of, []
 
-    def with_more(records, *, hidden=0, **settings):
-        asked.append(hidden)
-        if hidden == 1:
+    def with_more(records, *, internal=0, **settings):
+        asked.append(internal)
+        if internal == 1:
             raise FitError("no 3 modes explain the decays")
-        return guess_of(records, hidden=hidden, **settings)
+        return guess_of(records, internal=internal, **settings)
 
     monkeypatch.setattr(further_coupled, "guess_of", with_more)
     fit = quietly(made, modes=3)
@@ -250,7 +250,7 @@ def test_a_first_guess_that_leads_nowhere_is_replaced(monkeypatch, rng):
     # both have come to the same best fit, to the accuracy at which a fit is settled
     for mode, other, u in zip(fit.modes, expected.modes, expected.u_natural_frequency, strict=True):
         assert mode.natural_frequency == pytest.approx(other.natural_frequency, abs=0.05 * u)
-    assert fit.dynamics.hidden == 1
+    assert fit.dynamics.internal == 1
 
 
 def test_two_modes_of_the_balance_may_be_alike(rng):
@@ -263,7 +263,7 @@ def test_two_modes_of_the_balance_may_be_alike(rng):
     M = np.block([[M, shared], [shared.T, np.array([[own]])]])
     true = in_loads(M, 6e-5 * K, K, np.eye(3)[:, :2], K[:2])
     fit = quietly(recordings(true, rng))
-    assert fit.dynamics.hidden == 1, fit.notes
+    assert fit.dynamics.internal == 1, fit.notes
     assert np.abs(fit.dynamics.poles) == pytest.approx(np.abs(true.poles), rel=1e-2)
 
 
@@ -288,13 +288,13 @@ def test_a_mode_that_is_not_linear_is_no_two(rng):
         channels = {name: Channel(name, values[:, i].copy(), si_unit(name)) for i, name in enumerate(NAMES)}
         made.append(Recording.from_columns(time, channels, name=recording.name))
     fit = quietly(made)
-    assert fit.dynamics.hidden == 0, fit.notes
+    assert fit.dynamics.internal == 0, fit.notes
     assert any("or damping is not linear" in note for note in fit.notes), fit.notes
 
 
 def test_a_rigid_model_has_no_bending_mode(rng):
     fit = quietly(recordings(rigid(), rng))
-    assert fit.dynamics.hidden == 0
+    assert fit.dynamics.internal == 0
     assert not any("bends" in note for note in fit.notes), fit.notes
     assert fit.further == ()
 
@@ -309,7 +309,7 @@ def test_hum_is_no_mode(rng):
         }
         hummed.append(replace(made, channels=channels))
     fit = quietly(hummed)
-    assert fit.dynamics.hidden == 0
+    assert fit.dynamics.internal == 0
     assert not any("bends" in note for note in fit.notes), fit.notes
 
 
@@ -318,7 +318,7 @@ def test_a_bending_mode_needs_all_releases(rng):
     with pytest.raises(FitError, match=r"along every component, 2 .* there are 1"):
         quietly(made, modes=3)
     fit = quietly(made)
-    assert fit.dynamics.hidden == 0
+    assert fit.dynamics.internal == 0
     assert any("needs releases of a held load along every component" in note for note in fit.notes), fit.notes
     with pytest.raises(ValueError, match="modes must be auto or 2 to 5"):
         quietly(made, modes=1)
@@ -334,7 +334,7 @@ def test_the_command_tells_of_the_bending_mode(tmp_path, rng):
     assert "mode of the model or sting" in account["summary"]
     assert [mode["of_model_or_sting"] for mode in account["fit"]["modes"]].count(True) == 1
     found = read_coupled(tmp_path / "dynamics.json")
-    assert found.hidden == 1
+    assert found.internal == 1
     assert found.poles.imag.max() == pytest.approx(true.poles.imag.max(), rel=1e-3)
     with pytest.raises(ValueError, match="--modes must be auto or a number"):
         identify_decays(paths, None, modes="many")

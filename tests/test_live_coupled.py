@@ -86,7 +86,7 @@ def test_hidden_coordinates_are_taken_apart_too(rng):
     size = np.sqrt(np.diag(mass)) * 2 * np.pi * np.array([70.0, 130.0, 210.0])
     inertia = mass @ np.linalg.inv(np.outer(size, size) * (np.eye(3) + 0.1 * np.ones((3, 3))))
     dynamics = CoupledDynamics(("NF", "PM"), inertia, 2e-2 * 2 * np.pi * 120 * inertia)
-    assert dynamics.hidden == 1
+    assert dynamics.internal == 1
     force = broadband(rng, Band(0, 150), rms=np.full(6, 50.0), period=1.0)(np.arange(4000) / RATE)[:, :2]
     readings = load_felt(dynamics, force, interval=1 / RATE)
     lones = [LoneComponent.of(dynamics, name, noise=np.diag([1.0, 0.01])) for name in dynamics.components]

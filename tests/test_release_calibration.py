@@ -162,7 +162,7 @@ def test_hidden_coordinates_are_turned_as_slow_motion_is(rng) -> None:
         native[:, places] = np.column_stack([one.channel(name).values for name in bending.NAMES])
         given.append(MatrixErrors(matrix, COMPONENTS, np.eye(6), native))
     found = bending.quietly(made, modes=3, errors=given).dynamics
-    assert found.hidden == 1
+    assert found.internal == 1
     alone = replace(found, covariance=np.zeros_like(found.covariance))
     A, D, covariance = slow_matrices(alone)
     expected = covariance_of_turning(matrix, A, D, bending.NAMES)

@@ -139,7 +139,7 @@ def test_modes_beyond_six_are_found(further, record, rng) -> None:
         balance, true = bent(rng, modes=further)
         fit = identified(balance, released(balance, true, rng))
         found += 1
-        if fit.dynamics.hidden != further:
+        if fit.dynamics.internal != further:
             named = re.search(r"ring near ([\d.]+) Hz ", fit.notes[0])
             assert like_one_split(true, half_range=balance.half_range) and named, fit.notes
             # with two, what is left out takes the other with it
@@ -210,7 +210,7 @@ def test_rigid_models_have_six_modes(record, rng) -> None:
     for _ in range(RIGID):
         balance = random_balance(rng)
         fit = identified(balance, released(balance, balance.dynamics, rng))
-        kept += fit.dynamics.hidden == 0 and not any("bends" in note for note in fit.notes)
+        kept += fit.dynamics.internal == 0 and not any("bends" in note for note in fit.notes)
     record(f"rigid balances of {RIGID} with six modes found, none named beyond", kept / RIGID, 1.0)
     assert kept == RIGID
 

@@ -146,7 +146,7 @@ def test_gusts_that_fall_off_softly(
 
 
 def test_gusts_on_a_model_or_sting_that_bends(record, rng) -> None:
-    """With the hidden coordinate known; the start, while its motion dies away, only has to be covered."""
+    """With the internal coordinate known; the start, while its motion dies away, only has to be covered."""
     worst, covered = 0.0, []
     for _ in range(BALANCES):
         balance = random_balance(rng)

@@ -21,7 +21,7 @@ from aerobalance.balance.zeros import SAY_HOW_READ, GaugeZero, gauge_table
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.errors import FitError, warn_quality
-from aerobalance.recording.gravity import PullOnZero
+from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 
@@ -104,7 +104,7 @@ class Loads:
         """The same less the weight in their zero, as a run of no known attitude is taken to have that of its zero."""
         zero = self.zero
         own = [zero.weight[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in self.components]
-        counted = replace(zero, pull=PullOnZero())
+        counted = replace(zero, pull=GravityOnZero())
         return self._with(self.values - np.array(own), counted)
 
     @property
@@ -436,4 +436,4 @@ def _with_loads(recording: Recording, felt: Loads) -> Recording:
         channels[name] = Channel(
             name, felt.values[:, index], unit, noise=noise or None, delay=float(np.mean(delays)), file_unit=unit
         )
-    return replace(recording, channels=channels, pull_on_zero=felt.zero.pull)
+    return replace(recording, channels=channels, gravity_on_zero=felt.zero.pull)

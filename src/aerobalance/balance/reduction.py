@@ -34,7 +34,7 @@ from aerobalance.balance.zeros import (
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.recording.errors import DataQualityWarning, FitError, warn_quality
-from aerobalance.recording.gravity import Attitudes, PullOnZero, gravity_share
+from aerobalance.recording.gravity import Attitudes, GravityOnZero, gravity_share
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
@@ -137,7 +137,7 @@ class Carried(NamedTuple):
     weight
         Shape (6,) [N, N*m].
     pull
-        Pull of gravity on it.
+        Gravity on it.
     doubt
         What is doubtful about it, or nothing.
     known
@@ -147,7 +147,7 @@ class Carried(NamedTuple):
     """
 
     weight: Array
-    pull: PullOnZero
+    pull: GravityOnZero
     doubt: str = ""
     known: tuple[str, ...] = COMPONENTS
     guess: Array = _NOTHING
@@ -173,7 +173,7 @@ def settled_zero(zero: Zero | None, balance: BalanceMatrix, carried: Carried | N
     if zero.model_on is False:
         return read
     if carried is None:
-        carried = Carried(_NOTHING, PullOnZero(), known=())
+        carried = Carried(_NOTHING, GravityOnZero(), known=())
     if zero.model_on == "auto" and reads_no_weight(read, carried.weight, balance):
         warn_quality(
             f"{read.source} reads as the natural zeros of the calibration do, without the weight: it is taken as read "
@@ -263,7 +263,7 @@ def _carried_on_zero(zeros: Sequence[Recording], model: CarriedWeight, *, gravit
     for row, (pitch, roll) in zip(weights, attitudes, strict=True):
         for name in model.components:
             row[COMPONENTS.index(name)] = np.nanmean(model.weight(name, pitch=pitch, roll=roll, gravity=gravity))
-    pull = PullOnZero.of(attitudes, gravity=gravity)
+    pull = GravityOnZero.of(attitudes, gravity=gravity)
     guess = _mass_of(model, gravity) * pull.acceleration
     weight = weights.mean(axis=0) if zeros else _NOTHING
     return Carried(weight, pull, doubt, model.components, guess)
@@ -311,7 +311,7 @@ def _weighed_on_zero(zeros: Sequence[Recording], weighing: Weighing) -> Carried:
     weight[[COMPONENTS.index(name) for name in weighing.components]] = np.mean(
         [np.nanmean(table, axis=0) for table in loads], axis=0
     )
-    return Carried(weight, PullOnZero.of(attitudes, gravity=weighing.gravity), known=weighing.components)
+    return Carried(weight, GravityOnZero.of(attitudes, gravity=weighing.gravity), known=weighing.components)
 
 
 def _weight(

@@ -14,7 +14,7 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.errors import FitError
-from aerobalance.recording.gravity import PullOnZero
+from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
@@ -60,7 +60,7 @@ class GaugeZero:
     source: str
     drift: Array
     weight: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
-    pull: PullOnZero = field(default_factory=PullOnZero)
+    pull: GravityOnZero = field(default_factory=GravityOnZero)
     operating_point: Array | None = None
     model_on: bool | None = None
 

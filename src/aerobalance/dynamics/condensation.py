@@ -1,7 +1,7 @@
-r"""Hidden coordinates taken out of the equations of coupled components, as polynomials in s.
+r"""Dynamic condensation: internal coordinates taken out of the equations of coupled components, by polynomials in s.
 
-With the coordinates split into the components X and the hidden ones Y, P = 1 + D s + A s^2 has the blocks P_XX, P_XY,
-P_YX and P_YY, and a load G that acts on the hidden coordinates gives
+With the coordinates split into the components X and the internal ones Y, P = 1 + D s + A s^2 has the blocks P_XX,
+P_XY, P_YX and P_YY, and a load G that acts on the internal coordinates gives
 
     q F = (q P_XX - P_XY adj(P_YY) P_YX) X + P_XY adj(P_YY) G,   q Y = adj(P_YY) (G - P_YX X),   q = det P_YY.
 
@@ -23,30 +23,30 @@ from aerobalance.recording.channel import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Eliminated:
-    """Equations of the components without the hidden coordinates; powers of s rise along the last axis.
+class Condensed:
+    """Equations of the components without the internal coordinates; powers of s rise along the last axis.
 
     Attributes
     ----------
     forces
         q F by the loads felt, shape (n, n, 2 e + 3).
-    hidden
+    internal
         q Y by the loads felt, shape (e, n, 2 e + 1).
     carried
-        What q F takes of a load on a hidden coordinate, shape (n, e, 2 e + 1).
+        What q F takes of a load on an internal coordinate, shape (n, e, 2 e + 1).
     common
         q, shape (2 e + 1,); its roots are the motions in which no component shows anything.
     """
 
     forces: Array
-    hidden: Array
+    internal: Array
     carried: Array
     common: Array
 
     @classmethod
-    def of(cls, dynamics: CoupledDynamics) -> Eliminated:
-        """Take the hidden coordinates out."""
-        n, e = len(dynamics.components), dynamics.hidden
+    def of(cls, dynamics: CoupledDynamics) -> Condensed:
+        """Take the internal coordinates out."""
+        n, e = len(dynamics.components), dynamics.internal
         radius = float(np.exp(np.mean(np.log(np.abs(dynamics.poles)))))
         whole = dynamics.equation(radius * np.exp(2j * np.pi * np.arange(2 * e + 3) / (2 * e + 3)))
         seen, by_hidden, of_seen, inner = (
@@ -72,7 +72,7 @@ def _coefficients(values: NDArray[np.complex128], radius: float) -> Array:
     return np.asarray(np.moveaxis(found, 0, -1) * radius ** -np.arange(float(count)))
 
 
-def stable_factor(spectrum: Array) -> tuple[Mode, ...]:
+def spectral_factor(spectrum: Array) -> tuple[Mode, ...]:
     """Modes (1 + d s + a s^2) whose product has a given size on the imaginary axis, and decays.
 
     Parameters
@@ -115,7 +115,7 @@ def _mode(one: complex, other: complex) -> Mode:
     return Mode(rate / (2 * np.pi), float(-(one + other).real / (2 * rate)))
 
 
-def shares_of(polynomials: Array, modes: Sequence[Mode]) -> tuple[Array, Array, Array]:
+def partial_fractions(polynomials: Array, modes: Sequence[Mode]) -> tuple[Array, Array, Array]:
     """Partial fractions of polynomials over the product of modes 1 + d s + a s^2.
 
     Parameters

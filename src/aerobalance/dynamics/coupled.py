@@ -22,7 +22,7 @@ from scipy.signal import lfilter
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, COMPONENTS, DIRECTIONS, FROM_VECTORS, MOMENT_ROWS, STANDARD_GRAVITY
-from aerobalance.recording.gravity import pull_of_gravity
+from aerobalance.recording.gravity import gravity_components
 
 MASS_PARAMETERS: Final = (
     "mass",
@@ -99,7 +99,7 @@ class RigidMass:
         gravity
             Acceleration of gravity [m/s^2].
         """
-        return np.asarray(pull_of_gravity(pitch, roll, gravity=gravity) @ self.matrix.T)
+        return np.asarray(gravity_components(pitch, roll, gravity=gravity) @ self.matrix.T)
 
     def turning_load(self, rate: Array) -> Array:
         """Loads that keep the mass turning at a steady rate: m w x (w x r) and its moment, with w x I w.
@@ -122,8 +122,8 @@ class RigidMass:
         return np.asarray(np.hstack([force, moment]) @ FROM_VECTORS.T)
 
 
-def hidden_names(count: int) -> tuple[str, ...]:
-    """What hidden coordinates are called."""
+def internal_names(count: int) -> tuple[str, ...]:
+    """What internal coordinates are called."""
     return tuple(f"hidden {number}" for number in range(1, count + 1))
 
 
@@ -155,7 +155,7 @@ class CoupledDynamics:
         Which components, n of them, in the order of `COMPONENTS`.
     inertia
         A = M K^-1, shape (N, N); the unit of row i over that of column j [s^2]. The N - n rows and columns behind
-        those of the components are of hidden coordinates, whose unit is free.
+        those of the components are of internal coordinates, whose unit is free.
     damping
         D = C K^-1, shape (N, N); the unit of row i over that of column j [s].
     covariance
@@ -255,14 +255,14 @@ class CoupledDynamics:
         return replace(self, covariance=self.total_covariance, covariance_of_calibration=nothing, balance="")
 
     @property
-    def hidden(self) -> int:
-        """Number of hidden coordinates: modes beyond one for each component."""
+    def internal(self) -> int:
+        """Number of internal coordinates: modes beyond one for each component."""
         return len(self.inertia) - len(self.components)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the N rows of the matrices: the components, then hidden 1, hidden 2 and so on."""
-        return (*self.components, *hidden_names(self.hidden))
+        return (*self.components, *internal_names(self.internal))
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -335,16 +335,16 @@ class CoupledDynamics:
         return np.asarray(slopes @ self.total_covariance @ slopes.T)
 
     def equation(self, s: ArrayLike) -> NDArray[np.complex128]:
-        """1 + D s + A s^2 of all coordinates, hidden ones too, at s of shape (m,) [rad/s]; shape (m, N, N)."""
+        """1 + D s + A s^2 of all coordinates, internal ones too, at s of shape (m,) [rad/s]; shape (m, N, N)."""
         s = np.asarray(s, dtype=np.complex128)[:, None, None]
         return np.asarray(np.eye(len(self.inertia)) + s * self.damping + s**2 * self.inertia)
 
     def inverse_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
-        """F over X at frequencies of shape (m,) [Hz], shape (m, n, n): 1 + D s + A s^2 without hidden coordinates."""
+        """Return F over X at frequencies of shape (m,) [Hz], shape (m, n, n): 1 + D s + A s^2, condensed."""
         n = len(self.components)
         whole = self.equation(2j * np.pi * np.asarray(frequency, dtype=np.float64))
         seen = whole[:, :n, :n]
-        if not self.hidden:
+        if not self.internal:
             return seen
         return np.asarray(seen - whole[:, :n, n:] @ np.linalg.solve(whole[:, n:, n:], whole[:, n:, :n]))
 

@@ -11,9 +11,9 @@ What that balance would read,
 is found from the readings without any derivative of them, and contains nothing of the other components' forces. All
 that is done with one component is done with z_i; where row i of D and A has no other components, z_i is X_i.
 
-With hidden coordinates row i is q F_i = sum_j p_ij X_j (`aerobalance.dynamics.condensation`). N_i is that of p over q,
-its stable factor has one mode more than there are hidden coordinates, and G_i = q over that factor is a balance with
-these modes.
+With internal coordinates row i is q F_i = sum_j p_ij X_j (`aerobalance.dynamics.condensation`). N_i is that of p over
+q, its spectral factor has one mode more than there are internal coordinates, and G_i = q over that factor is a balance
+with these modes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.condensation import Eliminated, modes_of, shares_of, stable_factor
+from aerobalance.dynamics.condensation import Condensed, modes_of, partial_fractions, spectral_factor
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.recording.channel import Array
@@ -54,7 +54,7 @@ class Fractions:
     @classmethod
     def of(cls, polynomials: Array, modes: Sequence[Mode]) -> Fractions:
         """Polynomials in s, shape (c, k) with rising powers, over the product of the modes."""
-        direct, values, rates = shares_of(polynomials, modes)
+        direct, values, rates = partial_fractions(polynomials, modes)
         return cls(direct, tuple(modes), values.T, rates.T)
 
     def through(self, series: Array, *, interval: float) -> Array:
@@ -82,19 +82,19 @@ class LoneComponent:
         That balance, its stiffness taken as 1.
     row
         What its reading is of the loads felt, over the product of its modes: powers of s, shape (n, 2 e + 3).
-    hidden
-        Loads in hidden springs by the loads felt, shape (e, n, 2 e + 1), over the product of `still`.
+    internal
+        Loads in internal springs by the loads felt, shape (e, n, 2 e + 1), over the product of `still`.
     still
         Motions in which no component shows anything, e of them.
     carried
-        What the reading is of a term more in the equation of the component itself and of every hidden coordinate,
+        What the reading is of a term more in the equation of the component itself and of every internal coordinate,
         over the product of its modes, shape (1 + e, 2 e + 1).
     """
 
     place: int
     dynamics: Dynamics
     row: Array
-    hidden: Array
+    internal: Array
     still: tuple[Mode, ...]
     carried: Array
 
@@ -114,17 +114,17 @@ class LoneComponent:
         Raises
         ------
         ValueError
-            A hidden coordinate moves without end while no component shows anything.
+            An internal coordinate moves without end while no component shows anything.
         """
         place = dynamics.components.index(component)
-        free = Eliminated.of(dynamics)
+        free = Condensed.of(dynamics)
         row, common = free.forces[place], free.common
-        still = modes_of(polynomial.polyroots(common).astype(np.complex128)) if dynamics.hidden else ()
+        still = modes_of(polynomial.polyroots(common).astype(np.complex128)) if dynamics.internal else ()
         if still or np.delete(row, place, axis=0).any():
-            own = _balance(component, stable_factor(_spectrum(row, noise) / noise[place, place]), common)
+            own = _balance(component, spectral_factor(_spectrum(row, noise) / noise[place, place]), common)
         else:
             own = Dynamics(component, mass=float(row[place, 2]), stiffness=1.0, damping=float(row[place, 1]))
-        return cls(place, own, row, free.hidden, still, np.vstack([common, -free.carried[place]]))
+        return cls(place, own, row, free.internal, still, np.vstack([common, -free.carried[place]]))
 
     @property
     def component(self) -> str:
@@ -180,8 +180,8 @@ class LoneComponent:
 
     def parameter_slopes(self, loads: Array, *, interval: float) -> Array:
         """Change of `reading` with each element of `rows`: of A, equation by equation, then of D; (samples, k)."""
-        hidden = [self._inside(loads, place, interval=interval) for place in range(len(self.still))]
-        coordinates = np.column_stack([loads, *hidden])
+        internal = [self._inside(loads, place, interval=interval) for place in range(len(self.still))]
+        coordinates = np.column_stack([loads, *internal])
         fine, step = upsample_compensated(coordinates), interval / FINE
         behind = []
         for mode in self.dynamics.modes:
@@ -199,8 +199,8 @@ class LoneComponent:
         return np.column_stack(columns)
 
     def _inside(self, loads: Array, place: int, *, interval: float) -> Array:
-        """Load in a hidden spring, shape (samples,)."""
-        return Fractions.of(self.hidden[place], self.still).through(loads, interval=interval)
+        """Load in an internal spring, shape (samples,)."""
+        return Fractions.of(self.internal[place], self.still).through(loads, interval=interval)
 
 
 def _spectrum(row: Array, noise: Array) -> Array:
@@ -216,7 +216,7 @@ def _spectrum(row: Array, noise: Array) -> Array:
 
 def _balance(component: str, modes: Sequence[Mode], common: Array) -> Dynamics:
     """The balance of one component whose response is a polynomial over the product of modes."""
-    _, shares, rates = shares_of(common, modes)
+    _, shares, rates = partial_fractions(common, modes)
     first, *_ = modes
     w0 = first.angular_frequency
     further = [

@@ -237,7 +237,7 @@ def _weight_on_zero(platform: PlatformMotion, dynamics: CoupledDynamics) -> Arra
     if dynamics.mass is None:
         return np.zeros(len(dynamics.components))
     own = [COMPONENTS.index(name) for name in dynamics.components]
-    return np.asarray((platform.pull_on_zero @ dynamics.mass.matrix.T)[own])
+    return np.asarray((platform.gravity_on_zero @ dynamics.mass.matrix.T)[own])
 
 
 def _channels(recording: Recording, dynamics: CoupledDynamics) -> tuple[Channel, ...]:

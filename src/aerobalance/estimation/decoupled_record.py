@@ -89,7 +89,7 @@ class LoneJob(Job):
         if mass is not None and mass.covariance.any() and self.platform.specific_force.any():
             own = [COMPONENTS.index(component) for component in self.coupled.components]
             # the loads count from a zero that was read under the weight: the mass is wrong there too
-            acting = self.platform.specific_force + self.platform.pull_on_zero
+            acting = self.platform.specific_force + self.platform.gravity_on_zero
             felt = [self._felt(-acting @ part[own].T) for part in mass_slopes(mass)]
             slopes = np.column_stack([slopes, -through(np.column_stack(felt))])
             zero = np.zeros((len(names), len(felt)))

@@ -109,7 +109,7 @@ class Job:
 
     def with_dynamics(self, other: Dynamics) -> Job:
         """The same record with other dynamics, whose mass has another weight in the zero that the load counts from."""
-        shift = (other.mass - self.dynamics.mass) * self.motion.pull_on_zero
+        shift = (other.mass - self.dynamics.mass) * self.motion.gravity_on_zero
         channel = self.recording.channel(self.dynamics.component)
         moved = replace(channel, values=channel.values + shift)
         recording = replace(self.recording, channels={**self.recording.channels, channel.name: moved})

@@ -23,7 +23,7 @@ def predicted_force_error(
     """Error of the force that comes from the uncertainty of the dynamics alone, rms by component.
 
     The force is taken from noise-free loads felt by F = X + D X' + A X'', so what remains is dD X' + dA X'', and where
-    there are hidden coordinates Y what their errors leave in F. No
+    there are internal coordinates Y what their errors leave in F. No
     smoother stands between, which would damp the error where noise dominates.
 
     Parameters
@@ -62,8 +62,8 @@ def true_force_error(
 def force_weights(dynamics: CoupledDynamics, *, sizes: ArrayLike, band: tuple[float, float] | None = None) -> Array:
     """What turns errors of A and D into squares of errors of the force under a load white in a band.
 
-    The force is F = L (Z + D Z' + A Z''), where Z are the loads felt and the hidden coordinates that go with them, and
-    L = [1, -P_12 P_22^-1] with the blocks of P = 1 + D s + A s^2. Without hidden coordinates F = X + D X' + A X''.
+    The force is F = L (Z + D Z' + A Z''), where Z are the loads felt and the internal coordinates that go with them,
+    and L = [1, -P_12 P_22^-1] with the blocks of P = 1 + D s + A s^2. Without internal ones F = X + D X' + A X''.
 
     Returns
     -------
@@ -79,7 +79,7 @@ def force_weights(dynamics: CoupledDynamics, *, sizes: ArrayLike, band: tuple[fl
     power = np.einsum("f,fak,fbk->fab", weight, both, both.conj(), optimize=True)
     taken = np.zeros((frequency.size, n, size), dtype=np.complex128)
     taken[:, :, :n] = np.eye(n)
-    if dynamics.hidden:
+    if dynamics.internal:
         taken[:, :, n:] = -np.swapaxes(
             np.linalg.solve(np.swapaxes(whole[:, n:, n:], 1, 2), np.swapaxes(whole[:, :n, n:], 1, 2)), 1, 2
         )

@@ -125,8 +125,8 @@ class CoupledResult:
 
     @property
     def further(self) -> tuple[int, ...]:
-        """Places of the modes of the model or sting: those of least share, one for each hidden coordinate."""
-        return tuple(sorted(int(place) for place in np.argsort(self.shares)[: self.dynamics.hidden]))
+        """Places of the modes of the model or sting: those of least share, one for each internal coordinate."""
+        return tuple(sorted(int(place) for place in np.argsort(self.shares)[: self.dynamics.internal]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Annotated, Final, Literal, Unpack
 import numpy as np
 from pydantic import Field
 
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass, hidden_names
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass, internal_names
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.io.artefacts import (
     IN_EVERY_FILE,
@@ -96,7 +96,7 @@ class _CoupledFile(Loose):
 def matrix_units(components: Sequence[str], kind: Matrix) -> list[list[str]]:
     """Units of the elements of A (inertia) or D (damping): unit of the row over that of the column, times s^2 or s.
 
-    A hidden coordinate is taken as a force.
+    An internal coordinate is taken as a force.
     """
     time = _TIMES[kind]
     table = {
@@ -200,7 +200,7 @@ def write_coupled(
 def read_coupled(path: Path | str) -> CoupledDynamics:
     """Read dynamics.json of coupled components, as written by `write_coupled` or by hand.
 
-    By hand ``components``, ``inertia.matrix`` and ``damping.matrix`` are enough; where there are hidden coordinates,
+    By hand ``components``, ``inertia.matrix`` and ``damping.matrix`` are enough; where there are internal coordinates,
     ``inertia.rows`` names them behind the components: hidden 1, hidden 2 and so on.
 
     Raises
@@ -220,8 +220,8 @@ def read_coupled(path: Path | str) -> CoupledDynamics:
     names = tuple(contents.components)
     if names != tuple(name for name in COMPONENTS if name in names):
         raise ReadError(file, "components", f"must be some of {', '.join(COMPONENTS)}, in this order and each once")
-    hidden = max(len(contents.inertia.rows or ()) - len(names), 0)
-    coordinates = (*names, *hidden_names(hidden))
+    internal = max(len(contents.inertia.rows or ()) - len(names), 0)
+    coordinates = (*names, *internal_names(internal))
     matrices: dict[str, Array] = {}
     deviations: dict[str, float] = {}
     for kind in _TIMES:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import welch
 
-from aerobalance.motion.sensors import GroundSensor, least_squares, told_apart
+from aerobalance.motion.sensors import GroundSensor, least_squares, observable_motions
 from aerobalance.recording.channel import Array
 from aerobalance.recording.sensors import filtered
 
@@ -231,7 +231,7 @@ def _bands(sensors: tuple[GroundSensor, ...], rows: Array, reach: Array, rate: f
         share = band.share(frequency) ** 2
         grown = np.where(turns, np.mean(share * (2 * np.pi * frequency) ** 2), np.mean(share))
         noise = _weights(sensors) * np.sqrt(grown)
-        columns = told_apart(rows[band.used], noise[band.used])
+        columns = observable_motions(rows[band.used], noise[band.used])
         bands.append(Band(low, high, columns, band.used, least_squares(rows, noise, columns, band.used)))
     return tuple(bands)
 
@@ -243,7 +243,7 @@ def _reach(sensors: tuple[GroundSensor, ...], rows: Array, rate: float) -> Array
     if not turns.any():
         return reach
     noise = _weights(sensors)
-    columns = told_apart(rows[~turns], noise[~turns])
+    columns = observable_motions(rows[~turns], noise[~turns])
     gains = least_squares(rows, noise, columns, ~turns)
     known = np.sqrt(np.diag((gains * noise**2) @ gains.T))
     for index in np.flatnonzero(turns):

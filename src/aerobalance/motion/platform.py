@@ -16,7 +16,7 @@ from aerobalance.motion.sensors import ground_sensors, motion_name, unseen
 from aerobalance.motion.single_axis import AT_REST, Unknown, tones, without_gaps
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, COMPONENTS, DIRECTIONS, IS_FORCE, MOMENT_ROWS, STANDARD_GRAVITY
-from aerobalance.recording.gravity import Pull
+from aerobalance.recording.gravity import Gravity
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
@@ -56,8 +56,8 @@ class PlatformMotion:
     unknowns
         What holds along the record and is not known exactly: gain, zero and place of the sensors, zero and gain of
         the angles, and gravity, these less what they do in the zero of the loads; slopes have shape (n, 6).
-    pull_on_zero
-        Pull on the zero of the recording's loads, shape (6,) [m/s^2].
+    gravity_on_zero
+        Gravity at the zero of the recording's loads, shape (6,) [m/s^2].
     """
 
     acceleration: Array
@@ -67,7 +67,7 @@ class PlatformMotion:
     delay: float
     assumptions: tuple[str, ...]
     unknowns: tuple[Unknown, ...] = ()
-    pull_on_zero: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
+    gravity_on_zero: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
 
     @classmethod
     def of(
@@ -125,7 +125,7 @@ class PlatformMotion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Gravity:
-    """Pull of gravity at the angles that were recorded, and their noise."""
+    """Gravity at the angles that were recorded, and their noise."""
 
     acceleration: Array
     gravity: float
@@ -142,7 +142,7 @@ class _Gravity:
             return cls(np.zeros((recording.samples, 6)), gravity, {}, {}, {}, (said,))
         names = [name for name in ("pitch", "roll") if name in recording]
         angles = {name: without_gaps(recording.channel(name)) for name in names}
-        pull = Pull.of(angles["pitch"], angles.get("roll", nothing), gravity=gravity)
+        pull = Gravity.of(angles["pitch"], angles.get("roll", nothing), gravity=gravity)
         noise = {name: channel_noise(recording.channel(name)) for name in names}
         return cls(pull.acceleration, gravity, angles, {name: pull.slopes[name] for name in names}, noise, ())
 
@@ -179,7 +179,7 @@ class _Job:
             delay=fit.sensors[0].channel.delay if fit.sensors else 0.0,
             assumptions=(*said, *_told(self.first, found), *self.pull.assumptions),
             unknowns=tuple(self._unknowns(fit, effects, known)),
-            pull_on_zero=self.recording.pull_on_zero.acceleration,
+            gravity_on_zero=self.recording.gravity_on_zero.acceleration,
         )
 
     def _at_rest(self) -> tuple[GroundFit, Array, Array, list[str]]:
@@ -247,7 +247,7 @@ class _Job:
                 across = -np.nan_to_num(self.recording.channel(part.channel).values)
                 name = f"cross-axis sensitivity to {part.channel}"
                 yield Effect(name, channel.name, part.uncertainty, {index: across})
-        on_zero = self.recording.pull_on_zero
+        on_zero = self.recording.gravity_on_zero
         for name, slope in self.pull.slopes.items():
             channel = self.recording.channel(name)
             for word, by, u in (

@@ -137,7 +137,7 @@ def _on_clock(recording: Recording, channel: Channel, delay: float) -> Array:
     return values
 
 
-def told_apart(rows: Array, noise: Array) -> tuple[int, ...]:
+def observable_motions(rows: Array, noise: Array) -> tuple[int, ...]:
     """Motions that sensors can tell apart, greedily in `ORDER`.
 
     Parameters

@@ -20,7 +20,7 @@ from aerobalance.recording.components import (
     driving_axis,
 )
 from aerobalance.recording.errors import warn_quality
-from aerobalance.recording.gravity import Pull
+from aerobalance.recording.gravity import Gravity
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import SHARPNESS, interpolate_gaps_linearly
@@ -79,8 +79,8 @@ class GroundMotion:
     unknowns
         What holds along the record and is not known exactly: gain and zero of the accelerometer and of the angles,
         and gravity; the last two less what they do in the zero of the loads.
-    pull_on_zero
-        Pull on the zero of the recording's loads, along the component [m/s^2].
+    gravity_on_zero
+        Gravity at the zero of the recording's loads, along the component [m/s^2].
     """
 
     specific_force: Array
@@ -90,7 +90,7 @@ class GroundMotion:
     delay: float
     assumptions: tuple[str, ...]
     unknowns: tuple[Unknown, ...] = ()
-    pull_on_zero: float = 0.0
+    gravity_on_zero: float = 0.0
 
     @classmethod
     def of(
@@ -147,19 +147,19 @@ class GroundMotion:
                 )
         else:
             assumptions.append(f"{name} is not recorded and taken as zero")
-        pulled = _Pulled(np.zeros(recording.samples), 0.0, {})
+        along = _GravityAlong(np.zeros(recording.samples), 0.0, {})
         if coupling != "dc":
-            pulled = _gravity(recording, component, gravity, assumptions)
-        unknowns += _of_gravity(recording, component, pulled, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
+            along = _gravity(recording, component, gravity, assumptions)
+        unknowns += _of_gravity(recording, component, along, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
         return cls(
-            specific_force=acceleration - pulled.acceleration,
-            noise=float(np.hypot(noise, pulled.noise)),
+            specific_force=acceleration - along.acceleration,
+            noise=float(np.hypot(noise, along.noise)),
             acceleration=acceleration,
             relative_uncertainty=relative,
             delay=delay,
             assumptions=tuple(assumptions),
             unknowns=tuple(item for item in unknowns if item.uncertainty > 0 and item.slope.any()),
-            pull_on_zero=float(recording.pull_on_zero.acceleration[_column(component)]),
+            gravity_on_zero=float(recording.gravity_on_zero.acceleration[_column(component)]),
         )
 
     def moved(self, changes: Array) -> GroundMotion:
@@ -191,45 +191,45 @@ def tones(acceleration: Array) -> tuple[Array, float]:
     return np.fft.irfft(np.where(kept, spectrum, 0), acceleration.size), float(np.sqrt(np.mean(kept)))
 
 
-class _Pulled(NamedTuple):
-    """Pull along a component, shape (n,), its white noise, and its change with zero and gain of the angles."""
+class _GravityAlong(NamedTuple):
+    """Gravity along a component, shape (n,), its white noise, and its change with zero and gain of the angles."""
 
     acceleration: Array
     noise: float
     changes: dict[str, Array]
 
 
-def _gravity(recording: Recording, component: str, gravity: float, assumptions: list[str]) -> _Pulled:
+def _gravity(recording: Recording, component: str, gravity: float, assumptions: list[str]) -> _GravityAlong:
     nothing = np.zeros(recording.samples)
     if "pitch" not in recording:
         assumptions.append("pitch is not recorded and taken as zero")
-        return _Pulled(nothing, 0.0, {})
+        return _GravityAlong(nothing, 0.0, {})
     channels = {name: recording.channel(name) for name in ("pitch", "roll") if name in recording}
     angles = {name: without_gaps(channel) for name, channel in channels.items()}
     pitch, roll = angles["pitch"], angles.get("roll", nothing)
     noise = gravity * channel_noise(channels["pitch"])
     if component != "SF":
         noise *= float(np.mean(np.abs(np.sin(pitch) if component == "NF" else np.cos(pitch))))
-    pull, column = Pull.of(pitch, roll, gravity=gravity), _column(component)
+    pull, column = Gravity.of(pitch, roll, gravity=gravity), _column(component)
     changes = {f"{name} zero": pull.slopes[name][:, column] for name in channels}
     changes |= {f"{name} gain": pull.slopes[name][:, column] * angles[name] for name in channels}
-    return _Pulled(pull.acceleration[:, column], noise, changes)
+    return _GravityAlong(pull.acceleration[:, column], noise, changes)
 
 
 def _of_gravity(
-    recording: Recording, component: str, pulled: _Pulled, *, gravity: float, gravity_uncertainty: float
+    recording: Recording, component: str, along: _GravityAlong, *, gravity: float, gravity_uncertainty: float
 ) -> Iterator[Unknown]:
     """What is not known of the angles and of gravity: what it does in the run, less that in the zero of the loads."""
-    nothing, zero, column = np.zeros(recording.samples), recording.pull_on_zero, _column(component)
+    nothing, zero, column = np.zeros(recording.samples), recording.gravity_on_zero, _column(component)
     for name in ("pitch", "roll"):
         if name not in recording:
             continue
         channel = recording.channel(name)
         for word, uncertainty in (("zero", channel.zero_uncertainty), ("gain", channel.relative_uncertainty)):
             what = f"{name} {word}"
-            slope = zero.slope(what)[column] - pulled.changes.get(what, nothing)
+            slope = zero.slope(what)[column] - along.changes.get(what, nothing)
             yield Unknown(what, name, slope, uncertainty)
-    slope = (zero.acceleration[column] - pulled.acceleration) / gravity
+    slope = (zero.acceleration[column] - along.acceleration) / gravity
     yield Unknown("gravity", "gravity", slope, gravity_uncertainty)
 
 

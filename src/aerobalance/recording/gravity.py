@@ -1,4 +1,4 @@
-"""Pull of gravity along the components: at the attitudes of a run, and of the zero that its loads count from."""
+"""Gravity along the components: at the attitudes of a run, and of the zero that its loads count from."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ def gravity_share(component: str, *, pitch: Array, roll: Array) -> Array:
     return weight_direction(pitch, roll)[..., AXES.index(driving_axis(component))]
 
 
-def pull_of_gravity(pitch: ArrayLike, roll: ArrayLike, *, gravity: float) -> Array:
-    """Pull of gravity, per mass, in the order of the components, shape (n, 6) [m/s^2]; 0 for moments."""
+def gravity_components(pitch: ArrayLike, roll: ArrayLike, *, gravity: float) -> Array:
+    """Gravity, per mass, in the order of the components, shape (n, 6) [m/s^2]; 0 for moments."""
     shares = np.atleast_2d(weight_direction(pitch, roll))
     pull = np.zeros((shares.shape[0], len(COMPONENTS)))
     pull[:, FORCE_ROWS] = gravity * shares
     return pull
 
 
-class Pull(NamedTuple):
-    """Pull of gravity, per mass, in the order of the components; 0 for moments.
+class Gravity(NamedTuple):
+    """Gravity, per mass, in the order of the components; 0 for moments.
 
     Attributes
     ----------
@@ -57,14 +57,14 @@ class Pull(NamedTuple):
     slopes: Mapping[str, Array]
 
     @classmethod
-    def of(cls, pitch: Array, roll: Array, *, gravity: float) -> Pull:
+    def of(cls, pitch: Array, roll: Array, *, gravity: float) -> Gravity:
         """Take angles of shape (n,) [rad] and the local acceleration of gravity [m/s^2]."""
         by_pitch, by_roll = np.zeros((2, pitch.size, len(COMPONENTS)))
         sine, cosine, nothing = np.sin(pitch), np.cos(pitch), np.zeros_like(pitch)
         by_pitch[:, FORCE_ROWS] = np.column_stack([cosine, -sine * np.sin(roll), sine * np.cos(roll)])
         by_roll[:, FORCE_ROWS] = np.column_stack([nothing, cosine * np.cos(roll), cosine * np.sin(roll)])
         slopes = {"pitch": gravity * by_pitch, "roll": gravity * by_roll}
-        return cls(pull_of_gravity(pitch, roll, gravity=gravity), slopes)
+        return cls(gravity_components(pitch, roll, gravity=gravity), slopes)
 
 
 def _nothing() -> Array:
@@ -72,8 +72,8 @@ def _nothing() -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PullOnZero:
-    """Pull of gravity on the mass whose weight was taken out of the zero of loads; nothing where none was.
+class GravityOnZero:
+    """Gravity on the mass whose weight was taken out of the zero of loads; nothing where none was.
 
     What is wrong with the weight there is wrong in the loads too, with the other sign: it cancels as far as run and
     zero have the same attitude.
@@ -90,11 +90,11 @@ class PullOnZero:
     slopes: Mapping[str, Array] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, attitudes: Sequence[Attitudes], *, gravity: float) -> PullOnZero:
+    def of(cls, attitudes: Sequence[Attitudes], *, gravity: float) -> GravityOnZero:
         """Take the mean over recordings."""
         accelerations, slopes = [], []
         for pitch, roll in attitudes:
-            pull = Pull.of(pitch, roll, gravity=gravity)
+            pull = Gravity.of(pitch, roll, gravity=gravity)
             by = {"pitch zero": pull.slopes["pitch"], "pitch gain": pull.slopes["pitch"] * pitch[:, None]}
             by |= {"roll zero": pull.slopes["roll"], "roll gain": pull.slopes["roll"] * roll[:, None]}
             accelerations.append(np.nanmean(pull.acceleration, axis=0))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.errors import FitError, warn_quality
-from aerobalance.recording.gravity import PullOnZero
+from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.jitter import following, on_steady_clock
 from aerobalance.recording.steady_clock import Clock, first_repeated, steady_clock
 
@@ -44,8 +44,8 @@ class Recording:
         The channels by name, each of n samples.
     time_unit
         Unit that the time column had in its file, in which it is written again.
-    pull_on_zero
-        Pull of gravity on the mass whose weight was added to loads that count from a zero read under it.
+    gravity_on_zero
+        Gravity on the mass whose weight was added to loads that count from a zero read under it.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Recording:
     rate: float
     channels: Mapping[str, Channel]
     time_unit: str = "s"
-    pull_on_zero: PullOnZero = field(default_factory=PullOnZero)
+    gravity_on_zero: GravityOnZero = field(default_factory=GravityOnZero)
 
     @classmethod
     def from_columns(

@@ -307,9 +307,9 @@ def _density_of_coupled(
         if not covariance.any():
             continue
         # an error of an internal equation comes to the force as the internal coordinates do
-        carried = np.zeros((frequency.size, 1 + dynamics.hidden), dtype=np.complex128)
+        carried = np.zeros((frequency.size, 1 + dynamics.internal), dtype=np.complex128)
         carried[:, 0] = 1.0
-        if dynamics.hidden:
+        if dynamics.internal:
             inside = whole[:, n:, n:].transpose(0, 2, 1)
             carried[:, 1:] = -np.linalg.solve(inside, whole[:, channel.place, n:, None])[..., 0]
         slopes = np.concatenate(

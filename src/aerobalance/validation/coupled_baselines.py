@@ -156,7 +156,7 @@ class _Component:
         acceleration = np.zeros_like(felt)
         acceleration[1:-1] = np.diff(felt, 2, axis=0) / interval**2
         D, A = coupled.damping[self.place, :n], coupled.inertia[self.place, :n]
-        left = f", {coupled.hidden} further mode(s) left out" if coupled.hidden else ""
+        left = f", {coupled.internal} further mode(s) left out" if coupled.internal else ""
         return RivalEstimate(
             "central differences, coupled",
             felt[:, self.place] + rate @ D + acceleration @ A,

@@ -108,7 +108,7 @@ def matrix_table(dynamics: CoupledDynamics, kind: str, half_range: Array) -> str
         rows.append([name, *(f"{scale * value:.5g}" for value in values[i])])
         rows.append(["  u", *(f"{scale * value:.2g}" for value in u[i])])
     letter = "A" if kind == "inertia" else "D"
-    slow = " of slow motion" if dynamics.hidden else ""
+    slow = " of slow motion" if dynamics.internal else ""
     return table_text(f"{letter} ({kind}){slow}, loads over half of range [{unit}]", ["", *names], rows)
 
 

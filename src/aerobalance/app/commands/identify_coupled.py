@@ -251,7 +251,7 @@ def _further_text(found: CoupledIdentification) -> str:
         for place in found.further
     ]
     if lines:
-        lines.append("\nA and D have rows and columns of hidden coordinates for it, which dynamics.json holds.")
+        lines.append("\nA and D have rows and columns of internal coordinates for it, which dynamics.json holds.")
     return "".join(lines)
 
 

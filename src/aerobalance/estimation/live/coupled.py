@@ -26,7 +26,7 @@ from aerobalance.estimation.prior import Learned
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
-from aerobalance.recording.gravity import pull_of_gravity
+from aerobalance.recording.gravity import gravity_components
 from aerobalance.recording.resampling import hold_over_gaps
 
 JUDGED: Final = 256
@@ -291,7 +291,7 @@ class LiveCoupledForce:
         self._last = known[-1] if count else self._last
         pulled = known[:, :6].copy()
         if pitch is not None:
-            pulled -= pull_of_gravity(known[:, 6], known[:, 7], gravity=self._gravity)
+            pulled -= gravity_components(known[:, 6], known[:, 7], gravity=self._gravity)
         return pulled
 
     def _net(self, force: Array | None, turn_rate: Array | None) -> Array | None:

@@ -14,10 +14,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.motion.sensors import least_squares, row_of, sensor_kind, told_apart
+from aerobalance.motion.sensors import least_squares, observable_motions, row_of, sensor_kind
 from aerobalance.recording.channel import AXES_BY_NAME, Array
 from aerobalance.recording.components import IS_FORCE, MOMENTS, STANDARD_GRAVITY
-from aerobalance.recording.gravity import pull_of_gravity
+from aerobalance.recording.gravity import gravity_components
 
 UNIT_LEVER: Final = 0.1
 """Length by which a turn is compared with an acceleration [m]."""
@@ -70,7 +70,7 @@ class LivePlatform:
         size = np.where([sensor_kind(sensor.name) == "turn" for sensor in sensors], 1 / UNIT_LEVER, 1.0)
         gains = np.zeros((6, len(sensors)))
         if used.any():
-            gains = least_squares(rows, size, told_apart(rows[used], size[used]), used)
+            gains = least_squares(rows, size, observable_motions(rows[used], size[used]), used)
         specific = np.array([sensor.specific for sensor in sensors], dtype=np.float64)
         names = [sensor.name for sensor in sensors]
         turns = [f"ground_turn_rate_{name}" for name in MOMENTS]
@@ -83,7 +83,7 @@ class LivePlatform:
         Without a pitch, what sensors of specific force read of gravity stays in it: then none must be taken off again.
         """
         if pitch is not None and self.gravity.any():
-            pull = pull_of_gravity(pitch, 0.0 if roll is None else roll, gravity=STANDARD_GRAVITY)
+            pull = gravity_components(pitch, 0.0 if roll is None else roll, gravity=STANDARD_GRAVITY)
             readings = readings + pull @ self.gravity.T
         return np.asarray(readings @ self.gains.T)
 

@@ -17,7 +17,7 @@ from aerobalance.identification.step_relaxation.free_response import Complex
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.platform import PlatformMotion
 from aerobalance.motion.rotation import centripetal
-from aerobalance.motion.sensors import ground_sensors, told_apart
+from aerobalance.motion.sensors import ground_sensors, observable_motions
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import IS_FORCE
 from aerobalance.recording.noise import white_noise
@@ -81,7 +81,7 @@ class GroundReadings:
         deviation = np.array([max(s.noise, EXACT * (size or 1.0)) for s, size in zip(sensors, sizes, strict=True)])
         rows = whole * moving
         angles = np.array([white_noise(column) if np.ptp(column) > 0 else 0.0 for column in pull.T])
-        columns = told_apart(rows, deviation)
+        columns = observable_motions(rows, deviation)
         return cls(values, rows, deviation, ~straight, columns, pull, (angles, gravity))
 
     def specific_force(self, window: Window) -> tuple[Complex, Array]:

@@ -28,7 +28,7 @@ QUICK: Final = (8, 4, 2, 1, 16)
 """Thinnings that a quick look tries in turn."""
 
 GOOD: Final = 1.5
-"""Squares over the noise variance and a reading with which a guess with hidden coordinates is taken."""
+"""Squares over the noise variance and a reading with which a guess with internal coordinates is taken."""
 
 LARGEST_GROWTH: Final = 100.0
 """Logarithm of the growth over a decay, made by rounding where modes hardly differ, beyond which none is tried."""
@@ -54,30 +54,30 @@ class Guess:
     squares: float
 
 
-def first_guess(decays: Sequence[Array], *, rate: float, hidden: int = 0) -> Guess | None:
+def first_guess(decays: Sequence[Array], *, rate: float, internal: int = 0) -> Guess | None:
     """Matrices that explain free decays, each of shape (m, n) with the loads over their noise; None if none does.
 
-    With hidden coordinates, these are those of single modes.
+    With internal coordinates, these are those of single modes.
     """
     best: Guess | None = None
     thinnings = list(_thinnings(decays))
-    if hidden:  # what explains the decays to the noise is good enough: begin where it is most likely found
+    if internal:  # what explains the decays to the noise is good enough: begin where it is most likely found
         thinnings.sort(key=lambda every: abs(np.log2(every / QUICK[0])))
     for thinned in thinnings:
         for rows in BLOCK_ROWS:
-            guess = _guess(decays, rate=rate, every=thinned, rows=rows, hidden=hidden)
+            guess = _guess(decays, rate=rate, every=thinned, rows=rows, internal=internal)
             if guess is not None and (best is None or guess.squares < best.squares):
                 best = guess
-            if hidden and best is not None and best.squares < GOOD * sum(decay.size for decay in decays):
+            if internal and best is not None and best.squares < GOOD * sum(decay.size for decay in decays):
                 return best
     return best
 
 
-def quick_guess(decays: Sequence[Array], *, rate: float, hidden: int) -> Guess | None:
+def quick_guess(decays: Sequence[Array], *, rate: float, internal: int) -> Guess | None:
     """The best of few guesses, or the first that explains the decays to the noise."""
     best: Guess | None = None
     for every in QUICK:
-        guess = _guess(decays, rate=rate, every=every, rows=BLOCK_ROWS[0], hidden=hidden)
+        guess = _guess(decays, rate=rate, every=every, rows=BLOCK_ROWS[0], internal=internal)
         if guess is not None and (best is None or guess.squares < best.squares):
             best = guess
         if best is not None and best.squares < GOOD * sum(decay.size for decay in decays):
@@ -95,13 +95,13 @@ def _thinnings(decays: Sequence[Array]) -> Iterator[int]:
         every *= 2
 
 
-def _guess(decays: Sequence[Array], *, rate: float, every: int, rows: int, hidden: int) -> Guess | None:
+def _guess(decays: Sequence[Array], *, rate: float, every: int, rows: int, internal: int) -> Guess | None:
     """Realise the increments of the thinned decays, then the decays less the loads that stay."""
     means = [_thinned(decay, every) for decay in decays]
     best: Guess | None = None
     series = [np.diff(mean, axis=0) for mean in means]
     for _ in range(2):
-        matrices = _matrices(series, rate=rate, every=every, rows=rows, hidden=hidden)
+        matrices = _matrices(series, rate=rate, every=every, rows=rows, internal=internal)
         if matrices is None:
             return best
         motion = FreeMotion.of(*matrices, components=decays[0].shape[1])
@@ -122,11 +122,11 @@ def _thinned(values: Array, every: int) -> Array:
 
 
 def _matrices(
-    series: Sequence[Array], *, rate: float, every: int, rows: int, hidden: int
+    series: Sequence[Array], *, rate: float, every: int, rows: int, internal: int
 ) -> tuple[Array, Array] | None:
     """A^-1 and A^-1 D behind free decays; None where they show no motion of so many modes."""
     n = series[0].shape[1]
-    order = 2 * (n + hidden)
+    order = 2 * (n + internal)
     columns = MOST_COLUMNS // len(series)
     blocks = []
     for values in series:
@@ -161,7 +161,7 @@ def from_modes(poles: Complex, shapes: Complex) -> tuple[Array, Array] | None:
 
 
 def _state(poles: Complex, shapes: Complex) -> Complex | None:
-    """Coordinates and rates in every mode, shape (2 N, 2 N); hidden coordinates are those of modes of their own.
+    """Coordinates and rates in every mode, shape (2 N, 2 N); internal coordinates are those of modes of their own.
 
     Those modes are taken without which the loads and their rates tell the others best.
     """

@@ -96,7 +96,7 @@ def first_release_for(combinations: Array, components: tuple[str, ...]) -> str:
 def combination_of(motion: FreeMotion, mode: int) -> Array:
     """Combination of loads that sets off one mode and no other, shape (n,); `mode` counts the pairs of poles.
 
-    With hidden coordinates there is none: then the one with which the mode takes the largest part of what is set off.
+    With internal coordinates there is none: then that with which the mode takes the largest part of what is set off.
     """
     up, _ = pairs(motion)
     if motion.size > motion.components:
@@ -205,7 +205,7 @@ def advice(
     for number in range(n):
         own = np.zeros(2 * n + 1)
         own[n + number] = step[number] / units.sizes[number]
-        piece = Piece("", time, np.zeros((time.size, n)), "release", (0.0, 0.0), fit.hidden)
+        piece = Piece("", time, np.zeros((time.size, n)), "release", (0.0, 0.0), fit.internal)
         block = linearise(piece, motion, own, whitener=whitener).block
         rows = np.vstack([fit.information, of_matrices(block, piece.own)[:, :-1]])
         information = np.asarray(np.linalg.qr(rows, mode="r"))

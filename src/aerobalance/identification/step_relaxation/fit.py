@@ -82,11 +82,11 @@ class ReleaseFit:
     @property
     def parameters(self) -> int:
         """Number of parameters that change readings, those of the records included."""
-        return self.matrices.size - 2 * self.hidden**2 + sum(piece.own for piece in self.pieces)
+        return self.matrices.size - 2 * self.internal**2 + sum(piece.own for piece in self.pieces)
 
     @property
-    def hidden(self) -> int:
-        """Number of hidden coordinates e."""
+    def internal(self) -> int:
+        """Number of internal coordinates e."""
         return coordinates_of(self.matrices) - self.size
 
     @property
@@ -116,7 +116,7 @@ class ReleaseFit:
 
 
 def motion_of(matrices: Array, n: int) -> FreeMotion:
-    """Free motion of A^-1 and A^-1 D given row by row, of n loads felt and hidden coordinates behind them."""
+    """Free motion of A^-1 and A^-1 D given row by row, of n loads felt and internal coordinates behind them."""
     size = coordinates_of(matrices)
     return FreeMotion.of(*matrices.reshape(2, size, size), components=n)
 
@@ -202,7 +202,7 @@ def settle(
 
         return Step(promised, take)
 
-    most = steps * (1 + coordinates_of(matrices) - n)  # valleys bend more with hidden coordinates
+    most = steps * (1 + coordinates_of(matrices) - n)  # valleys bend more with internal coordinates
     settings = replace(SETTINGS, most_steps=most, enough=enough, flat=flat)
     fit, costs, settled = levenberg_marquardt(start, total_squares(start.linears, known, matrices), step, settings)
     if settled or costs[-1 - VALLEY] - costs[-1] < _worth(fit.linears, whitener):
@@ -245,7 +245,7 @@ def _tried(
     known: Known,
     enough: float,
 ) -> tuple[float, tuple[Array, ...]]:
-    """Squares with trial matrices; where hidden coordinates bend the valley, own parameters follow these."""
+    """Squares with trial matrices; where internal coordinates bend the valley, own parameters follow these."""
     n = whitener.shape[0]
     rounds = 2 if coordinates_of(trial) > n else 1
     found = np.inf

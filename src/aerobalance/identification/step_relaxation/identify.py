@@ -178,10 +178,10 @@ def _check_moved(records: list[ReleaseRecord], sizes: Array, names: tuple[str, .
 def _check_seen(fit: ReleaseFit, names: tuple[str, ...]) -> None:
     """Refuse releases that leave a mode in the noise."""
     poles = fit.motion.poles
-    if not (poles.real < 0).all() or np.count_nonzero(poles.imag > 0) != len(names) + fit.hidden:
+    if not (poles.real < 0).all() or np.count_nonzero(poles.imag > 0) != len(names) + fit.internal:
         raise FitError(
-            f"{_called(fit.pieces)}: the decays do not show {len(names) + fit.hidden} decaying modes above the noise; "
-            "add releases along other components, or larger ones"
+            f"{_called(fit.pieces)}: the decays do not show {len(names) + fit.internal} decaying modes above the "
+            "noise; add releases along other components, or larger ones"
         )
     energy = np.sum(excitation(fit)[1] ** 2, axis=0)
     if energy.min() < STILL:
@@ -289,7 +289,7 @@ def _notes_on_modes(found: CoupledIdentification, chosen: ChosenFit) -> list[str
 
 
 def _dynamics(fit: ReleaseFit, units: Units, names: tuple[str, ...]) -> CoupledDynamics:
-    size = fit.size + fit.hidden
+    size = fit.size + fit.internal
     spring, brake = fit.matrices.reshape(2, size, size)
     A = np.linalg.inv(spring)
     ratio = units.ratio(size)
@@ -308,7 +308,7 @@ def _rigid(
         rigid = rigid_mass_of(quasi_static(dynamics), value, u_mass=uncertainty)
     except (FitError, ValueError) as problem:
         return None, [f"no mass matrix: {problem}; gravity and ground motion cannot be taken out of the loads"]
-    if dynamics.hidden:
+    if dynamics.internal:
         return replace(rigid, reciprocity=None), _note_on_bending(rigid)
     notes = []
     if rigid.rigidity is not None and not rigid.rigidity.chance:

@@ -1,9 +1,10 @@
 """Coordinates that no channel shows, of a model or sting that bends, and what of the matrices no release can tell.
 
-Z = [X; Y] are the n loads felt and e hidden coordinates. Y may be any e functionals of the state [Z; Z'] that are zero
-and at rest whenever the state is that of a load held, so that a release begins with [X; 0] at rest: there are 2 e such
-functionals that are independent, and e of them to choose. So 2 e^2 directions of the matrices change no load felt, and
-nothing that follows from them; with fewer than n releases from rest there are more, of which nothing is known.
+Z = [X; Y] are the n loads felt and e internal coordinates. Y may be any e functionals of the state [Z; Z'] that are
+zero and at rest whenever the state is that of a load held, so that a release begins with [X; 0] at rest: there are 2 e
+such functionals that are independent, and e of them to choose. So 2 e^2 directions of the matrices change no load
+felt, and nothing that follows from them; with fewer than n releases from rest there are more, of which nothing is
+known.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ SAME: Final = 1e-8
 """Part of a load let go, over the largest, that the others leave, below which it is no load of its own."""
 
 DRAWS: Final = 32
-"""Choices of the hidden coordinates that are tried, of which the best conditioned is taken."""
+"""Choices of the internal coordinates that are tried, of which the best conditioned is taken."""
 
 
 def coordinates_of(matrices: Array) -> int:
@@ -58,7 +59,7 @@ def held_states(loads: Array, size: int) -> Array:
 def invariances(matrices: Array, n: int, *, loads: Array) -> Array:
     """Directions of A^-1 and A^-1 D that change no reading when loads (columns, (n, r)) are let go; rows, (k, 2 N^2).
 
-    With the hidden row j of the coordinates changed by the functional r, their second derivatives change by
+    With the internal row j of the coordinates changed by the functional r, their second derivatives change by
     e_j r G^2 - spring e_j r - brake e_j r G, with G the generator and e_j a column of the unit matrix, signs aside.
     """
     size = coordinates_of(matrices)
@@ -83,7 +84,7 @@ def pinned(directions: Array, scale: Array) -> Array:
 
 
 def renewed(matrices: Array, n: int, *, let_go: Array) -> tuple[Array, Array]:
-    """Other hidden coordinates, zero and at rest in the states (columns, (2 N, r)) in which releases begin.
+    """Other internal coordinates, zero and at rest in the states (columns, (2 N, r)) in which releases begin.
 
     Returns
     -------
@@ -125,7 +126,7 @@ def static_shares(form: ModalForm) -> Array:
 def slow_matrices(dynamics: CoupledDynamics) -> tuple[Array, Array, Array]:
     """A and D of F = X + D X' + A X'' to the second order in the frequency, and their whole covariance.
 
-    With blocks 11 of the loads, 12 and 21 towards and from the hidden coordinates, D = D_11 and A = A_11 - D_12 D_21,
+    With blocks 11 of the loads, 12 and 21 towards and from the internal ones, D = D_11 and A = A_11 - D_12 D_21,
     because the blocks off the diagonal have no part at rest. For a rigid model on a sting that bends, A is its mass
     matrix times the flexibility of balance and sting.
     """
@@ -148,6 +149,6 @@ def quasi_static(dynamics: CoupledDynamics) -> CoupledDynamics:
     ValueError
         These make a motion that grows.
     """
-    if not dynamics.hidden:
+    if not dynamics.internal:
         return dynamics.with_calibration
     return CoupledDynamics(dynamics.components, *slow_matrices(dynamics))

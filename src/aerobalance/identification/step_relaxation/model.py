@@ -42,7 +42,7 @@ class Piece:
         any state, only from the end of `edge` on.
     edge
         First and last time between which rows are left out; empty (equal times) for a release.
-    hidden
+    internal
         Number of coordinates that no channel shows, e.
     anywhere
         Whether these may be anywhere, and moving, at the instant of a release; otherwise they are at rest at zero.
@@ -53,7 +53,7 @@ class Piece:
     values: Array
     kind: Kind
     edge: tuple[float, float]
-    hidden: int = 0
+    internal: int = 0
     anywhere: bool = False
 
     @property
@@ -61,8 +61,8 @@ class Piece:
         """Number of parameters of the record's own."""
         n = int(self.values.shape[1])
         if self.kind == "free":
-            return 3 * n + 2 * self.hidden
-        return {"release": 2 * n + 1, "ramp": 2 * n + 2}[self.kind] + 2 * self.hidden * self.anywhere
+            return 3 * n + 2 * self.internal
+        return {"release": 2 * n + 1, "ramp": 2 * n + 2}[self.kind] + 2 * self.internal * self.anywhere
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +99,7 @@ def linearise(piece: Piece, motion: FreeMotion, own: Array, *, whitener: Array, 
         Free motion of the trial matrices.
     own
         The record's own parameters: loads that stay, then for a release the loads held, the instant, for a ramp the
-        duration, and hidden coordinates and their rates where they may be anywhere; for a free decay all coordinates,
+        duration, and internal coordinates and their rates where they may be anywhere; for a free decay all of them,
         the loads less those that stay, and their rates at the end of the edge.
     whitener
         What turns the noise of one row into independent unit noise, shape (n, n).
@@ -198,7 +198,7 @@ def _parts(piece: Piece, own: Array) -> tuple[slice, slice, float]:
 
 def state_at_the_edge(piece: Piece, own: Array) -> tuple[Array, Array]:
     """Coordinates from rest and their rates where the motion begins, shape (N,) each."""
-    n, e = piece.values.shape[1], piece.hidden
+    n, e = piece.values.shape[1], piece.internal
     if piece.kind == "free":
         return own[n : 2 * n + e], own[2 * n + e :]
     unseen = own[-2 * e :] if e and piece.anywhere else np.zeros(2 * e)

@@ -109,7 +109,7 @@ def fit_modes(records: Sequence[ReleaseRecord], *, sizes: Array, modes: int | Li
         fit = with_edges(free, records, units)
         return ChosenFit(fit, units, _missed(fit, units, records))
     free, units, gain = _free_decays(records, sizes=sizes)
-    if not free.hidden:
+    if not free.internal:
         fit = with_edges(free, records, units)
         return ChosenFit(fit, units, _missed(fit, units, records))
     try:
@@ -134,18 +134,18 @@ def _without(records: Sequence[ReleaseRecord], sizes: Array, why: str) -> Chosen
 def _free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units, float]:
     """Free decays with as many modes as they show clearly, and the log-likelihood that the last of them gained."""
     free, units, gain = _beginning(records, sizes=sizes)
-    hidden = free.hidden
-    while hidden < MOST and peak_of(free, units, records) is not None:
-        hidden += 1
-        if _hopeless(hidden, free, records):
+    internal = free.internal
+    while internal < MOST and peak_of(free, units, records) is not None:
+        internal += 1
+        if _hopeless(internal, free, records):
             continue
         try:
-            larger, others = _decays_with(hidden, records, sizes=sizes)
+            larger, others = _decays_with(internal, records, sizes=sizes)
             gained = gain_over(larger, free)
-            clear = gained > _by_chance(larger, hidden, hidden - free.hidden) + EVIDENCE
-            if clear and hidden - free.hidden > 1:  # each for itself, not all together
+            clear = gained > _by_chance(larger, internal, internal - free.internal) + EVIDENCE
+            if clear and internal - free.internal > 1:  # each for itself, not all together
                 gained = gain_over(larger, _with_one_less(larger, others, records, sizes)[0])
-                clear = gained > _by_chance(larger, hidden, 1) + EVIDENCE
+                clear = gained > _by_chance(larger, internal, 1) + EVIDENCE
         except (FitError, np.linalg.LinAlgError):  # modes that are not found are none
             continue
         if clear and _physical(larger, others, records[0].rate) and len(_twins(larger)) <= len(_twins(free)):
@@ -153,7 +153,7 @@ def _free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Rel
     return free, units, gain
 
 
-def _hopeless(hidden: int, free: ReleaseFit, records: Sequence[ReleaseRecord]) -> bool:
+def _hopeless(internal: int, free: ReleaseFit, records: Sequence[ReleaseRecord]) -> bool:
     """Whether a quick look that explains the decays says that so many modes are no better than fewer, or are no modes.
 
     The fit itself takes a hundred times as long, and what a calibration has left of terms that are not linear keeps
@@ -161,11 +161,11 @@ def _hopeless(hidden: int, free: ReleaseFit, records: Sequence[ReleaseRecord]) -
     """
     decays, rate = decays_of(records, 0.0), records[0].rate
     fewer, quick = (
-        quick_guess(decays, rate=rate, hidden=count) if decays else None for count in (free.hidden, hidden)
+        quick_guess(decays, rate=rate, internal=count) if decays else None for count in (free.internal, internal)
     )
     if fewer is None or quick is None or quick.squares > POOR * sum(decay.size for decay in decays):
         return False
-    return quick.squares >= fewer.squares or not _lightly_damped(_motion_of(quick, free.size), free.size + hidden)
+    return quick.squares >= fewer.squares or not _lightly_damped(_motion_of(quick, free.size), free.size + internal)
 
 
 def _motion_of(guess: Guess, components: int) -> FreeMotion:
@@ -178,17 +178,17 @@ def _lightly_damped(motion: FreeMotion, count: int) -> bool:
     return pairs(motion)[1].size == count and bool((-poles.real < HEAVIEST * np.abs(poles)).all())
 
 
-def _decays_with(hidden: int, records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units]:
+def _decays_with(internal: int, records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units]:
     """Free decays with so many modes beside one for each component.
 
     A first guess may miss a mode that a guess with one more has, beside another that is none. Where it leads nowhere,
     the fit begins with that of one more, less the mode that rings least.
     """
     try:
-        return fit_decays(records, sizes=sizes, start=guess_of(records, hidden=hidden))
+        return fit_decays(records, sizes=sizes, start=guess_of(records, internal=internal))
     except (FitError, np.linalg.LinAlgError) as problem:
         try:
-            larger, units = fit_decays(records, sizes=sizes, start=guess_of(records, hidden=hidden + 1))
+            larger, units = fit_decays(records, sizes=sizes, start=guess_of(records, internal=internal + 1))
             return _with_one_less(larger, units, records, sizes)
         except (FitError, np.linalg.LinAlgError):
             raise problem from None
@@ -198,15 +198,15 @@ def _beginning(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Relea
     """Free decays with the fewest modes that a quick look explains to the noise, where that is sure; one each else."""
     decays, rate = decays_of(records, 0.0), records[0].rate
     count, before = max(sum(decay.size for decay in decays), 1), np.inf
-    for hidden in range(MOST + 1) if decays else ():
-        quick = quick_guess(decays, rate=rate, hidden=hidden)
+    for internal in range(MOST + 1) if decays else ():
+        quick = quick_guess(decays, rate=rate, internal=internal)
         if quick is None or quick.squares > POOR * count:
             before = before if quick is None else quick.squares
             continue
-        if hidden == 0:
+        if internal == 0:
             break
         try:
-            start = guess_of(records, hidden=hidden, guards=(0.0,))
+            start = guess_of(records, internal=internal, guards=(0.0,))
             free, units = fit_decays(records, sizes=sizes, start=start)
         except (FitError, np.linalg.LinAlgError):
             continue
@@ -214,7 +214,7 @@ def _beginning(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Relea
             gain = gain_over(free, _with_one_less(free, units, records, sizes)[0])
         except (FitError, np.linalg.LinAlgError):  # with less there is no fit, but a guess
             gain = count / 2 * float(np.log(before / quick.squares)) if np.isfinite(before) else 0.0
-        if gain > _by_chance(free, free.hidden, 1) + EVIDENCE and _physical(free, units, rate):
+        if gain > _by_chance(free, free.internal, 1) + EVIDENCE and _physical(free, units, rate):
             return free, units, gain
     free, units = fit_decays(records, sizes=sizes, start=guess_of(records))
     return free, units, 0.0
@@ -235,10 +235,10 @@ def _with_one_less(
     return fit_decays(records, sizes=sizes, start=Start(Guess(*units.bare(*matrices), squares=0.0), 0.0))
 
 
-def _by_chance(fit: ReleaseFit, hidden: int, more: int) -> float:
-    """Log-likelihood that the parameters of the last modes more, of so many hidden, may gain by chance."""
-    size, fewer = fit.size + hidden, hidden - more
-    count = 2 * (size**2 - hidden**2) - 2 * ((size - more) ** 2 - fewer**2) + 2 * more * len(fit.pieces)
+def _by_chance(fit: ReleaseFit, internal: int, more: int) -> float:
+    """Log-likelihood that the parameters of the last modes more, of so many internal, may gain by chance."""
+    size, fewer = fit.size + internal, internal - more
+    count = 2 * (size**2 - internal**2) - 2 * ((size - more) ** 2 - fewer**2) + 2 * more * len(fit.pieces)
     return count / 2 * float(np.log(max(fit.degrees_of_freedom, 2)))
 
 
@@ -262,7 +262,7 @@ def _physical(fit: ReleaseFit, units: Units, rate: float) -> bool:
     poles, sizes = fit.motion.poles, pairs(fit.motion)[1]
     longest = max(float(piece.time[-1] - piece.edge[1]) for piece in fit.pieces)
     return bool(
-        _lightly_damped(fit.motion, fit.size + fit.hidden)
+        _lightly_damped(fit.motion, fit.size + fit.internal)
         and (-poles.real * longest > DECAYS).all()
         and sizes.max() * units.rate / (2 * np.pi) < TOP * rate / 2
     )
@@ -302,9 +302,9 @@ def _missed(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
     """
     peak = peak_of(fit, units, records)
     decays = decays_of(records, 0.0)
-    if peak is None or not decays or fit.hidden >= MOST:
+    if peak is None or not decays or fit.internal >= MOST:
         return peak
-    quick = quick_guess(decays, rate=records[0].rate, hidden=fit.hidden + 1)
+    quick = quick_guess(decays, rate=records[0].rate, internal=fit.internal + 1)
     count = sum(decay.size for decay in decays)
     noise = np.min([record.noise for record in records], axis=0) / units.sizes
     left = np.vstack([linear.ringing for linear in fit.linears]) / noise
@@ -312,8 +312,8 @@ def _missed(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
         return peak
     gain = count / 2 * float(np.log(np.mean(left**2) * count / quick.squares))
     motion = _motion_of(quick, fit.size)
-    none = not _lightly_damped(motion, fit.size + fit.hidden + 1)
-    if none or gain < _by_chance(fit, fit.hidden + 1, 1) + EVIDENCE:
+    none = not _lightly_damped(motion, fit.size + fit.internal + 1)
+    if none or gain < _by_chance(fit, fit.internal + 1, 1) + EVIDENCE:
         return peak
     theirs = np.log(pairs(motion)[1])
     ours = np.log(pairs(fit.motion)[1] * units.rate)

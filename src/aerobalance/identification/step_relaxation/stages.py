@@ -78,7 +78,7 @@ class Units:
 
 
 def with_hidden(sizes: Array, size: int) -> Array:
-    """Sizes of the loads, and the largest of them for each hidden coordinate, shape (N,)."""
+    """Sizes of the loads, and the largest of them for each internal coordinate, shape (N,)."""
     return np.concatenate([sizes, np.full(size - sizes.size, sizes.max())])
 
 
@@ -90,15 +90,15 @@ class Start:
     guard: float
 
 
-def fit_releases(records: Sequence[ReleaseRecord], *, sizes: Array, hidden: int = 0) -> tuple[ReleaseFit, Units]:
-    """Fit the matrices to all records, with e hidden coordinates.
+def fit_releases(records: Sequence[ReleaseRecord], *, sizes: Array, internal: int = 0) -> tuple[ReleaseFit, Units]:
+    """Fit the matrices to all records, with e internal coordinates.
 
     Raises
     ------
     FitError
         No first guess explains the decays, or the fit does not settle.
     """
-    free, units = fit_decays(records, sizes=sizes, start=guess_of(records, hidden=hidden))
+    free, units = fit_decays(records, sizes=sizes, start=guess_of(records, internal=internal))
     return with_edges(free, records, units), units
 
 
@@ -131,13 +131,13 @@ def with_edges(free: ReleaseFit, records: Sequence[ReleaseRecord], units: Units)
     Raises
     ------
     FitError
-        There are hidden coordinates, and no release tells what the load makes of them, or the fit does not settle.
+        There are internal coordinates, and no release tells what the load makes of them, or the fit does not settle.
     """
     edged = free
     for number, record in enumerate(records):
         found = _with_edge(free, number, record, units)
         edged = replaced(edged, number, piece=found.pieces[number], own=found.own[number])
-    if free.hidden:
+    if free.internal:
         _check_let_go(edged)  # then what fits from anywhere, and from rest
         near = float(edged.parameters)  # a start from which the next fit settles: a deviation off in each
         edged = _from_rest(settle(edged.pieces, edged.matrices, edged.own, noise=edged.noise, flat=near))
@@ -145,7 +145,7 @@ def with_edges(free: ReleaseFit, records: Sequence[ReleaseRecord], units: Units)
         settled = settle(edged.pieces, edged.matrices, edged.own, noise=edged.noise)
         return _with_noise(settled, np.full(free.size, ROUNDING))
     except FitError:  # edges that do not agree with each other: the free decays stand
-        if free.hidden:
+        if free.internal:
             raise
         return free
 
@@ -155,7 +155,7 @@ def _with_noise(fit: ReleaseFit, least: Array) -> ReleaseFit:
 
 
 def _check_let_go(fit: ReleaseFit) -> None:
-    """Refuse hidden coordinates where the loads that are let go are fewer than the components."""
+    """Refuse internal coordinates where the loads that are let go are fewer than the components."""
     n = fit.size
     loads = [own[n : 2 * n] - own[:n] for piece, own in zip(fit.pieces, fit.own, strict=True) if piece.kind != "free"]
     table = np.array([load / np.linalg.norm(load) for load in loads]).reshape(-1, n)
@@ -168,14 +168,14 @@ def _check_let_go(fit: ReleaseFit) -> None:
 
 
 def _from_rest(fit: ReleaseFit) -> ReleaseFit:
-    """The fit with hidden coordinates that are at rest at zero before every release, not settled."""
+    """The fit with internal coordinates that are at rest at zero before every release, not settled."""
     starts = [
         np.concatenate(state_at_the_edge(piece, own))
         for piece, own in zip(fit.pieces, fit.own, strict=True)
         if piece.kind != "free"
     ]
     matrices, turn = renewed(fit.matrices, fit.size, let_go=np.array(starts).T)
-    n, unseen = fit.size, 2 * fit.hidden
+    n, unseen = fit.size, 2 * fit.internal
     own = [
         np.concatenate([mine[:n], turn @ mine[n:]]) if piece.kind == "free" else mine[:-unseen]
         for piece, mine in zip(fit.pieces, fit.own, strict=True)
@@ -184,7 +184,7 @@ def _from_rest(fit: ReleaseFit) -> ReleaseFit:
     return replace(fit, pieces=pieces, matrices=matrices, own=tuple(own))
 
 
-def guess_of(records: Sequence[ReleaseRecord], *, hidden: int = 0, guards: Sequence[float] = GUARDS) -> Start:
+def guess_of(records: Sequence[ReleaseRecord], *, internal: int = 0, guards: Sequence[float] = GUARDS) -> Start:
     """First guess of the matrices, from the onsets on or from as soon after them as the decays are explained.
 
     Raises
@@ -197,7 +197,7 @@ def guess_of(records: Sequence[ReleaseRecord], *, hidden: int = 0, guards: Seque
     noise = np.min([record.noise for record in records], axis=0)
     for guard in guards:
         decays = decays_of(records, guard)
-        found = first_guess(decays, rate=rate, hidden=hidden) if decays else None
+        found = first_guess(decays, rate=rate, internal=internal) if decays else None
         if found is None:
             continue
         count = sum(decay.size for decay in decays)
@@ -210,7 +210,7 @@ def guess_of(records: Sequence[ReleaseRecord], *, hidden: int = 0, guards: Seque
             break
     if best is None:
         raise FitError(
-            f"{', '.join(record.name for record in records)}: no {noise.size + hidden} modes explain the decays; "
+            f"{', '.join(record.name for record in records)}: no {noise.size + internal} modes explain the decays; "
             "record them for longer, at a higher rate, or add releases along other components"
         )
     return best
@@ -262,8 +262,8 @@ def _free(
     for record, guard in zip(records, guards, strict=True):
         time = (record.time - record.time[record.onset]) * units.rate
         begin = float((4 / record.rate + guard) * units.rate) if record.onset else float(time[0])
-        hidden = motion.size - motion.components
-        piece = Piece(record.name, time, record.values / units.sizes, "free", (begin, begin), hidden)
+        internal = motion.size - motion.components
+        piece = Piece(record.name, time, record.values / units.sizes, "free", (begin, begin), internal)
         first = int(np.searchsorted(time, begin))
         pieces.append(piece)
         own.append(fit_state(motion, time[first:] - begin, piece.values[first:])[0])
@@ -293,7 +293,7 @@ def _with_edge(fit: ReleaseFit, number: int, record: ReleaseRecord, units: Units
             own = np.append(own, shares[place] * (piece.edge[1] - earliest) / 2)
             edge = (earliest, piece.edge[1] + AT_FIRST * units.rate)
         own = np.append(own, rest[fit.size :])
-        trial = replace(piece, kind=kind, edge=edge, anywhere=fit.hidden > 0)
+        trial = replace(piece, kind=kind, edge=edge, anywhere=fit.internal > 0)
         try:
             tight = settle([trial], fit.matrices, [own], noise=fit.noise, known=known, steps=TRIAL_STEPS, enough=1.0)
         except FitError:
@@ -320,7 +320,7 @@ def _best_instant(
 ) -> tuple[float, Array, float]:
     """Instant at which a release from rest leads best to the free decay found, what belongs to it, and the misfit.
 
-    What belongs to it are the loads that stay, and the hidden coordinates and their rates at the instant.
+    What belongs to it are the loads that stay, and the internal coordinates and their rates at the instant.
     """
     piece, motion, n = fit.pieces[number], fit.motion, fit.size
     size = motion.size
@@ -337,7 +337,7 @@ def _best_instant(
     moved = np.real(np.einsum("ik,gk,kj->gij", state, growth, motion.shares[:, begins]))
     moved, unseen = moved[:, :, :n], moved[:, :, n:]
     design = np.concatenate([np.broadcast_to(np.eye(n), (grid.size, n, n)), -moved], axis=1)  # by the loads that stay
-    if fit.hidden:
+    if fit.internal:
         nothing = np.zeros((grid.size, n, unseen.shape[2]))
         design = np.concatenate([design, np.concatenate([nothing, unseen], axis=1)], axis=2)
     aim = fit.own[number] - np.concatenate([np.zeros((grid.size, n)), moved @ held], axis=1)
