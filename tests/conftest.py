@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 pytest_plugins = ["seeds"]
+pytest.register_assert_rewrite("helpers")
 
 STARTERS = ("aerobalance.acquisition.session", "aerobalance.app.monitor.workers")
 LOADED = [

@@ -20,8 +20,8 @@ from aerobalance.balance.terms import terms_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, SimulatedCalibration, random_balance
+from helpers.tare_bound import tare_bound
 from seeds import new_seed, seed_from, trials
-from tare_bound import tare_bound
 
 NOISE = 0.7e-3
 FALSE_ALARM = 1e-6

@@ -31,7 +31,7 @@ from aerobalance.balance.calibration.quality import Outlier, Quality, assess
 from aerobalance.balance.matrix import TemperatureEffect
 from aerobalance.recording.errors import ReadError
 from aerobalance.simulation.calibration_stand import CalibrationStand, random_balance
-from html_pages import Balanced
+from helpers.html_pages import Balanced
 from seeds import new_seed
 
 NAME = "<b>tricky & $x_2$ -- name</b>"

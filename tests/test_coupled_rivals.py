@@ -23,7 +23,7 @@ from aerobalance.recording.recording import Recording
 from aerobalance.validation.baselines import THIS
 from aerobalance.validation.coupled_baselines import TUNED, estimates_of_coupled, own_response
 from aerobalance.validation.scores import Truth
-from test_coupled_uncertainty import NOISE, RATE, SIZE, colored, pair, recording_of, shaken
+from helpers.coupled_pair import NOISE, RATE, SIZE, colored, pair, recording_of, shaken
 
 EXACT = replace(pair(), covariance=np.zeros((8, 8)))
 

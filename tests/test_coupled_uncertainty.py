@@ -7,69 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import RigidMass
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force import estimate_force, force_record, noise_spectra
-from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.gravity import Attitudes, GravityOnZero
-from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.monte_carlo import monte_carlo
 from aerobalance.uncertainty.sampling import drawn_coupled
-
-RATE, COUNT = 4000.0, 2000
-SIZE = np.array([1000.0, 50.0])
-NOISE = 1e-4 * SIZE
-UNIT = np.outer(SIZE, 1 / SIZE)
-
-
-def pair() -> CoupledDynamics:
-    """NF and PM that ring together at some 60 and 170 Hz, with uncertain matrices and an uncertain mass."""
-    w = 2 * np.pi * np.array([65.0, 150.0])
-    inertia = np.array([[1.0, 0.25], [0.35, 1.0]]) / np.outer(w, w)
-    damping = np.array([[0.03, 0.004], [0.006, 0.05]]) / np.sqrt(np.outer(w, w))
-    deviation = np.concatenate([2e-4 * np.sqrt(inertia**2).ravel(), 2e-2 * damping.ravel()])
-    units = np.tile(UNIT.ravel(), 2)
-    mass = RigidMass(6.0, np.array([0.01, 0.0, 0.002]), np.diag([0.01, 0.05, 0.05]))
-    known = np.diag((2e-3 * np.array([6.0, 0.01, 0, 0.002, 0.01, 0.05, 0.05, 0, 0, 0])) ** 2)
-    return CoupledDynamics(
-        ("NF", "PM"),
-        inertia * UNIT,
-        damping * UNIT,
-        np.diag((deviation * units) ** 2),
-        replace(mass, covariance=known),
-    )
-
-
-def band(generator: np.random.Generator, edge: float, *, count: int, rate: float, columns: int) -> Array:
-    """Noise of a flat spectrum up to an edge, of rms 1, shape (count, columns)."""
-    frequency = np.fft.rfftfreq(2 * count, 1 / rate)
-    shape = (frequency.size, columns)
-    phasors = (generator.normal(size=shape) + 1j * generator.normal(size=shape)) * (
-        (frequency > 0) & (frequency < edge)
-    )[:, None]
-    series = np.fft.irfft(phasors, 2 * count, axis=0)[:count]
-    return np.asarray(series / series.std(axis=0))
-
-
-def recording_of(loads: Array, **more: Array) -> Recording:
-    channels = {name: Channel(name, column, si_unit(name)) for name, column in zip(("NF", "PM"), loads.T, strict=True)}
-    channels |= {name: Channel(name, values, "rad") for name, values in more.items()}
-    return Recording.from_columns(np.arange(len(loads)) / RATE, channels, name="run")
-
-
-def shaken(
-    generator: np.random.Generator, dynamics: CoupledDynamics, *, pitching: bool = True
-) -> tuple[Array, Array, Array]:
-    """Force on NF and PM up to 250 Hz, while the balance pitches; the loads felt without noise, and the pitch."""
-    fine = 8
-    force = 0.03 * SIZE * band(generator, 250, count=fine * COUNT, rate=fine * RATE, columns=2)
-    pitch = pitching * (0.1 + 0.05 * np.sin(2 * np.pi * 3 * np.arange(fine * COUNT) / (fine * RATE)))
-    assert dynamics.mass is not None
-    weight = pitching * dynamics.mass.weight(pitch)[:, [COMPONENTS.index(name) for name in dynamics.components]]
-    felt = dynamics.load_felt(force + weight, interval=1 / (fine * RATE))
-    return force[::fine], felt[::fine], pitch[::fine]
+from helpers.coupled_pair import COUNT, NOISE, RATE, SIZE, band, colored, pair, recording_of, shaken
 
 
 @pytest.mark.parametrize("options", [{}, {"bandwidth": 300.0}, {"method": "paper"}])
@@ -164,17 +111,6 @@ def test_matrices_that_are_hardly_known_are_refused() -> None:
     wild = replace(dynamics, covariance=dynamics.covariance * 1e8)
     with pytest.raises(FitError, match="not physical"):
         drawn_coupled(np.random.default_rng(3), wild, np.array([0, 1, 4, 5]), 40)
-
-
-def colored(generator: np.random.Generator, corners: tuple[float, float], count: int) -> Array:
-    """Noise of both channels, white and 1/f below their corners, shape (count, 2)."""
-    frequency = np.fft.rfftfreq(4 * count, 1 / RATE)[1:]
-    columns = []
-    for corner, deviation in zip(corners, NOISE, strict=True):
-        size = np.sqrt((1 + corner / frequency) * deviation**2 * 4 * count / 2)
-        phasors = size * (generator.normal(size=frequency.size) + 1j * generator.normal(size=frequency.size))
-        columns.append(np.fft.irfft(np.concatenate([[0], phasors]), 4 * count)[count : 2 * count])
-    return np.column_stack(columns)
 
 
 def test_noise_of_a_component_taken_apart_is_what_its_balance_makes_of_all_channels(rng) -> None:

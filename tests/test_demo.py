@@ -15,7 +15,7 @@ from aerobalance.app.demos.comparison import split_deviation
 from aerobalance.app.demos.demo import step_data
 from aerobalance.app.reports.demo_report import step_figure
 from aerobalance.app.reports.page import PLACE_HOLDERS, number, significant, with_uncertainty
-from html_pages import Balanced
+from helpers.html_pages import Balanced
 
 
 class Demo:

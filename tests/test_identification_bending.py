@@ -1,13 +1,11 @@
 """Modes of a model or sting that bends, from releases: the structure behind them, what is found, and what is told."""
 
 import re
-import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 from scipy.stats import chi2, norm
 
 from aerobalance.app.commands.identify_coupled import identify_decays
@@ -16,8 +14,7 @@ from aerobalance.identification.coupled_modes import ModeTable
 from aerobalance.identification.force_error import force_weights, true_force_error
 from aerobalance.identification.step_relaxation import model_order as further_coupled
 from aerobalance.identification.step_relaxation.fit import whitener_of
-from aerobalance.identification.step_relaxation.free_response import FreeMotion, generator_of
-from aerobalance.identification.step_relaxation.identify import identify_releases
+from aerobalance.identification.step_relaxation.free_response import FreeMotion
 from aerobalance.identification.step_relaxation.internal_coordinates import (
     held_states,
     invariances,
@@ -30,74 +27,30 @@ from aerobalance.io import write_recording
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_bending import Bending, bending_dynamics
+from helpers.bending_releases import (
+    HALF_RANGE,
+    NAMES,
+    RANGES,
+    RATE,
+    in_loads,
+    quietly,
+    recordings,
+    structure,
+    truth,
+)
 
-RATE = 2500.0
-SECONDS = 0.8
-NAMES = ("NF", "AF")
-HALF_RANGE = np.array([1000.0, 500.0])
-RANGES = dict(zip(NAMES, HALF_RANGE.tolist(), strict=True))
 NEVER = 1e-5
 """Probability with which a test of chance may fail for a fresh seed."""
-
-
-def structure() -> tuple[Array, Array, Array, Array, Array]:
-    """Mass, damping and stiffness of three degrees of freedom, and how loads enter and are felt; bends at 210 Hz."""
-    M = np.array([[20.0, 2.0, 0.9], [2.0, 20.0, 0.4], [0.9, 0.4, 1.0]])
-    K = np.diag(np.array([20.0, 20.0, 1.0]) * (2 * np.pi * np.array([90.0, 140.0, 210.0])) ** 2)
-    K[0, 1] = K[1, 0] = 0.1 * np.sqrt(K[0, 0] * K[1, 1])
-    C = 2e-5 * K + 3 * M
-    into = np.array([[1.0, 0.0], [0.0, 1.0], [0.06, -0.02]])
-    return M, C, K, into, K[:2]
-
-
-def truth() -> CoupledDynamics:
-    return in_loads(*structure())
-
-
-def in_loads(M: Array, C: Array, K: Array, into: Array, felt: Array) -> CoupledDynamics:
-    """A structure in loads: internal are such loads that none held makes."""
-    at_rest = np.linalg.solve(K, into)
-    unseen = np.cross(at_rest[:, 0], at_rest[:, 1])  # normal to both
-    turn = np.vstack([felt, unseen * np.linalg.norm(felt) / np.linalg.norm(unseen)])
-    back, flexible = np.linalg.inv(turn), turn @ np.linalg.inv(K)
-    return CoupledDynamics(NAMES, flexible @ M @ back, flexible @ C @ back)
 
 
 def rigid() -> CoupledDynamics:
     M, C, K, _, _ = structure()
     inverse = np.linalg.inv(K[:2, :2])
     return CoupledDynamics(NAMES, M[:2, :2] @ inverse, C[:2, :2] @ inverse)
-
-
-def recordings(dynamics: CoupledDynamics, rng: np.random.Generator, *, along=(0, 1), noise=1e-4) -> list[Recording]:
-    """Releases of half the half range, by the matrix exponential of the motion."""
-    spring = np.linalg.inv(dynamics.inertia)
-    whole = generator_of(spring, spring @ dynamics.damping)
-    made = []
-    for number in along:
-        held, instant = np.zeros(len(whole)), 0.05 + rng.uniform(0, 0.01)
-        held[number] = 0.5 * HALF_RANGE[number]
-        time = np.arange(round(SECONDS * RATE)) / RATE
-        values = np.tile(held[:2], (time.size, 1))
-        after = np.flatnonzero(time >= instant)
-        state, step = expm(whole * (time[after[0]] - instant)) @ held, expm(whole / RATE)
-        for row in after:
-            values[row] = state[:2]
-            state = step @ state
-        values += noise * HALF_RANGE * rng.normal(size=values.shape)
-        channels = {name: Channel(name, values[:, i].copy(), si_unit(name)) for i, name in enumerate(NAMES)}
-        made.append(Recording.from_columns(time, channels, name=f"release {NAMES[number]}"))
-    return made
-
-
-def quietly(made: list[Recording], **settings):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataQualityWarning)
-        return identify_releases(made, components=NAMES, half_range=RANGES, **settings)
 
 
 def test_loads_of_a_bending_structure(rng):

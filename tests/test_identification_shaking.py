@@ -21,7 +21,7 @@ from aerobalance.recording.components import COMPONENTS, MOMENTS, si_unit
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_components import GROUND_CHANNELS, RATE_CHANNELS
-from rigid_balance import HALF_RANGE, RANGES, balance, truth
+from helpers.rigid_balance import HALF_RANGE, RANGES, balance, truth
 
 RATE = 2500.0
 SAMPLES = 3000

@@ -11,7 +11,7 @@ from aerobalance.app.cli import main
 from aerobalance.io import read
 from aerobalance.io.schedule import write_balfit_schedule
 from aerobalance.simulation.calibration_stand import CalibrationStand, random_balance
-from text_exports import completed
+from helpers.text_exports import completed
 
 SEED = 20240312
 RATE, DURATION = 5000, 1.0

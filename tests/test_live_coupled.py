@@ -16,7 +16,7 @@ from aerobalance.recording.components import COMPONENTS
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import GROUND_CHANNELS, SixComponentRig
 from aerobalance.simulation.six_signals import Band, broadband, random_motion
-from test_smoother import butterworth
+from helpers.butterworth import butterworth
 
 RATE = 10_000.0
 

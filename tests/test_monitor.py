@@ -44,7 +44,7 @@ from aerobalance.recording.errors import FitError
 from aerobalance.simulation.calibration_stand import random_balance
 from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
 from aerobalance.simulation.six_balance import random_balance as six_balance
-from running_page import BASE, LIVE, Running, source_of
+from helpers.running_page import BASE, LIVE, Running, source_of
 
 
 def view_of(source, **more):

@@ -7,7 +7,7 @@ import pytest
 from aerobalance.app.monitor.alarms import Alarms
 from aerobalance.app.monitor.messages import Reading, Update, Watching
 from aerobalance.balance.load_envelope import Utilisation
-from running_page import Running
+from helpers.running_page import Running
 
 WATCHING = Watching(1, ("AF", "NF"), ("N", "N"), 1e3, 1, (), {"NF": 2000.0}, {"AF": (-1200.0, 500.0)}, {}, {})
 

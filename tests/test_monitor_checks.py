@@ -24,7 +24,7 @@ from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
-from running_page import Running, source_of
+from helpers.running_page import Running, source_of
 
 CHANNELS = (
     StoredChannel(name="NF", unit="kN"),

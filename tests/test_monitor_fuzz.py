@@ -18,7 +18,7 @@ from aerobalance.app.monitor.panels import panel_of
 from aerobalance.app.monitor.setups import rig_setup
 from aerobalance.app.monitor.view import View
 from aerobalance.recording.errors import FitError, ReadError
-from running_page import LIVE, Running
+from helpers.running_page import LIVE, Running
 
 RIGS = ("cable_cut", "vibration", "six")
 PIECES = [

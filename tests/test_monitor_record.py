@@ -9,7 +9,7 @@ import pytest
 
 from aerobalance.app.monitor.folder import Folder
 from aerobalance.io.hdf5_contents import contents
-from running_page import Running
+from helpers.running_page import Running
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +55,7 @@ def test_a_record_begins_at_the_press_and_says_at_once_that_it_starts(running) -
 def test_a_stop_while_the_recorder_starts_leaves_what_was_sampled_until_then(running) -> None:
     station = running.page.station
     station.running()
+    time.sleep(2.0)
     began = time.monotonic() - 2.0  # two seconds ago, which the source has kept
     recorder = station.session.record(running.folder / "early.h5", setup=station.setup, asked=began)
     progress = recorder.stop("enough", timeout=10.0)

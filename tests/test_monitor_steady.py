@@ -8,7 +8,7 @@ import pytest
 from aerobalance.app.monitor.steady import newest_steady
 from aerobalance.app.monitor.view import Panel, View
 from aerobalance.simulation.published import CABLE_CUT
-from running_page import source_of
+from helpers.running_page import source_of
 
 SEED = 20261
 

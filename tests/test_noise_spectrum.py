@@ -5,26 +5,13 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
-from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.spectra import noise_record
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
 from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, ColoredNoise, Hump, NoiseSpectrum
 from aerobalance.estimation.statespace.kalman import Filter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.errors import DataQualityWarning, FitError
-
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
-RATE = 1600.0
-WHITE = 4.0 / RATE
-
-
-def noise_of(generator: np.random.Generator, density, *, n: int = 16_000, longer: int = 8) -> np.ndarray:
-    """Readings of a noise of a two-sided density [N^2/Hz], cut from a record several times as long."""
-    frequency = np.fft.rfftfreq(longer * n, 1 / RATE)
-    level = np.zeros(frequency.size)
-    level[1:] = density(frequency[1:])
-    phasors = generator.normal(size=frequency.size) + 1j * generator.normal(size=frequency.size)
-    return np.fft.irfft(phasors * np.sqrt(level * longer * n * RATE / 2), longer * n)[:n]
+from helpers.coloured_noise import RATE, T128, WHITE, noise_of
 
 
 def known(corner: float = 10.0, exponent: float = 1.0, *, humps: tuple[Hump, ...] = ()) -> NoiseSpectrum:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import test_identification_bending as bending
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.matrix_errors import MatrixErrors, coefficient_covariance
 from aerobalance.dynamics.coupled import CoupledDynamics
@@ -20,8 +19,9 @@ from aerobalance.identification.step_relaxation.stages import Units, fit_release
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.simulation.six_balance import random_balance
-from rigid_balance import HALF_RANGE, truth
-from test_identification_releases import between, errors, felt, quietly, recording
+from helpers import bending_releases as bending
+from helpers.releases import between, errors, felt, quietly, recording
+from helpers.rigid_balance import HALF_RANGE, truth
 
 NOISE = 1e-5
 """Noise of a reading over half of range: what the readings leave is small beside what the calibration leaves."""

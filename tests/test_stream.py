@@ -16,7 +16,7 @@ from aerobalance.estimation.steps import Step
 from aerobalance.motion.single_axis import GroundMotion, load_from_ground
 from aerobalance.recording.errors import FitError
 from aerobalance.simulation import CableCut, Sensor
-from test_smoother import butterworth
+from helpers.butterworth import butterworth
 
 T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 TWO_MODES = Dynamics("AF", 177.87, 3.093e7, 828.21, further_modes=(Mode(165.0, 0.01, 0.05),))

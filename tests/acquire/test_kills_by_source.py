@@ -7,8 +7,6 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from at_work import follow, lost_by_a_kill
-from devices import RIG, Server, free_port
 
 from aerobalance.acquisition.session import Session
 from aerobalance.acquisition.setup import parse_setup
@@ -20,6 +18,8 @@ from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation.published import CABLE_CUT
+from helpers.at_work import follow, lost_by_a_kill
+from helpers.devices import RIG, Server, free_port
 
 SEED = 11
 RECORD = "[record]\nblock = 0.05\nkeep_free = 0.0\n[channels.AF]\n[channels.live_acceleration]\n"

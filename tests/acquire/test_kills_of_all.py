@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from at_work import blocks_of
 
 from aerobalance.app.cli import main
 from aerobalance.io.hdf5_file import read_blocks
+from helpers.at_work import blocks_of
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")
 

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from at_work import blocks_of, follow
 
 from aerobalance.acquisition.recorder import run_recorder
 from aerobalance.acquisition.session import Recorder, Session
@@ -19,6 +18,7 @@ from aerobalance.app.cli import main
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.held_file import is_held, recover_all
+from helpers.at_work import blocks_of, follow
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there, an open file cannot be deleted")
 

@@ -9,8 +9,6 @@ import pytest
 pytest.importorskip("nidaqmx", reason="the extra nidaqmx is not installed")
 pytest.importorskip("grpc", reason="the extra nidaqmx is not installed")
 
-from at_work import end_by_sigterm, follow, lost_by_a_kill
-from ni_server import FakeServer
 from nidaqmx.constants import AccelUnits, BridgeConfiguration, BridgeUnits, ExcitationSource
 
 from aerobalance.acquisition import nidaqmx
@@ -22,6 +20,8 @@ from aerobalance.acquisition.setup import parse_setup
 from aerobalance.acquisition.source import SourceEndedError
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.recording.errors import FitError
+from helpers.at_work import end_by_sigterm, follow, lost_by_a_kill
+from helpers.ni_server import FakeServer
 
 BRIDGE = {"measures": "bridge", "low": -2.0, "high": 2.0, "excitation": 10.0, "bridge": "half", "resistance": 1000.0}
 ACCELERATION = {"measures": "acceleration", "low": -50.0, "high": 50.0, "sensitivity": 100.0, "current": 0.002}

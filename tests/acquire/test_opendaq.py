@@ -8,8 +8,6 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from at_work import end_by_sigterm, follow, lost_by_a_kill
-from devices import RIG, Server, free_port
 
 from aerobalance.acquisition.opendaq import DomainClock, OpendaqSource, origin_of
 from aerobalance.acquisition.session import Session
@@ -19,6 +17,8 @@ from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.recording.errors import DataQualityWarning, FitError
+from helpers.at_work import end_by_sigterm, follow, lost_by_a_kill
+from helpers.devices import RIG, Server, free_port
 
 installed = pytest.mark.skipif(
     find_spec("opendaq") is None,

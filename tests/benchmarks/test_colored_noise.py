@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_estimator import SHARP, SOFT, T128, Shape, density, inner, rms_of, smooth_run
 
 from aerobalance.estimation.component_force import noise_of_job
 from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.recording import Recording
+from helpers.accuracy import SHARP, SOFT, T128, Shape, density, inner, rms_of, smooth_run
 
 RATE = 1600.0
 CORNER = 10.0

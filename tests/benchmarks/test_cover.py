@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_estimator import SHARP, SOFT, T128, drawn, inner, smooth_run
 
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.recording import Recording
+from helpers.accuracy import SHARP, SOFT, T128, drawn, inner, smooth_run
 
 NOISES = (0.5, 2.0, 10.0)
 

@@ -6,13 +6,13 @@ import warnings
 
 import numpy as np
 import pytest
-from test_estimator import RUNS, SHARP, SOFT, T128, inner, rms_of, smooth_run
 
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.spectra.line_noise import hum_lines
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
+from helpers.accuracy import RUNS, SHARP, SOFT, T128, inner, rms_of, smooth_run
 
 RATE = 1600.0
 NOISE = 2.0

@@ -9,7 +9,6 @@ import time
 
 import numpy as np
 import pytest
-from test_estimator import RIG, RUNS, SHARP, SOFT, T128, WIDE, drawn, inner, rms_of, smooth_run, wiener_bound
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.decoupled_record import load_felt
@@ -21,6 +20,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.simulation import CableCut, Sensor
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_signals import Band, broadband
+from helpers.accuracy import RIG, RUNS, SHARP, SOFT, T128, WIDE, drawn, inner, rms_of, smooth_run, wiener_bound
 
 LEARNING = {1600.0: 20.0, 25_000.0: 4.0}
 """Seconds that the process is learned from, by sampling rate."""

@@ -6,7 +6,6 @@ import warnings
 
 import numpy as np
 import pytest
-from test_estimator import SHARP, SOFT, T128, inner, rms_of, smooth_run, wiener_bound
 
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.force import estimate_force, force_record
@@ -16,6 +15,7 @@ from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor, Simulation
 from aerobalance.validation.model_check import misfit_of
+from helpers.accuracy import SHARP, SOFT, T128, inner, rms_of, smooth_run, wiener_bound
 
 HALF_RANGE = 2000.0
 ALLOWED = 0.02e-2 * HALF_RANGE

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_estimator import RIG, SHARP, SOFT, T128, WIDE, smooth_run
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
@@ -15,6 +14,7 @@ from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
 from aerobalance.uncertainty.budget import scalars
 from aerobalance.uncertainty.monte_carlo import monte_carlo
+from helpers.accuracy import RIG, SHARP, SOFT, T128, WIDE, smooth_run
 
 DRAWS = 800
 RUNS = 25

@@ -13,35 +13,17 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import LoneComponent
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Array
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_bending import Bending, bending_dynamics
-from aerobalance.simulation.six_components import Release, SixSimulation
+from aerobalance.simulation.six_components import Release
 from aerobalance.simulation.six_signals import Band, broadband
+from helpers.accuracy_of_six import DURATION, GUSTS, RATE, gusts, inner, wiener_bound
 
 BALANCES = 6
-RATE, DURATION, GUSTS = 25_000.0, 1.0, 0.1
-
-
-def wiener_bound(
-    balance: CoupledBalance, band: Band, *, gusts: float = GUSTS, dynamics: CoupledDynamics | None = None
-) -> Array:
-    """Rms error of the best linear estimate from all channels, shape (6,): (S^-1 + H* R^-1 H)^-1 over frequency.
-
-    The loads have the rms `gusts`, over half range.
-    """
-    frequency = np.linspace(0, RATE / 2, 6251)
-    response = (dynamics or balance.dynamics).response(frequency)
-    noise = (balance.noise * balance.half_range) ** 2 / RATE
-    force = np.maximum(band.density(frequency)[:, None] / 2, 1e-12) * (gusts * balance.half_range) ** 2
-    known = np.einsum("mji,j,mjk->mik", response.conj(), 1 / noise, response)
-    known[:, range(6), range(6)] += 1 / force
-    error = np.real(np.linalg.inv(known)[:, range(6), range(6)])
-    return np.sqrt(2 * np.sum(error, axis=0) * (frequency[1] - frequency[0]))
 
 
 def row_bound(balance: CoupledBalance, band: Band) -> Array:
@@ -51,17 +33,6 @@ def row_bound(balance: CoupledBalance, band: Band) -> Array:
     noise = np.einsum("mij,j->mi", np.abs(inverse) ** 2, (balance.noise * balance.half_range) ** 2 / RATE)
     force = np.maximum(band.density(frequency)[:, None] / 2, 1e-12) * (GUSTS * balance.half_range) ** 2
     return np.sqrt(2 * np.sum(force * noise / (force + noise), axis=0) * (frequency[1] - frequency[0]))
-
-
-def gusts(balance: CoupledBalance, rng: np.random.Generator) -> tuple[SixSimulation, Band]:
-    band = Band(0, 1.2 * max(mode.natural_frequency for mode in balance.dynamics.modes))
-    load = broadband(rng, band, rms=GUSTS * balance.half_range, period=2 * DURATION)
-    return SixComponentRig(balance, applied=load, output="loads").run(DURATION, rng), band
-
-
-def inner(values: Array) -> Array:
-    ends = values.shape[0] // 20
-    return values[ends:-ends]
 
 
 def test_gusts_through_all_resonances(record, rng) -> None:

@@ -11,11 +11,11 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from test_six_chain import chain
 
 from aerobalance.io.coupled_file import read_coupled
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import DataQualityWarning
+from helpers.six_chain import chain
 
 BALANCES = 6
 

@@ -16,8 +16,8 @@ from aerobalance.balance.schedule import Schedule
 from aerobalance.balance.terms import codes
 from aerobalance.recording.channel import Array
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
+from helpers.tare_bound import tare_bound
 from seeds import seed_from
-from tare_bound import tare_bound
 
 NOISE = 0.7e-3
 

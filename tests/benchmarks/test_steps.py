@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from test_estimator import RIG, RUNS, SHARP, SOFT, T128, density, inner, rms_of, smooth_run, wiener_bound
 
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
+from helpers.accuracy import RIG, RUNS, SHARP, SOFT, T128, density, inner, rms_of, smooth_run, wiener_bound
 
 RATE = 1600.0
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import signal
 
 import pytest
-from in_chromium import CHROMIUM, Operator, in_sight, page_in_chromium
+
+from helpers.in_chromium import CHROMIUM, Operator, in_sight, page_in_chromium
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(not CHROMIUM.exists(), reason="no Chromium here")]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 
 import pytest
-from in_chromium import CHROMIUM, Operator, in_sight, page_in_chromium
 
 from aerobalance.io.hdf5_contents import contents
+from helpers.in_chromium import CHROMIUM, Operator, in_sight, page_in_chromium
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(not CHROMIUM.exists(), reason="no Chromium here")]
 

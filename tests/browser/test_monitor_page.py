@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 
 import pytest
-from in_chromium import CHROMIUM, Operator, page_in_chromium
+
+from helpers.in_chromium import CHROMIUM, Operator, page_in_chromium
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(not CHROMIUM.exists(), reason="no Chromium here")]
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from test_hdf5_file import make, quietly, readings
 
 from aerobalance.io import read, write_recording
 from aerobalance.io.hdf5_closing import close_all_broken_off, close_broken_off, lookup3
 from aerobalance.io.hdf5_guard import GuardedFile
 from aerobalance.recording.errors import DataQualityWarning
+from helpers.hdf5_files import make, quietly, readings
 
 WRITES = """
 import resource, sys
@@ -128,7 +128,7 @@ KILLED = """
 import os, sys, signal
 sys.path[:0] = {folders!r}
 from pathlib import Path
-from test_hdf5_file import make
+from helpers.hdf5_files import make
 writer = make(Path({file!r}), [(0, {n})], finish=False)
 os.kill(os.getpid(), signal.SIGKILL)
 """
@@ -136,8 +136,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 def killed(path, n=300):
     """A file whose writer was killed."""
-    here = Path(__file__).parent
-    code = KILLED.format(folders=[str(here), str(here.parent)], file=str(path), n=n)
+    code = KILLED.format(folders=[str(Path(__file__).parents[1])], file=str(path), n=n)
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
     with pytest.raises(OSError, match="already open for write"):
         h5py.File(path)

@@ -15,30 +15,9 @@ from aerobalance.app.commands import recordings
 from aerobalance.io import column_names, load_channel_map, read, template, write_recording
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import headings, read_blocks
-from aerobalance.io.hdf5_layout import CHANNEL_1, BlockWriter, Provenance, StoredChannel, text_bytes
+from aerobalance.io.hdf5_layout import CHANNEL_1, StoredChannel, text_bytes
 from aerobalance.recording.errors import DataQualityWarning, ReadError
-
-CHANNELS = (
-    StoredChannel("AF", "kN", input="Dev1/ai0", sign=-1.0, scale=0.5, offset=3.0, noise=0.01, delay=2e-4),
-    StoredChannel("pitch", "deg"),
-    StoredChannel("ground_acceleration", "m/s^2", coupling="ac", corner=0.5, relative_uncertainty=0.01),
-)
-
-
-def readings(first, last):
-    ticks = np.arange(first, last)
-    return np.column_stack([np.sin(ticks * 0.1), ticks * 0.01, np.cos(ticks * 0.3)])
-
-
-def make(path, spans, *, rows=64, rate=1000.0, channels=CHANNELS, finish=True):
-    """A recording of the given spans of ticks."""
-    writer = BlockWriter(path, channels, rate=rate, rows=rows, provenance=Provenance("test", "notes = 'x'\n"))
-    for first, last in spans:
-        for tick in range(first, last, rows):
-            writer.append(tick, readings(tick, min(tick + rows, last)))
-    if finish:
-        writer.finish("done")
-    return writer
+from helpers.hdf5_files import CHANNELS, make, quietly, readings
 
 
 def test_the_first_layout_is_still_read(tmp_path) -> None:
@@ -65,12 +44,6 @@ def test_an_impossible_filter_is_a_damaged_file(tmp_path) -> None:
         file.attrs["channels_crc32"] = zlib.crc32(table.tobytes())
     with pytest.raises(ReadError, match="impossible settings"):
         read(tmp_path / "a.h5")
-
-
-def quietly(path):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataQualityWarning)
-        return read(path)
 
 
 def test_channels_come_back_in_their_units_with_their_settings(tmp_path) -> None:
@@ -134,7 +107,7 @@ KILLED = """
 import os, sys, signal
 sys.path[:0] = {folders!r}
 from pathlib import Path
-from test_hdf5_file import make
+from helpers.hdf5_files import make
 make(Path({file!r}), [(0, 300)], finish=False)
 os.kill(os.getpid(), signal.SIGKILL)
 """
@@ -142,8 +115,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 def test_file_of_a_killed_writer_is_read_to_its_last_block(tmp_path) -> None:
     file = tmp_path / "a.h5"
-    here = Path(__file__).parent
-    code = KILLED.format(folders=[str(here), str(here.parent)], file=str(file))
+    code = KILLED.format(folders=[str(Path(__file__).parents[1])], file=str(file))
     done = subprocess.run([sys.executable, "-c", code], check=False)
     assert done.returncode == -signal.SIGKILL
     with pytest.warns(DataQualityWarning, match="the record was not ended"):

@@ -8,7 +8,7 @@ import pytest
 
 from aerobalance.io import load_channel_map, read, template
 from aerobalance.recording.errors import DataQualityWarning
-from text_exports import BRIDGES, EXPORTS, GAUGES, PITCH, RATE, TIME, completed
+from helpers.text_exports import BRIDGES, EXPORTS, GAUGES, PITCH, RATE, TIME, completed
 
 
 @pytest.mark.parametrize("export", EXPORTS, ids=[make.__name__ for make in EXPORTS])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from aerobalance.io import load_channel_map, read, template
 from aerobalance.recording.errors import DataQualityWarning, ReadError
-from text_exports import EXPORTS
+from helpers.text_exports import EXPORTS
 
 PARTS = st.sampled_from(
     [

@@ -1,0 +1,1 @@
+"""What several files of tests build on: balances, records, programs at work, pages; no test is here."""
