@@ -14,7 +14,6 @@ import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.release_loads import releases_felt
 from aerobalance.app.demos.six_demo import PULLED, Folder, bearable, still, weighed
 from aerobalance.io import read
 from aerobalance.io.balance_file import write_balance
@@ -151,14 +150,14 @@ def test_a_weight_that_is_not_known_is_told(found: Found) -> None:
     write_balance(bare, replace(found.balance.matrix, natural_zero=None), found={})
     files = BalanceFiles.of(bare, zero=[found.folder / "zero.h5"])
     with pytest.warns(DataQualityWarning, match=r"Give the mass\.json of a weighing of all loads"):
-        releases_felt([read(found.releases[0])], files, None, channel_map=None, counted=False)
+        files.identification_loads([read(found.releases[0])], None, channel_map=None, calibration_counts=False)
 
 
 def test_a_matrix_that_does_not_know_its_errors_is_told(found: Found) -> None:
     write_balance(found.folder / "exact.json", found.balance.matrix, found={})
     files = BalanceFiles.of(found.folder / "exact.json", zero=[found.folder / "zero.h5"], model_on_zero="off")
     with pytest.warns(DataQualityWarning, match=r"exact\.json holds no covariance"):
-        releases_felt([read(found.releases[0])], files, None, channel_map=None)
+        files.identification_loads([read(found.releases[0])], None, channel_map=None)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from aerobalance.recording.channel import QUANTITIES, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
-from aerobalance.uncertainty.budget import advice, budget, scalars, spectrum
+from aerobalance.uncertainty.budget import advice, component_budget, scalars, spectrum
 from aerobalance.uncertainty.monte_carlo import monte_carlo
 from aerobalance.uncertainty.sampling import drawn_dynamics, drawn_numbers
 
@@ -220,7 +220,7 @@ def test_readings_that_the_model_does_not_explain_raise_the_uncertainty(rng):
 
 def test_the_budget_adds_up_and_says_what_to_improve_first(rng):
     estimate = estimate_force(run(rng), UNSURE).only
-    rows = budget(estimate)
+    rows = component_budget(estimate)
     assert sum(row.share for row in rows) == pytest.approx(1)
     assert np.linalg.norm([row.rms for row in rows]) == pytest.approx(rms(estimate.uncertainty))
     assert [row.rms for row in rows] == sorted((row.rms for row in rows), reverse=True)
@@ -234,7 +234,7 @@ def test_halving_the_noise_brings_what_the_budget_says(rng):
     quiet = run(rng, noise=0.0, count=4000).channel("AF").values
     noise = rng.normal(size=quiet.size)
     loud, half = (estimate_force(record(AF=(quiet + u * noise, {"noise": u})), T128).only for u in (4.0, 2.0))
-    row = next(row for row in budget(loud) if row.name == "noise of the readings")
+    row = next(row for row in component_budget(loud) if row.name == "noise of the readings")
     assert rms(half.uncertainty) == pytest.approx(row.if_halved, rel=0.1)
 
 

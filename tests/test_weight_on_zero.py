@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.release_loads import releases_felt
 from aerobalance.app.commands.weighing import weigh
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.io import read, write_recording
@@ -119,7 +118,7 @@ def test_a_weight_that_nothing_tells_is_told(tmp_path: Path, rng) -> None:
     path, _ = stand.pulled()
     files = BalanceFiles.of(tmp_path / "balance.json", zero=[stand.at_rest("zero", 0.0)])
     with pytest.warns(DataQualityWarning, match=r"zero.h5: the weight that hung on the balance .* is not known"):
-        releases_felt([read(path)], files, None, channel_map=None, counted=False)
+        files.identification_loads([read(path)], None, channel_map=None, calibration_counts=False)
 
 
 def test_a_zero_of_the_bare_balance_is_no_weight(tmp_path: Path, rng) -> None:

@@ -1,3 +1,77 @@
-"""The force that was really applied, from the readings of a wind-tunnel strain-gauge balance."""
+"""The force that was really applied, from the readings of a wind-tunnel strain-gauge balance.
 
-__version__ = "0.1.0"
+In the order of a test: `calibrate` a load schedule to a balance matrix, `weigh` the model, `identify` the dynamics,
+`plan` the test, `estimate_force` of a run with the uncertainty of every sample, its `budget` and `monte_carlo` check.
+`LiveForce` does it as the readings come.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+from aerobalance.recording.version import VERSION
+
+if TYPE_CHECKING:
+    from aerobalance.balance.calibration.fit import calibrate
+    from aerobalance.balance.reduction import reduce_outputs, weigh
+    from aerobalance.balance.zeros import Zero
+    from aerobalance.dynamics.single import Dynamics
+    from aerobalance.estimation.force import estimate_force
+    from aerobalance.estimation.live.live_force import LiveForce
+    from aerobalance.identification.identify import identify
+    from aerobalance.io.anything import read
+    from aerobalance.io.schedule import read_schedule
+    from aerobalance.recording.recording import Recording
+    from aerobalance.uncertainty.budget import budget
+    from aerobalance.uncertainty.monte_carlo import monte_carlo
+    from aerobalance.uncertainty.planning import plan
+
+__version__ = VERSION
+
+_PLACES: Final = {
+    "Recording": "aerobalance.recording.recording",
+    "read": "aerobalance.io.anything",
+    "read_schedule": "aerobalance.io.schedule",
+    "calibrate": "aerobalance.balance.calibration.fit",
+    "weigh": "aerobalance.balance.reduction",
+    "Zero": "aerobalance.balance.zeros",
+    "reduce_outputs": "aerobalance.balance.reduction",
+    "Dynamics": "aerobalance.dynamics.single",
+    "identify": "aerobalance.identification.identify",
+    "plan": "aerobalance.uncertainty.planning",
+    "estimate_force": "aerobalance.estimation.force",
+    "budget": "aerobalance.uncertainty.budget",
+    "monte_carlo": "aerobalance.uncertainty.monte_carlo",
+    "LiveForce": "aerobalance.estimation.live.live_force",
+}
+"""Public names in the order of a test, and where they are: they are imported when they are first used."""
+
+__all__ = [
+    "Dynamics",
+    "LiveForce",
+    "Recording",
+    "Zero",
+    "budget",
+    "calibrate",
+    "estimate_force",
+    "identify",
+    "monte_carlo",
+    "plan",
+    "read",
+    "read_schedule",
+    "reduce_outputs",
+    "weigh",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module 'aerobalance' has no attribute {name!r}; it has {', '.join(_PLACES)}")
+    found = getattr(import_module(_PLACES[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return [*_PLACES, "__version__"]

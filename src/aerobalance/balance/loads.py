@@ -436,4 +436,4 @@ def _with_loads(recording: Recording, felt: Loads) -> Recording:
         channels[name] = Channel(
             name, felt.values[:, index], unit, noise=noise or None, delay=float(np.mean(delays)), file_unit=unit
         )
-    return replace(recording, channels=channels, gravity_on_zero=felt.zero.pull)
+    return replace(recording, channels=channels, gravity_on_zero=felt.zero.pull, from_outputs=True)

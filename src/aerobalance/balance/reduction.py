@@ -14,10 +14,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import Loads, loads_of_outputs, smooth_variance, wind_off_loads
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.weighing import LoadPoints, Weighing, points_from_recordings, weigh
+from aerobalance.balance.weighing import LoadPoints, Weighing, points_from_recordings
+from aerobalance.balance.weighing import weigh as fit_weight
 from aerobalance.balance.zeros import (
     CLEARLY,
     CarriedWeight,
@@ -68,7 +70,7 @@ class NotWeighed:
 
 def reduce_outputs(
     recording: Recording,
-    balance: BalanceMatrix,
+    balance: BalanceMatrix | Calibration,
     *,
     zero: Zero | None = None,
     model: CarriedWeight | None = None,
@@ -83,7 +85,7 @@ def reduce_outputs(
     recording
         Gauge outputs of all bridges [mV/V, or V with the excitation], and what else was recorded.
     balance
-        The balance matrix.
+        The balance matrix, or its calibration.
     zero
         What the loads count from; the natural zeros of the calibration where left out.
     model
@@ -103,7 +105,7 @@ def reduce_outputs(
     FitError
         The recordings do not go together.
     """
-    recording = corrected(recording)
+    recording, balance = corrected(recording), matrix_of(balance)
     if isinstance(tare, Weighing) and model is not None:
         raise ValueError("the weight comes from the mass in the dynamics; --mass would take it off twice")
     if balance.direct is None and not set(balance.components) <= set(COMPONENTS):
@@ -345,6 +347,53 @@ def _attitudes_of(recording: Recording) -> Attitudes:
     return Attitudes(pitch, roll)
 
 
+def weigh(
+    points: LoadPoints | Recording | Sequence[Recording],
+    balance: BalanceMatrix | Calibration | None = None,
+    *,
+    zero: Zero | None = None,
+    gravity: float = STANDARD_GRAVITY,
+    components: Sequence[str] | None = None,
+) -> Weighing:
+    """Mass [kg], centre of gravity [m], offsets and tilts of what hangs on a balance, Eq. (1) of [Gorbushin2020]_.
+
+    Parameters
+    ----------
+    points
+        Static readings over pitch, and roll where it was recorded: recordings at rest of balance loads, or with
+        `balance` of gauge outputs; or points made of them.
+    balance
+        The balance matrix, or its calibration, where gauge outputs are given.
+    zero
+        What the gauge outputs count from.
+    gravity
+        Local acceleration of gravity [m/s^2].
+    components
+        Components that are wanted; all that are there where left out.
+
+    Raises
+    ------
+    FitError
+        The points do not tell the mass, or the recordings are nowhere at rest.
+    """
+    names = None if components is None else tuple(components)
+    if isinstance(points, LoadPoints):
+        return fit_weight(points, gravity=gravity)
+    recordings = [points] if isinstance(points, Recording) else list(points)
+    if balance is not None:
+        found = weighing_points(recordings, matrix_of(balance), zero=zero, gravity=gravity, names=names)
+        return fit_weight(found, gravity=gravity)
+    there = tuple(name for name in COMPONENTS if all(name in item for item in recordings)) if names is None else names
+    if not there:
+        raise FitError(f"{recordings[0].name} has no balance loads; with gauge outputs give the balance matrix too")
+    return fit_weight(points_from_recordings([corrected(item) for item in recordings], there), gravity=gravity)
+
+
+def matrix_of(balance: BalanceMatrix | Calibration) -> BalanceMatrix:
+    """The balance matrix itself, of a calibration or as it is."""
+    return balance.matrix if isinstance(balance, Calibration) else balance
+
+
 def weighing_points(
     recordings: Sequence[Recording],
     balance: BalanceMatrix,
@@ -440,7 +489,7 @@ def _settled(
             felt = _loads_at_rest(recordings, balance, counted)
             components = tuple(name for name in felt[0].components if name in COMPONENTS)
             try:
-                weighing = weigh(
+                weighing = fit_weight(
                     points_from_recordings([item.recording for item in felt], components), gravity=gravity
                 )
             except (FitError, ValueError):

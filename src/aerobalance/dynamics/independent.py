@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +53,16 @@ class IndependentDynamics(Mapping[str, Dynamics]):
         return found
 
 
-AnyDynamics = Dynamics | Mapping[str, Dynamics] | Sequence[Dynamics] | CoupledDynamics
-"""Dynamics as functions take them: of one component, of several that ring each for itself, or coupled."""
+class Identified(Protocol):
+    """What an identification gives: a result that holds the dynamics."""
+
+    @property
+    def dynamics(self) -> Dynamics | CoupledDynamics:
+        """The dynamics that were found."""
+
+
+AnyDynamics = Dynamics | Mapping[str, Dynamics] | Sequence[Dynamics] | CoupledDynamics | Identified
+"""Dynamics as functions take them: of one component, of several each by itself, coupled, or as identified."""
 
 
 def dynamics_of(given: AnyDynamics) -> IndependentDynamics | CoupledDynamics:
@@ -66,6 +75,13 @@ def dynamics_of(given: AnyDynamics) -> IndependentDynamics | CoupledDynamics:
     """
     if isinstance(given, IndependentDynamics | CoupledDynamics):
         return given
+    if isinstance(given, Dynamics | Mapping | Sequence):
+        return _independent(given)
+    found = given.dynamics
+    return found if isinstance(found, CoupledDynamics) else _independent(found)
+
+
+def _independent(given: Dynamics | Mapping[str, Dynamics] | Sequence[Dynamics]) -> IndependentDynamics:
     if isinstance(given, Dynamics):
         parts = [given]
     elif isinstance(given, Mapping):

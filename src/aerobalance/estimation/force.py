@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
+from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.calibration_nonlinearity import NonlinearErrors
 from aerobalance.balance.loads import Loads, static_uncertainty
 from aerobalance.balance.matrix import BalanceMatrix
@@ -25,15 +26,21 @@ from aerobalance.estimation.component_force import Fitted, Method, by_smoother, 
 from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.decoupled_record import mass_rows
+from aerobalance.estimation.display import html, plot, summary, to_dataframe, to_xarray
 from aerobalance.estimation.record import IndependentRecord, Job
 from aerobalance.estimation.result import ComponentForce, with_balance
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, is_gauge
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.recording import GAUGES_BECOME_LOADS, Recording
 from aerobalance.recording.resampling import align_channels, interpolate_gaps
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 PASSES: Final = 2
 """Most times that gaps are filled anew by what the forces found make the balance read."""
@@ -105,6 +112,24 @@ class Force(Mapping[str, ComponentForce]):
     def __len__(self) -> int:
         return len(self.parts)
 
+    def to_dataframe(self) -> pd.DataFrame:
+        """Forces and their standard uncertainties, ``NF`` and ``u_NF`` [N, N*m], over the time [s]."""
+        return to_dataframe(self, self.recording)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Forces and their standard uncertainties, ``NF`` and ``u_NF``, along ``time`` [s], with their units."""
+        return to_xarray(self, self.recording)
+
+    def plot(self) -> Figure:
+        """Figure of the forces with bands of 95 %, above the balance loads; one component below the other."""
+        return plot(self, self.recording)
+
+    def __repr__(self) -> str:
+        return summary(self, self.recording)
+
+    def _repr_html_(self) -> str:
+        return html(self, self.recording)
+
     @property
     def only(self) -> ComponentForce:
         """The force of the one component there is.
@@ -146,7 +171,7 @@ def estimate_force(
     run: Recording | Loads,
     dynamics: AnyDynamics,
     *,
-    balance: BalanceMatrix | None = None,
+    balance: BalanceMatrix | Calibration | None = None,
     zero: Zero | None = None,
     noise: Recording | Loads | Mapping[str, NoiseSpectrum] | None = None,
     method: Method = "smoother",
@@ -165,7 +190,7 @@ def estimate_force(
     dynamics
         Mass, stiffness and damping of one component or of several, or coupled dynamics, with their covariance.
     balance, zero
-        Where gauge outputs are given: the balance matrix, and the zero that they count from.
+        Where gauge outputs are given: the balance matrix or its calibration, and the zero that they count from.
     noise
         A record of noise alone (wind off, balance at rest) with the sampling rate, gains and filters of the run, or
         spectra by component as `noise_spectra` finds them. Without one the noise is taken as white, but for what the
@@ -192,6 +217,11 @@ def estimate_force(
     if balance is None and zero is not None:
         raise ValueError("a zero is of gauge outputs: give the balance matrix that makes loads of them as well")
     given = made_ready(run)
+    if isinstance(given, Recording) and given.from_outputs:
+        warn_quality(
+            f"{given.name}: the loads were worked out from gauge outputs, and the errors of the balance matrix are "
+            "not in the uncertainty: give the loads as reduce_outputs returns them, not their recording alone"
+        )
     record = force_record(given, model, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
     if isinstance(noise, Recording | Loads):
         noise = noise_spectra(made_ready(noise), record, gravity=gravity, gravity_uncertainty=gravity_uncertainty)

@@ -12,12 +12,12 @@ from typing import Annotated, Any, ClassVar, Final, NoReturn, TypedDict, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 
-from aerobalance import __version__
 from aerobalance.io.messages import first_fault
 from aerobalance.io.opening import opened_file
 from aerobalance.io.safe_write import replacing
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
+from aerobalance.recording.version import VERSION
 
 BY_HAND: Final = "by hand"
 """Key of the validation's context under which stands whether a file was written by hand."""
@@ -140,7 +140,7 @@ def provenance(inputs: Sequence[Path], *, settings: Mapping[str, object] | None 
     Files are named without their folders, so that the same inputs give the same text on every machine.
     """
     return {
-        "program": f"aerobalance {__version__}",
+        "program": f"aerobalance {VERSION}",
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "inputs": [{"name": Path(file).name, "sha256": digest(Path(file))} for file in inputs],
         "settings": dict(settings or {}),

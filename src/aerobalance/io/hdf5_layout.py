@@ -36,10 +36,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance import __version__
 from aerobalance.io.hdf5_closing import begin_file, take_mark_off
 from aerobalance.io.hdf5_guard import LIBVER
 from aerobalance.recording.channel import Array, SensorSpec
+from aerobalance.recording.version import VERSION
 
 if TYPE_CHECKING:
     import h5py
@@ -186,7 +186,7 @@ def lay_out(
         {
             "format": FORMAT,
             "schema_version": SCHEMA,
-            "program": f"aerobalance {__version__}",
+            "program": f"aerobalance {VERSION}",
             "rate": rate,
             "name": provenance.name,
             "source": provenance.source,

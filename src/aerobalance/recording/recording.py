@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.channel import QUANTITIES, Array, Channel, unit_inside
 from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.jitter import following, on_steady_clock
 from aerobalance.recording.steady_clock import Clock, first_repeated, steady_clock
+from aerobalance.recording.units import conversion_for
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 GAUGES_BECOME_LOADS: Final = (
     "gauge outputs become loads by a balance matrix: weigh, identify decay and rig, force and compare take --balance, "
@@ -46,6 +51,8 @@ class Recording:
         Unit that the time column had in its file, in which it is written again.
     gravity_on_zero
         Gravity on the mass whose weight was added to loads that count from a zero read under it.
+    from_outputs
+        Whether the loads were worked out from gauge outputs, by a matrix whose errors the recording does not hold.
     """
 
     name: str
@@ -56,6 +63,7 @@ class Recording:
     channels: Mapping[str, Channel]
     time_unit: str = "s"
     gravity_on_zero: GravityOnZero = field(default_factory=GravityOnZero)
+    from_outputs: bool = False
 
     @classmethod
     def from_columns(
@@ -106,6 +114,109 @@ class Recording:
             placed[key] = replace(channel, values=values)
         return cls(name=name, stamps=stamps, rows=rows, start=start, rate=rate, channels=placed, time_unit=time_unit)
 
+    @classmethod
+    def from_arrays(
+        cls,
+        time: ArrayLike,
+        columns: Mapping[str, ArrayLike],
+        *,
+        units: Mapping[str, str] | None = None,
+        name: str = "recording",
+    ) -> Recording:
+        """Recording of arrays on a steady clock, each column a channel by its name.
+
+        Parameters
+        ----------
+        time
+            Time of every sample, shape (n,) [s], increasing.
+        columns
+            Readings by channel, shape (n,) each; NaN where missing. The names are those of
+            `aerobalance.recording.channel.QUANTITIES`: ``AF`` a balance load, ``rAF`` the output of its bridge,
+            ``pitch``, ``ground_acceleration`` and so on.
+        units
+            Units of channels that are not in SI (gauge outputs: mV/V), such as ``{"pitch": "deg"}``.
+        name
+            What to call the recording in messages.
+
+        Raises
+        ------
+        ValueError
+            A channel is not known, a unit does not fit it, a column has another length than `time`, or a unit is
+            given of a column that is not there.
+        FitError
+            The time does not increase, or no steady clock fits it.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import aerobalance as ab
+        >>> t = np.arange(1000) / 1600
+        >>> run = ab.Recording.from_arrays(t, {"AF": 10 + 0 * t, "pitch": 2 + 0 * t}, units={"pitch": "deg"})
+        >>> float(run.channel("pitch").values[0].round(4))
+        0.0349
+        """
+        given = dict(units or {})
+        strange = [key for key in given if key not in columns]
+        if strange:
+            raise ValueError(f"units has {strange[0]}, which is not among the columns: {', '.join(columns)}")
+        stamps = np.asarray(time, dtype=np.float64)
+        if stamps.ndim != 1:
+            raise ValueError(f"time must have shape (n,), not {stamps.shape}")
+        channels = {key: _channel_of(key, values, given.get(key)) for key, values in columns.items()}
+        for key, channel in channels.items():
+            if channel.values.shape != stamps.shape:
+                raise ValueError(f"column {key} has shape {channel.values.shape}, time has {stamps.shape}")
+        return cls.from_columns(stamps, channels, name=name)
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        frame: pd.DataFrame,
+        *,
+        time: str = "time",
+        units: Mapping[str, str] | None = None,
+        name: str = "recording",
+    ) -> Recording:
+        """Recording of the columns of a pandas data frame; arguments as `from_arrays` has them.
+
+        Parameters
+        ----------
+        frame
+            One row a sample.
+        time
+            Column of the time [s]; the index is taken where there is no such column.
+        units, name
+            As in `from_arrays`.
+        """
+        stamps = frame[time] if time in frame.columns else frame.index
+        columns = {str(key): frame[key].to_numpy() for key in frame.columns if key != time}
+        return cls.from_arrays(stamps.to_numpy(), columns, units=units, name=name)
+
+    @classmethod
+    def from_xarray(cls, data: xr.Dataset, *, time: str = "time", name: str = "recording") -> Recording:
+        """Recording of the variables of an xarray data set along one dimension; the attribute ``units`` says theirs.
+
+        Parameters
+        ----------
+        data
+            Variables of shape (n,) along `time`.
+        time
+            Name of that coordinate [s].
+        name
+            What to call the recording in messages.
+        """
+        columns = {str(key): variable.to_numpy() for key, variable in data.data_vars.items()}
+        said = {str(key): variable.attrs.get("units") for key, variable in data.data_vars.items()}
+        units = {key: str(unit) for key, unit in said.items() if unit is not None}
+        return cls.from_arrays(data[time].to_numpy(), columns, units=units, name=name)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Channels in SI units (gauge outputs in mV/V) over the time [s], as a pandas data frame."""
+        import pandas as pd  # noqa: PLC0415 - takes a third of a second
+
+        columns = {channel.name: channel.values for channel in self}
+        return pd.DataFrame(columns, index=pd.Index(self.time, name="time"))
+
     @property
     def samples(self) -> int:
         """Number of samples of the steady clock."""
@@ -147,6 +258,20 @@ class Recording:
             hint = f"; {GAUGES_BECOME_LOADS}" if gauges else ""
             raise FitError(f"{self.name} has no channel {name}; it has {', '.join(self.channels) or 'none'}{hint}")
         return self.channels[name]
+
+
+def _channel_of(name: str, values: ArrayLike, unit: str | None) -> Channel:
+    """Make a channel of a column, in the unit that it has inside."""
+    inside = unit_inside(name) or ("mV/V" if is_gauge(name) else None)
+    if inside is None:
+        raise ValueError(
+            f"{name!r} is no channel; known are {', '.join(QUANTITIES)}, r and the name of a bridge, and "
+            "ground_acceleration_ with an ending"
+        )
+    if unit is None:
+        return Channel(name, np.array(values, dtype=np.float64), inside)
+    change = conversion_for(name, unit)
+    return Channel(name, np.asarray(change.inside(np.array(values, dtype=np.float64))), change.unit, file_unit=unit)
 
 
 def _samples_jitter(stamps: Array, channels: Mapping[str, Channel], clock: Clock, name: str) -> bool:

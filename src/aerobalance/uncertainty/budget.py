@@ -201,8 +201,19 @@ class Share:
     scalars: Mapping[str, float]
 
 
-def budget(estimate: ComponentForce) -> tuple[Share, ...]:
-    """Return the uncertainty budget of a force, the largest contribution first."""
+def budget(force: Mapping[str, ComponentForce]) -> dict[str, tuple[Share, ...]]:
+    """Uncertainty budget of a force [N, N*m] by component, the largest contribution first.
+
+    Parameters
+    ----------
+    force
+        The forces, as `aerobalance.estimate_force` gives them.
+    """
+    return {name: component_budget(part) for name, part in force.items()}
+
+
+def component_budget(estimate: ComponentForce) -> tuple[Share, ...]:
+    """Uncertainty budget of the force along one component [N], the largest contribution first."""
     found = scalars(estimate)
     squares = {part.name: float(np.mean(part.deviation**2)) for part in estimate.contributions}
     whole = sum(squares.values())
@@ -240,7 +251,7 @@ def advice(estimate: ComponentForce, *, unit: str = "N", sources: Mapping[str, s
     sources
         What to call the sources of its contributions, where they have other names.
     """
-    rows = budget(estimate)
+    rows = component_budget(estimate)
     names = {row.source: row.source for row in rows} | dict(sources or {})
     whole = float(np.linalg.norm([row.rms for row in rows]))
     if not whole:

@@ -299,7 +299,7 @@ def estimates(
         The rivals by name, and which of them have a tuning number.
     """
     settings = replace(settings or Settings(), tuning=None)
-    recording = corrected(recording)
+    recording = replace(corrected(recording), from_outputs=False)  # what is compared are values
     # what is compared are values: without a covariance no method is run again to learn its uncertainty
     dynamics = dynamics.with_parameters(dynamics.values)
     if settings.response is None:

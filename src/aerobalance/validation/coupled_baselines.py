@@ -224,7 +224,7 @@ def estimates_of_coupled(
         covariance=np.zeros_like(dynamics.covariance),
         mass=None if mass is None else replace(mass, covariance=np.zeros_like(mass.covariance)),
     )
-    own = estimate_force(recording, exact, gravity=gravity)
+    own = estimate_force(replace(recording, from_outputs=False), exact, gravity=gravity)
     record, filled = own.record, own.filled
     if not isinstance(record, CoupledRecord):
         raise TypeError("the dynamics are not coupled")

@@ -13,11 +13,11 @@ from typing import Annotated, Any
 
 import typer
 
-from aerobalance import __version__
 from aerobalance.app.cli import lab, recordings, runs, streams
 from aerobalance.app.cli.account import Manner, show
 from aerobalance.app.cli.options import PROGRAM, Json, Replace, Verbose, example
 from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
+from aerobalance.recording.version import VERSION
 
 HELP = ["-h", "--help"]
 
@@ -35,7 +35,7 @@ app = typer.Typer(
 def version(wanted: bool) -> None:
     """Print the version and stop."""
     if wanted:
-        typer.echo(f"{PROGRAM} {__version__}")
+        typer.echo(f"{PROGRAM} {VERSION}")
         raise typer.Exit
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -13,6 +14,7 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.weighing import Weighing
 from aerobalance.balance.zeros import CarriedWeight, Zero
+from aerobalance.identification.identify import identification_loads
 from aerobalance.io.mass_file import read_weighing
 from aerobalance.io.matrix_file import read_matrix
 from aerobalance.recording.components import STANDARD_GRAVITY
@@ -97,6 +99,29 @@ class BalanceFiles:
         if self.mass is not None:
             return read_weighing(self.mass)
         return [recording_of(path, channel_map) for path in self.tare]
+
+    def identification_loads(
+        self,
+        recordings: Sequence[Recording],
+        weighing: Weighing | None,
+        *,
+        channel_map: Path | None,
+        calibration_counts: bool = True,
+    ) -> list[Loads]:
+        """Read the files, and work out the balance loads of recordings that dynamics are to be identified from."""
+        tare = self.tares(channel_map)
+        if isinstance(tare, Weighing):
+            raise ValueError(  # noqa: TRY004 - two options that exclude each other
+                "the weight comes from the mass in the dynamics; --mass would take it off twice"
+            )
+        return identification_loads(
+            recordings,
+            self.matrix(),
+            zero=self.zeros(channel_map),
+            tare=tare,
+            weighing=weighing,
+            calibration_counts=calibration_counts,
+        )
 
     def loads(
         self,

@@ -8,7 +8,6 @@ from typing import Final, Literal
 
 from aerobalance.app.commands.answers import quantities, quantity_table, rounded, short
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.release_loads import releases_felt, with_sensitivity_error
 from aerobalance.app.commands.shared import Account, check_out, doubts, known_component, recording_of
 from aerobalance.app.commands.weighing import mass_file, parse_mass
 from aerobalance.balance.weighing.result import Weighing
@@ -21,6 +20,7 @@ from aerobalance.identification.base_excitation.sine_dwell import Dwell, find_dw
 from aerobalance.identification.free_decay.fit import DecayFit
 from aerobalance.identification.free_decay.fit import identify_decay as fit_decay
 from aerobalance.identification.free_decay.log_decrement import extrema_fit
+from aerobalance.identification.identify import with_sensitivity_error
 from aerobalance.io import (
     read_table,
 )
@@ -62,9 +62,9 @@ def identify_decay(
     with doubts() as collected:
         recording = recording_of(path, channel_map)
         if files is not None:
-            (recording,), _ = releases_felt(
-                [recording], files, _weighing(mass), channel_map=channel_map, counted=False
-            )
+            recording = files.identification_loads(
+                [recording], _weighing(mass), channel_map=channel_map, calibration_counts=False
+            )[0].recording
         fit = fit_decay(recording, component=component, mass=weighed, modes=wanted)
     details = {"method": "free decay, least squares on the waveform", **_decay_details(recording, fit)}
     if files is not None:
@@ -166,8 +166,8 @@ def identify_rig(
     with doubts() as collected:
         recording = recording_of(path, channel_map)
         if files is not None:
-            (recording,), (errors,) = releases_felt([recording], files, _weighing(mass), channel_map=channel_map)
-            recording = with_sensitivity_error(recording, component, errors)
+            (loads,) = files.identification_loads([recording], _weighing(mass), channel_map=channel_map)
+            recording = with_sensitivity_error(loads, component)
         fit = fit_rig(recording, component=component, mass=weighed, modes=wanted)
         by_dwells = _dwell_details(recording, fit.dynamics)
     details: Account = {

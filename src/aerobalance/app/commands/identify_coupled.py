@@ -22,7 +22,6 @@ from aerobalance.app.commands.coupled_tables import (
     tests_text,
 )
 from aerobalance.app.commands.identify import number_of_modes
-from aerobalance.app.commands.release_loads import releases_felt
 from aerobalance.app.commands.shared import Account, amounts, check_out, doubts, recording_of, table_text
 from aerobalance.app.commands.weighing import mass_file, mass_number
 from aerobalance.balance.matrix_errors import MatrixErrors
@@ -76,7 +75,8 @@ def identify_decays(
         recordings = [recording_of(path, channel_map) for path in paths]
         errors: list[MatrixErrors] = []
         if files is not None:
-            recordings, errors = releases_felt(recordings, files, weighing, channel_map=channel_map)
+            loads = files.identification_loads(recordings, weighing, channel_map=channel_map)
+            recordings, errors = [one.recording for one in loads], [one.matrix_errors for one in loads]
         found = identify_releases(
             recordings, components=components, mass=weighed, half_range=half_range, modes=wanted, errors=errors
         )

@@ -14,7 +14,7 @@ from aerobalance.app.commands.shared import Account, table_text
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording
-from aerobalance.uncertainty.budget import Share, advice, budget, scalars, spectrum
+from aerobalance.uncertainty.budget import Share, advice, component_budget, scalars, spectrum
 from aerobalance.uncertainty.monte_carlo import Compared, MonteCarlo
 
 SHOWN_STEPS: Final = 5
@@ -105,7 +105,7 @@ def budget_account(estimate: ComponentForce, origins: Origins) -> Account:
             "rms_of_all_if_halved": row.if_halved,
             **{f"u_{name}": value for name, value in row.scalars.items()},
         }
-        for row in significant(budget(estimate))
+        for row in significant(component_budget(estimate))
     ]
     found = spectrum(estimate, rate=origins.recording.rate)
     files = {part.source: origins.of(part.source) for part in estimate.contributions}

@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from aerobalance import __version__
 from aerobalance.app.commands import answers, force, identify, weighing
 from aerobalance.app.commands.shared import seed_for, table_text
 from aerobalance.app.demos.comparison import (
@@ -48,6 +47,7 @@ from aerobalance.io.safe_write import replacing
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.version import VERSION
 from aerobalance.simulation import ARMATURE_MASS, CableCut, Sensor, SteppedSine, Unsteadiness, VibrationRig
 from aerobalance.simulation.published import CABLE_CUT, SECOND_FREQUENCY, VIBRATION_RIG, PublishedBalance
 
@@ -154,7 +154,7 @@ def run_demo(out: Path, *, seed: int | None = None) -> Account:
             "warnings": run.warnings,
             "assumptions": run.assumptions,
             "inputs": _inputs(run),
-            "version": __version__,
+            "version": VERSION,
             "seed": seed,
             "coverage": COVERAGE,
             "band": BAND,

@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from aerobalance import __version__
 from aerobalance.app.commands import calibration, force, weighing
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.identify_coupled import identify_decays
@@ -28,6 +27,7 @@ from aerobalance.io.coupled_file import read_coupled
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.version import VERSION
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.calibration_stand import CalibrationStand
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
@@ -122,7 +122,7 @@ def run_six(out: Path, *, seed: int | None = None) -> Account:
             (_around(simulation), "about the release"),
         )
     ]
-    write_page(out / "six.html", "six.html.j2", {"found": account, "figures": figures, "version": __version__})
+    write_page(out / "six.html", "six.html.j2", {"found": account, "figures": figures, "version": VERSION})
     return {**account, "summary": summary(account)}
 
 
@@ -220,7 +220,7 @@ def _diagonal(run: Path, dynamics: Path, files: BalanceFiles) -> Mapping[str, Ar
         damping=np.diag(np.abs(np.diag(known.damping))),
         covariance=np.zeros_like(known.covariance),
     )
-    recording = files.loads(read(run), model=alone).recording
+    recording = replace(files.loads(read(run), model=alone).recording, from_outputs=False)
     with doubts():
         return {name: found.values for name, found in estimate_force(recording, alone, bandwidth=band).items()}
 

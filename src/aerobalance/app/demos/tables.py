@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from aerobalance import __version__
 from aerobalance.app.commands.compare import verdict
 from aerobalance.app.commands.shared import doubts, seed_for
 from aerobalance.app.reports.page import write_page
@@ -21,6 +20,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.base_excitation.rig import identify_rig
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array
+from aerobalance.recording.version import VERSION
 from aerobalance.simulation import CableCut, Simulation, SteppedSine, Sweep, VibrationRig
 from aerobalance.simulation.published import (
     CABLE_CUT,
@@ -131,7 +131,7 @@ def run_tables(out: Path, *, seed: int | None = None) -> Account:
         "experiments": experiments,
         "warnings": collected,
     }
-    write_page(out / "tables.html", "tables.html.j2", {"found": account, "version": __version__})
+    write_page(out / "tables.html", "tables.html.j2", {"found": account, "version": VERSION})
     return {**account, "summary": summary(account)}
 
 

@@ -16,7 +16,7 @@ from aerobalance.io.artefacts import provenance
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.resampling import interpolate_gaps_linearly
-from aerobalance.uncertainty.budget import budget, segment_length, spectrum
+from aerobalance.uncertainty.budget import component_budget, segment_length, spectrum
 
 COVERAGE_FACTOR: Final = 1.96
 """Standard uncertainties on either side that hold 95 % of the errors."""
@@ -167,7 +167,7 @@ def spectrum_figure(estimate: ComponentForce, load: Array, *, rate: float) -> st
 def budget_figure(estimate: ComponentForce) -> str:
     """Draw the budget: what each contribution has, and what would be left of the whole if its cause were halved."""
     colours, unit = PLACE_HOLDERS, si_unit(estimate.component).replace("*", "·")
-    rows = [row for row in budget(estimate) if row.rms > 0]
+    rows = [row for row in component_budget(estimate) if row.rms > 0]
     whole = float(np.linalg.norm([row.rms for row in rows]))
     figure, (ax,) = empty_figure(colours, (7.6, 1.3 + 0.36 * max(len(rows), 1)), rows=1)
     places = np.arange(len(rows))
