@@ -11,7 +11,7 @@ from aerobalance.estimation.live.decoupling import MARGIN, LiveApart
 from aerobalance.estimation.live.platform import LivePlatform, Mounted
 from aerobalance.estimation.prior import Learned, Reading, generalised_least_squares
 from aerobalance.estimation.spectra.periodogram import Spectrum
-from aerobalance.estimation.statespace.kalman import FORCE, Filter
+from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import GROUND_CHANNELS, SixComponentRig
@@ -188,10 +188,10 @@ def test_live_is_the_smoother_of_the_lone_reading(rng):
         for k in rng.integers(1500, 3900, 2):
             seen = reading[: k + part.lag + 1]
             system = Reading(reading[: part.lag // 2], 1 / RATE, lone.dynamics).system(learned)
-            filter_ = Filter.of(system, np.isfinite(seen))
+            filter_ = KalmanFilter.of(system, np.isfinite(seen))
             (size,), ((variance,),), _ = generalised_least_squares(filter_, seen, np.ones((seen.size, 1)))
-            states, spread = filter_.smooth(seen - size)
-            slope = 1 - filter_.smooth(np.ones(seen.size))[0][k, FORCE]
+            states, spread = filter_.smooth((seen - size)[:, None])[:, 0], filter_.smoothed_variance
+            slope = 1 - filter_.smooth(np.ones((seen.size, 1)))[k, 0, FORCE]
             value, deviation = states[k, FORCE] + size, np.sqrt(spread[k] + variance * slope**2)
             force, uncertainty = found[lone.component][k]
             # as for one component, where the gain changes slowly; the readings differ by 1e-5 of a noise of 1e-4

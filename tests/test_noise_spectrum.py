@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 from aerobalance.estimation.spectra import noise_record
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
 from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, ColoredNoise, Hump, NoiseSpectrum
-from aerobalance.estimation.statespace.kalman import Filter, StateSpace
+from aerobalance.estimation.statespace.kalman import KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from helpers.coloured_noise import RATE, T128, WHITE, noise_of
@@ -60,7 +60,7 @@ def test_likelihood_is_that_of_the_covariance(rng):
     covariance = 4 * np.eye(n)
     for corner, variance in zip(colored.corners, colored.variances, strict=True):
         covariance += variance * np.exp(-2 * np.pi * corner * lag)
-    filter_ = Filter.of(system, np.ones(n, dtype=bool))
+    filter_ = KalmanFilter.of(system, np.ones(n, dtype=bool))
     white = filter_.whiten(readings[:, None])[:, 0]
     found = -0.5 * (white @ white + filter_.log_determinant + n * np.log(2 * np.pi))
     assert found == pytest.approx(multivariate_normal(np.zeros(n), covariance).logpdf(readings), rel=1e-8)

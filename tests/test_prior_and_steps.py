@@ -9,7 +9,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import Learned, Reading, confirmed, generalised_least_squares, learn, log_likelihood
 from aerobalance.estimation.spectra.periodogram import Spectrum
-from aerobalance.estimation.statespace.kalman import FORCE, Filter
+from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
 from aerobalance.estimation.steps import Step, find_steps, shape_of
 from aerobalance.recording.channel import Channel
@@ -71,7 +71,7 @@ def test_log_likelihood_is_the_dense_one_up_to_a_constant(missing, rng):
     found, dense = [], []
     for corner, level, noise in ((10.0, 50.0, 5.0), (100.0, 5.0, 2.0), (150.0, 30.0, 20.0)):
         learned = first_order(corner, level, noise)
-        filter_ = Filter.of(reading.system(learned), reading.present)
+        filter_ = KalmanFilter.of(reading.system(learned), reading.present)
         found.append(log_likelihood(reading, filter_, columns=columns))
         system = reading.system(learned)
         h, P = system.observation, system.initial
@@ -97,7 +97,7 @@ def test_generalised_least_squares_is_the_textbook_one(rng):
     n = 50
     reading = Reading(rng.normal(0, 30, n), 1 / RATE, T128)
     system = reading.system(first_order(80.0, 5.0, 3.0))
-    filter_ = Filter.of(system, reading.present)
+    filter_ = KalmanFilter.of(system, reading.present)
     X = rng.normal(size=(n, 3))
     sizes, covariance, squares = generalised_least_squares(filter_, reading.values, X)
     white = filter_.whiten(np.eye(n))  # inverse Cholesky factor of the readings' covariance
@@ -174,7 +174,8 @@ def test_smoother_with_a_learned_spectrum_is_the_gaussian_process(rng):
     across = toeplitz(ahead, behind)
     exact = across @ cho_solve(cho_factor(covariance), reading.values)
     learned = learn(reading, columns=np.ones((n, 1)))
-    states, variance = Filter.of(reading.system(learned), reading.present).smooth(reading.values)
+    filter_ = KalmanFilter.of(reading.system(learned), reading.present)
+    states, variance = filter_.smooth(reading.values[:, None])[:, 0], filter_.smoothed_variance
     inner = slice(n // 20, -n // 20)
     difference = states[inner, FORCE] - exact[inner]
     # Both estimate the force; the one that is not the best errs by the root of 1 + r^2 as much, r the difference over
@@ -261,7 +262,7 @@ def test_edge_of_a_short_record_is_put_where_the_innovations_want_it(rng):
     # the load is a sum of lines at multiples of 0.5 Hz up to 30 Hz; moves of half an ordinate and more bring it there
     assert 29.4 < better.spectrum.edges[0] < 31.1
     first, second = (
-        log_likelihood(reading, Filter.of(reading.system(prior), reading.present), columns=columns)
+        log_likelihood(reading, KalmanFilter.of(reading.system(prior), reading.present), columns=columns)
         for prior in (better, Learned(spectrum, shaping, noise))
     )
     assert first - second > 3

@@ -6,7 +6,7 @@ from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
 from aerobalance.dynamics.single import Dynamics, Mode
-from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE, Filter, StateSpace
+from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE, KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from helpers.butterworth import butterworth
 
@@ -58,7 +58,8 @@ def case(rng: np.random.Generator, order: int, *, missing: bool) -> tuple[StateS
 def test_smoother_is_dense_conditioning(order, missing, rng):
     system, present, readings = case(rng, order, missing=missing)
     mean, variance, _ = dense(system, present, readings)
-    states, found = Filter.of(system, present).smooth(readings)
+    filter_ = KalmanFilter.of(system, present)
+    states, found = filter_.smooth(readings[:, None])[:, 0], filter_.smoothed_variance
     assert states.shape == (60, 3)
     # The gain is frozen at a change of 1e-8 a sample, which leaves at most 1e-8 times the settling time (about 100).
     mean = mean[:, :3]
@@ -71,7 +72,7 @@ def test_smoother_is_dense_conditioning(order, missing, rng):
 def test_innovations_are_the_dense_likelihood(missing, rng):
     system, present, readings = case(rng, 4, missing=missing)
     covariance = dense(system, present, readings)[2]
-    filter_ = Filter.of(system, present)
+    filter_ = KalmanFilter.of(system, present)
     white = filter_.whiten(readings[:, None])[:, 0]
     y = readings[present]
     assert white @ white == pytest.approx(y @ np.linalg.solve(covariance, y), rel=1e-6)
@@ -81,7 +82,7 @@ def test_innovations_are_the_dense_likelihood(missing, rng):
 def test_whitening_several_series_is_whitening_each(rng):
     system, present, _ = case(rng, 2, missing=True)
     series = rng.normal(size=(60, 3))
-    filter_ = Filter.of(system, present)
+    filter_ = KalmanFilter.of(system, present)
     together = filter_.whiten(series)
     for column in range(3):
         assert (together[:, column] == filter_.whiten(series[:, [column]])[:, 0]).all()
@@ -94,13 +95,13 @@ def test_a_frozen_gain_thaws_after_a_gap():
     system = StateSpace.of_balance(T128, force, interval=INTERVAL, noise=2.0)
     present = np.ones(3000, dtype=bool)
     present[2000:2040] = False
-    filter_ = Filter.of(system, present)
-    assert filter_.variances.size < 3000
+    filter_ = KalmanFilter.of(system, present)
+    assert filter_.gains.S.size < 3000
     A, Q, h, P = system.transition, system.process_noise, system.observation, system.initial
     for k in range(present.size):
         S = h @ P @ h + system.noise_variance
         # frozen at 1e-8 a step, with about a hundred steps of memory
-        assert filter_.variances[filter_.which[k]] == pytest.approx(S, rel=1e-6), k
+        assert filter_.gains.S[filter_.gains.row[k]] == pytest.approx(S, rel=1e-6), k
         if present[k]:
             K = P @ h / S
             P = P - np.outer(K, K) * S

@@ -10,7 +10,7 @@ from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.estimation.live.motion import LiveGround
 from aerobalance.estimation.prior import Learned, Reading, generalised_least_squares
 from aerobalance.estimation.spectra.periodogram import Spectrum
-from aerobalance.estimation.statespace.kalman import FORCE, Filter
+from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.estimation.steps import Step
 from aerobalance.motion.single_axis import GroundMotion, load_from_ground
@@ -82,11 +82,11 @@ def offline(live: LiveForce, learned: Learned, readings: np.ndarray, k: int) -> 
     # the swing that the start allows for is judged from the first half lag of readings
     finite = np.flatnonzero(np.isfinite(readings))[live.lag // 2 - 1]
     system = Reading(readings[: finite + 1], 1 / RATE, live.dynamics).system(learned)
-    filter_ = Filter.of(system, np.isfinite(seen))
+    filter_ = KalmanFilter.of(system, np.isfinite(seen))
     filled, one = np.where(np.isfinite(seen), seen, 0.0), np.ones(seen.size)
     (size,), ((variance,),), _ = generalised_least_squares(filter_, filled, one[:, None])
-    states, spread = filter_.smooth(filled - size)
-    slope = 1 - filter_.smooth(one)[0][k, FORCE]
+    states, spread = filter_.smooth((filled - size)[:, None])[:, 0], filter_.smoothed_variance
+    slope = 1 - filter_.smooth(one[:, None])[k, 0, FORCE]
     return states[k, FORCE] + size, float(np.sqrt(spread[k] + variance * slope**2))
 
 

@@ -13,8 +13,8 @@ from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
 from aerobalance.estimation.prior import Learned, Reading, generalised_least_squares
 from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_lines, hum_lines
 from aerobalance.estimation.spectra.noise_floor import Floor, floor_of
-from aerobalance.estimation.statespace import _series_kernels
-from aerobalance.estimation.statespace.kalman import FORCE, LOAD, Filter, StateSpace
+from aerobalance.estimation.statespace import _kernels
+from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.steps import Step, columns_of, find_steps, response_to, shape_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.linalg import covariance_root
@@ -128,7 +128,7 @@ class Smoothed:
     reading: Reading
     learned: Learned
     steps: tuple[Step, ...]
-    filter: Filter
+    filter: KalmanFilter
     columns: Array
     shapes: Array
     sizes: Array
@@ -138,14 +138,15 @@ class Smoothed:
     @classmethod
     def of(cls, reading: Reading, *, learned: Learned, steps: Sequence[Step]) -> Smoothed:
         """Smooth a reading."""
-        filter_ = Filter.of(reading.system(learned), reading.present)
+        filter_ = KalmanFilter.of(reading.system(learned), reading.present)
         columns = columns_of(list(steps), reading)
         shapes = np.zeros_like(columns)  # hum is no force
         shapes[:, 0] = 1.0
         for place, step in enumerate(steps, start=1):
             shapes[:, place] = shape_of(step, reading)
         sizes, _, _ = generalised_least_squares(filter_, reading.filled, columns)
-        states, variance = filter_.smooth(reading.filled - columns @ sizes)
+        states = filter_.smooth((reading.filled - columns @ sizes)[:, None])[:, 0]
+        variance = filter_.smoothed_variance
         return cls(reading, learned, tuple(steps), filter_, columns, shapes, sizes, states, variance)
 
     @property
@@ -244,7 +245,7 @@ class Estimator:
     """
 
     system: StateSpace
-    filter: Filter
+    filter: KalmanFilter
     columns: Array
     forms: Array
 
@@ -253,7 +254,7 @@ class Estimator:
         """Make the estimator for a reading; the heights of the steps are those found before."""
         system = reading.system(learned)
         columns, forms = instant_columns(reading, steps, heights=[step.height for step in steps])
-        return cls(system, Filter.of(system, reading.present), columns, forms)
+        return cls(system, KalmanFilter.of(system, reading.present), columns, forms)
 
     def sizes(self, series: Array) -> Array:
         """Sizes of the known shapes in several series, shape (p, c)."""
@@ -267,18 +268,7 @@ class Estimator:
 
     def smooth(self, series: Array) -> Array:
         """Smoothed force of several series whose shapes are taken out, shape (n, c) [N]."""
-        f = self.filter
-        return _series_kernels.smoothed(
-            np.ascontiguousarray(series),
-            f.present,
-            self.system.transition,
-            self.system.observation,
-            f.which,
-            f.covariances,
-            f.gains,
-            f.variances,
-            FORCE,
-        )
+        return self.filter.smooth(series, [FORCE])[:, :, 0]
 
     def run(self, series: Array) -> Array:
         """The force that several series lead to, shape (n, c) [N]."""
@@ -289,10 +279,10 @@ class Estimator:
         """Draw a force, without constant and steps, and readings of it, shape (n,) each [N]."""
         system = self.system
         size = system.transition.shape[0]
-        count = self.filter.which.size
-        states = _series_kernels.simulate(
-            system.transition,
-            covariance_root(system.process_noise, reduced=False),
+        count = self.filter.present.size
+        states = _kernels.simulate(
+            system.model.columns,
+            np.ascontiguousarray(covariance_root(system.process_noise, reduced=False).T),
             covariance_root(system.initial, reduced=False) @ generator.normal(size=size),
             generator.normal(size=(count, size)),
             np.array([LOAD, FORCE, *system.colors]),

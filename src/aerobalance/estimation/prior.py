@@ -12,7 +12,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, share_seen
 from aerobalance.estimation.spectra.whittle import fit_spectrum
-from aerobalance.estimation.statespace.kalman import LOAD, Filter, StateSpace
+from aerobalance.estimation.statespace.kalman import LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
@@ -159,11 +159,11 @@ def learn(reading: Reading, *, columns: Array, before: Learned | None = None) ->
 def _learned_beside(reading: Reading, learned: Learned, columns: Array) -> Learned:
     """What is learned when the known shapes are taken out under a prior, and gaps bridged by its smoother."""
     present = reading.present
-    filter_ = Filter.of(reading.system(learned), present)
+    filter_ = KalmanFilter.of(reading.system(learned), present)
     sizes, *_ = generalised_least_squares(filter_, reading.filled, columns)
     left = np.where(present, reading.values - columns @ sizes, 0.0)
     if not present.all():
-        left = np.where(present, left, filter_.smooth(left)[0][:, LOAD])
+        left = np.where(present, left, filter_.smooth(left[:, None], [LOAD])[:, 0, 0])
     return _learn(reading, left)
 
 
@@ -255,7 +255,7 @@ def _shaped(reading: Reading, spectrum: Spectrum, noise_density: float) -> Shapi
     return ShapingFilter.of_spectrum(whole, centre=edge, tolerance=float(np.sqrt(TOLERANCE * BACKGROUND * error)))
 
 
-def generalised_least_squares(filter_: Filter, readings: Array, columns: Array) -> tuple[Array, Array, float]:
+def generalised_least_squares(filter_: KalmanFilter, readings: Array, columns: Array) -> tuple[Array, Array, float]:
     """Sizes of known shapes in a record: values (p,), covariance (p, p) and the sum of squares left over [1]."""
     series = filter_.whiten(np.column_stack([readings, columns]))
     white, shapes = series[:, 0], series[:, 1:]
@@ -272,11 +272,11 @@ def generalised_least_squares(filter_: Filter, readings: Array, columns: Array) 
     return solution / scale, covariance, float(residual @ residual)
 
 
-def _filter(reading: Reading, learned: Learned) -> Filter:
-    return Filter.of(reading.system(learned), reading.present)
+def _filter(reading: Reading, learned: Learned) -> KalmanFilter:
+    return KalmanFilter.of(reading.system(learned), reading.present)
 
 
-def log_likelihood(reading: Reading, filter_: Filter, *, columns: Array) -> float:
+def log_likelihood(reading: Reading, filter_: KalmanFilter, *, columns: Array) -> float:
     """Logarithm of the likelihood of a filter's innovations, the sizes of the columns at their best."""
     *_, squares = generalised_least_squares(filter_, reading.filled, columns)
     return -0.5 * (filter_.log_determinant + squares)

@@ -23,7 +23,7 @@ from scipy.signal import fftconvolve
 from aerobalance.estimation.prior import Learned, Reading, confirmed, generalised_least_squares, learn, log_likelihood
 from aerobalance.estimation.spectra.line_noise import columns_of_lines
 from aerobalance.estimation.spectra.periodogram import Spectrum
-from aerobalance.estimation.statespace.kalman import Filter
+from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import warn_quality
@@ -232,7 +232,7 @@ def _taken_up(
 
 def _likelier(reading: Reading, priors: tuple[Learned, ...], *readings: list[Step]) -> list[tuple[float, Learned]]:
     """Log-likelihood of each set of steps and the prior under which it is largest."""
-    filters = [Filter.of(reading.system(prior), reading.present) for prior in priors]
+    filters = [KalmanFilter.of(reading.system(prior), reading.present) for prior in priors]
     found = []
     for steps in readings:
         columns = columns_of(steps, reading)
@@ -301,7 +301,7 @@ def _earlier_again(reading: Reading, learned: Learned, steps: list[Step]) -> lis
 
 def _together(reading: Reading, learned: Learned, steps: list[Step]) -> list[Step]:
     """Instants and durations of all steps at once, by Gauss-Newton iteration from places that are nearly right."""
-    filter_ = Filter.of(reading.system(learned), reading.present)
+    filter_ = KalmanFilter.of(reading.system(learned), reading.present)
     small, most = 0.05 * reading.interval, 0.5 * reading.interval
     for _ in range(NEWTON_TURNS):
         slow = np.array([step.duration > 0 for step in steps])
@@ -342,7 +342,7 @@ def _change(step: Step, reading: Reading, *, later: float = 0.0, longer: float =
 
 def _scan(reading: Reading, learned: Learned, columns: Array) -> tuple[Step, float]:
     """The most likely instant of one more step, to a sample, and the gain in twice the log-likelihood it promises."""
-    filter_ = Filter.of(reading.system(learned), reading.present)
+    filter_ = KalmanFilter.of(reading.system(learned), reading.present)
     series = filter_.whiten(np.column_stack([reading.filled, columns]))
     basis, _ = np.linalg.qr(series[:, 1:])
     left = series[:, 0] - basis @ (basis.T @ series[:, 0])
@@ -367,7 +367,7 @@ def _refine(reading: Reading, learned: Learned, columns: Array, step: Step, *, r
     first = int(np.clip(step.instant / interval - length // 2, 0, max(count - length, 0)))
     part = slice(first, min(first + length, count))
     local = replace(reading, values=reading.values[part])
-    filter_ = Filter.of(local.system(learned), local.present)
+    filter_ = KalmanFilter.of(local.system(learned), local.present)
     fixed = columns[part]
     fixed = fixed[:, (np.ptp(fixed, axis=0) > 0) | (np.arange(fixed.shape[1]) == 0)]
     origin = first * interval

@@ -126,6 +126,13 @@ class StateSpace:
         return cls(transition, process_noise, initial, noise**2, tuple(int(place) for place in places[:-1]))
 
     @property
+    def model(self) -> _kernels.Model:
+        """What the compiled loops take."""
+        A = np.ascontiguousarray(self.transition)
+        Q = np.ascontiguousarray(self.process_noise)
+        return _kernels.Model(A, np.ascontiguousarray(A.T), Q, self.observation, self.noise_variance)
+
+    @property
     def observation(self) -> Array:
         """Row h that turns the state into the reading, shape (d,)."""
         row = np.zeros(self.transition.shape[0])
@@ -180,85 +187,67 @@ def _discretise(A: Array, intensity: Array, interval: float) -> tuple[Array, Arr
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Filter:
-    """A state space with its gains worked out for the samples that are present.
+class KalmanFilter:
+    """A state space and the gains of its Kalman filter for the samples that are present.
 
     Attributes
     ----------
     system
         The state space.
     present
-        False where a reading is missing, shape (n,).
-    which, covariances, gains, variances
-        For each sample its row in the tables of covariance (m, 3, d; only the rows of load, rate and force), gain
-        (m, d) and innovation variance (m,).
+        False where an observation is missing, shape (n,).
+    gains
+        Gain and innovation variance of each sample, and the rows of load, load rate and force of its covariance.
     """
 
     system: StateSpace
     present: NDArray[np.bool_]
-    which: NDArray[np.int64]
-    covariances: Array
-    gains: Array
-    variances: Array
+    gains: _kernels.Gains
 
     @classmethod
-    def of(cls, system: StateSpace, present: NDArray[np.bool_]) -> Filter:
-        """Work out the gains."""
-        tables = _kernels.gains(
-            present,
-            system.transition,
-            system.process_noise,
-            system.observation,
-            system.noise_variance,
-            system.initial,
-            FORCE + 1,
-            GAIN_TOLERANCE,
-        )
-        return cls(system, present, *tables)
+    def of(cls, system: StateSpace, present: NDArray[np.bool_]) -> KalmanFilter:
+        """Return the filter of a state space, its gains computed for these samples."""
+        row, P, K, S = _kernels.gains(present, system.model, system.initial, FORCE + 1, GAIN_TOLERANCE)
+        return cls(system, present, _kernels.Gains(row, P.reshape(S.size, FORCE + 1, -1), K, S[:, 0]))
+
+    def filter(self, series: Array, wanted: Sequence[int] = ()) -> tuple[Array, Array]:
+        """Return predictions (n, c, w) of the wanted states and innovations (n, c) of several series at once.
+
+        Each series (n, c) starts from a zero state; an innovation is 0 where an observation is missing.
+        """
+        places = np.array(wanted, dtype=np.int64)
+        return _kernels.filtered(np.ascontiguousarray(series), self.present, self.system.model, self.gains, places)
 
     def whiten(self, series: Array) -> Array:
-        """Innovations over their standard deviation, of several series at once, shape (n, c).
+        """Return innovations over their standard deviation, of several series at once, shape (n, c) [1].
 
-        Each series starts from a zero state; readings become white with variance 1 if the model is right.
+        Observations become white with variance 1 if the model is right.
         """
-        system = self.system
-        return _kernels.whiten(
-            np.ascontiguousarray(series),
-            self.present,
-            system.transition,
-            system.observation,
-            self.which,
-            self.gains,
-            self.variances,
-        )
+        _, innovations = self.filter(series)
+        return innovations / np.sqrt(self.gains.S[self.gains.row])[:, None]
 
     @property
-    def settled(self) -> Filter:
+    def settled(self) -> KalmanFilter:
         """The filter as it is long after the start, when it has forgotten the initial state."""
-        last = np.full_like(self.which, self.variances.size - 1)
-        return replace(self, which=last, present=np.ones_like(self.present))
+        last = np.full_like(self.gains.row, self.gains.S.size - 1)
+        return replace(self, gains=self.gains._replace(row=last), present=np.ones_like(self.present))
 
     @property
     def log_determinant(self) -> float:
         """Sum over the present samples of the logarithm of the innovation variance."""
-        return float(np.sum(np.log(self.variances[self.which[self.present]])))
+        return float(np.sum(np.log(self.gains.S[self.gains.row[self.present]])))
 
-    def smooth(self, readings: Array) -> tuple[Array, Array]:
-        """Smoothed load, load rate and force (n, 3), and the force's variance (n,), by [deJong1989]_."""
-        system = self.system
-        states, innovations = _kernels.innovations(
-            readings, self.present, system.transition, system.observation, self.which, self.gains
-        )
-        return _kernels.smooth(
-            states,
-            innovations,
-            self.present,
-            system.transition,
-            system.observation,
-            self.which,
-            self.covariances,
-            self.gains,
-            self.variances,
-            FORCE,
-            GAIN_TOLERANCE,
-        )
+    def smooth(self, series: Array, wanted: Sequence[int] = (LOAD, LOAD_RATE, FORCE)) -> Array:
+        """Return the wanted states of several series (n, c) given all observations, shape (n, c, w) [deJong1989]_.
+
+        The wanted states are among load, load rate and force.
+        """
+        states, innovations = self.filter(series, wanted)
+        places = np.array(wanted, dtype=np.int64)
+        _kernels.smooth(states, innovations, self.present, self.system.model, self.gains, places)
+        return states
+
+    @property
+    def smoothed_variance(self) -> Array:
+        """Variance of the force given all observations, shape (n,) [N^2]."""
+        return _kernels.smoothed_variance(self.present, self.system.model, self.gains, FORCE, GAIN_TOLERANCE)
