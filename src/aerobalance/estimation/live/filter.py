@@ -81,7 +81,7 @@ def false_alarm_evidence(interval: float) -> float:
 
 
 class LiveFilter:
-    """A state space with its known shapes, run over readings as they come.
+    """A state space with its known shapes, run over observations as they come.
 
     Samples are counted from the first of the whole stream.
 
@@ -94,41 +94,81 @@ class LiveFilter:
     lag
         Samples after which the force at a sample is final.
     first
-        Number of the first reading that will be fed.
+        Number of the first observation that will be fed.
     step
         Load felt 1, 2, ... samples after a force of 1 N sets in, at least `SCAN_LAGS` lags long.
-
-    Attributes
-    ----------
-    jolt
-        What may happen unseen while readings are missing: by how much the variances of the states grow, shape (d,).
     """
 
     def __init__(self, system: StateSpace, *, interval: float, lag: int, first: int, step: Array) -> None:
         self.system, self.interval, self.lag = system, interval, lag
         self.first = self.taken = self.filled = self.next_final = self._collected = first
-        size = system.transition.shape[0]
-        room = HISTORY * lag + PIECE
         self.shapes: list[KnownShape] = []
-        self.threshold = false_alarm_evidence(interval)
-        self.jolt = np.zeros(size)
-        self._present = np.zeros(room, dtype=np.bool_)
-        self._values, self._v, self._ahead = (np.zeros((MOST_SHAPES + 1, room)) for _ in range(3))
-        self._forces = np.zeros((MOST_SHAPES, room))
-        self._gain_K, self._gain_row = np.zeros((2, room, size))
-        self._gain_S, self._residual, self._scores = np.zeros((3, room))
-        self._out = np.zeros((room, 2))
-        self._P = system.initial.copy()
-        self._x = np.zeros((MOST_SHAPES + 1, size))
-        self._steady_K, self._steady_S = np.zeros(size), np.zeros(1)
-        self._weight, self._variance = np.zeros((2, lag + 1))
-        self._information, self._root = np.zeros((2, MOST_SHAPES, MOST_SHAPES))
-        self._target, self._sizes = np.zeros((2, MOST_SHAPES))
-        self._counters = np.array([0, -1, -1, -1, 0, 0, 0, lag // 2], dtype=np.int64)
-        self._step = np.ascontiguousarray(step[: SCAN_LAGS * lag])
-        self._response, self._inverse = np.zeros((2, self._step.size))
-        self._h, self._columns = system.observation, np.ascontiguousarray(system.transition.T)
+        size, room, series = system.transition.shape[0], HISTORY * lag + PIECE, MOST_SHAPES + 1
+        self._model = system.model
+        self._marks = np.zeros(1, dtype=kernels.MARKS).view(np.recarray)
+        self._state = kernels.State(
+            marks=self._marks,
+            x=np.zeros((series, size)),
+            P=system.initial.copy(),
+            K=np.zeros(size),
+            inflation=np.zeros(size),
+            work=np.zeros((3, size, size)),
+        )
+        self._history = kernels.History(
+            present=np.zeros(room, dtype=np.bool_),
+            values=np.zeros((series, room)),
+            forces=np.zeros((MOST_SHAPES, room)),
+            v=np.zeros((series, room)),
+            predicted=np.zeros((series, room)),
+            K=np.zeros((room, size)),
+            S=np.zeros(room),
+            P=np.zeros((room, size)),
+            residual=np.zeros(room),
+            score=np.zeros(room),
+        )
+        self._fit = kernels.ShapeFit(
+            information=np.zeros((MOST_SHAPES, MOST_SHAPES)),
+            target=np.zeros(MOST_SHAPES),
+            sizes=np.zeros(MOST_SHAPES),
+            root=np.zeros((MOST_SHAPES, MOST_SHAPES)),
+        )
+        self._fixed = kernels.FixedLag(
+            lag=lag,
+            wanted=FORCE,
+            tolerance=GAIN_TOLERANCE,
+            weight=np.zeros(lag + 1),
+            variance=np.zeros(lag + 1),
+            out=np.zeros((room, 2)),
+        )
+        watched = np.ascontiguousarray(step[: SCAN_LAGS * lag])
+        self._scan = kernels.Scan(
+            step=watched,
+            response=np.zeros(watched.size),
+            inverse=np.zeros(watched.size),
+            threshold=false_alarm_evidence(interval),
+            youngest=YOUNGEST,
+            strange=strange_square(STRANGE_WINDOW),
+            window=STRANGE_WINDOW,
+            patience=lag // 4,
+        )
+        marks = self._marks[0]
+        marks.unsteady = marks.fast = marks.held = -1
+        marks.expected, marks.phase = lag // 2, first % kernels.HOLD
         self.add(CONSTANT)
+
+    @property
+    def threshold(self) -> float:
+        """Gain in twice the log-likelihood above which a step is likely."""
+        return self._scan.threshold
+
+    @threshold.setter
+    def threshold(self, value: float) -> None:
+        self._scan = self._scan._replace(threshold=value)
+
+    @property
+    def jolt(self) -> Array:
+        """Covariance inflation after missing observations, for what may have happened unseen, shape (d,)."""
+        return self._state.inflation
 
     @property
     def oldest(self) -> int:
@@ -139,31 +179,24 @@ class LiveFilter:
         """Readings that can be fed now."""
         used = self.filled - self.first
         keep = min(HISTORY * self.lag, self.taken - self.first)
-        if used == self._present.size and self.taken - self.first > keep:
+        if used == self._history.present.size and self.taken - self.first > keep:
             self._forget(self.taken - keep)
-        return self._present.size - (self.filled - self.first)
+        return self._history.present.size - (self.filled - self.first)
 
     def _forget(self, before: int) -> None:
         """Move what is kept to the front of the buffers."""
         shift = before - self.first
+        room = self._history.present.size
         kept = slice(shift, self.filled - self.first)
         front = slice(0, kept.stop - shift)
-        for one in (
-            self._present,
-            self._gain_S,
-            self._residual,
-            self._scores,
-            self._gain_K,
-            self._gain_row,
-            self._out,
-        ):
-            one[front] = one[kept].copy()
-        for many in (self._values, self._v, self._ahead, self._forces):
-            many[:, front] = many[:, kept].copy()
-        places = [kernels.UNSTEADY, kernels.FAST, kernels.HELD, kernels.SCANNED]
-        moved = self._counters[places]
-        self._counters[places] = np.where(moved == kernels.FOREVER, moved, np.maximum(moved - shift, -1))
-        self._counters[kernels.SCANNED] = max(int(self._counters[kernels.SCANNED]), 0)
+        for array in (*self._history, self._fixed.out):
+            by_sample = array if array.shape[0] == room else array.T
+            by_sample[front] = by_sample[kept].copy()
+        marks = self._marks[0]
+        marks.unsteady, marks.fast = max(marks.unsteady - shift, -1), max(marks.fast - shift, -1)
+        marks.held = marks.held if marks.held == kernels.FOREVER else max(marks.held - shift, -1)
+        marks.scanned = max(marks.scanned - shift, 0)
+        marks.phase = before % kernels.HOLD
         self.first = before
 
     def _time(self, first: int, stop: int) -> Array:
@@ -172,66 +205,31 @@ class LiveFilter:
     def feed(self, values: Array) -> None:
         """Put readings [N] into the buffers, NaN where missing; there must be `room`."""
         here = slice(self.filled - self.first, self.filled - self.first + values.size)
-        self._present[here] = np.isfinite(values)
-        self._values[0, here] = np.where(self._present[here], values, 0.0)
+        self._history.present[here] = np.isfinite(values)
+        self._history.values[0, here] = np.where(self._history.present[here], values, 0.0)
         time = self._time(self.filled, self.filled + values.size)
         for place, shape in enumerate(self.shapes):
-            self._values[place + 1, here] = shape.load(time)
-            self._forces[place, here] = shape.force(time)
+            self._history.values[place + 1, here] = shape.load(time)
+            self._history.forces[place, here] = shape.force(time)
         self.filled += values.size
 
     def readings(self, first: int, stop: int) -> Array:
         """Readings that were fed, NaN where missing [N]."""
         part = slice(first - self.first, stop - self.first)
-        return np.where(self._present[part], self._values[0, part], np.nan)
+        return np.where(self._history.present[part], self._history.values[0, part], np.nan)
 
     def run(self, stop: int, *, watch: bool = True, give: bool = True) -> int:
         """Take readings up to a number, or until something happens; say what, as in `_live_kernels`."""
         reached, happened = kernels.advance(
             self.taken - self.first,
             min(stop, self.filled) - self.first,
-            self.lag,
-            self.first % kernels.HOLD,
-            FORCE,
-            GAIN_TOLERANCE,
-            len(self.shapes) + 1,
-            self.system.transition,
-            self._columns,
-            self.system.process_noise,
-            self._h,
-            self.system.noise_variance,
-            self._P,
-            self._x,
-            self._steady_K,
-            self._steady_S,
-            self._weight,
-            self._variance,
-            self._present,
-            self._values,
-            self._forces,
-            self._v,
-            self._ahead,
-            self._gain_K,
-            self._gain_S,
-            self._gain_row,
-            self._residual,
-            self._information,
-            self._target,
-            self._sizes,
-            self._root,
-            self._counters,
-            self._scores,
-            self._step,
-            self._response,
-            self._inverse,
-            YOUNGEST,
-            self.threshold if watch else np.inf,
-            STRANGE_WINDOW,
-            strange_square(STRANGE_WINDOW) if watch else np.inf,
-            self.lag // 4,
-            self.jolt,
-            self.next_final - self.first if give else int(kernels.FOREVER),
-            self._out,
+            self.next_final - self.first if give else kernels.FOREVER,
+            self._model,
+            self._state,
+            self._history,
+            self._fit,
+            self._fixed,
+            self._scan if watch else self._scan._replace(threshold=np.inf, strange=np.inf),
         )
         self.taken = reached + self.first
         if give and happened == kernels.NOTHING:
@@ -244,33 +242,15 @@ class LiveFilter:
         """Make final what comes before a number, by the readings that were taken."""
         for k in range(self.next_final, stop):
             end = min(k + self.lag, self.taken - 1)
-            self._out[k - self.first] = kernels.emit(
-                k - self.first,
-                end - self.first,
-                self.first % kernels.HOLD,
-                FORCE,
-                len(self.shapes) + 1,
-                self._columns,
-                self._h,
-                self._present,
-                self._forces,
-                self._v,
-                self._ahead,
-                self._gain_K,
-                self._gain_S,
-                self._gain_row,
-                self._weight,
-                self._variance,
-                self._counters,
-                self._sizes,
-                self._root,
+            kernels.emit(
+                k - self.first, end - self.first, self._model, self._state, self._history, self._fit, self._fixed
             )
         self.next_final = max(self.next_final, stop)
 
     def collect(self) -> tuple[int, Array, Array]:
         """Number of the first sample, force [N] and variance [N^2] of what became final since the last call."""
         begin, self._collected = self._collected, self.next_final
-        part = self._out[begin - self.first : self.next_final - self.first].copy()
+        part = self._fixed.out[begin - self.first : self.next_final - self.first].copy()
         return begin, part[:, 0], part[:, 1]
 
     def start_giving(self, at: int) -> None:
@@ -285,60 +265,54 @@ class LiveFilter:
     def replace(self, place: int, shape: KnownShape) -> None:
         """Put a known shape in the place of another."""
         self.shapes[place] = shape
+        self._marks[0].series = len(self.shapes) + 1
         time = self._time(self.first, self.filled)
         here = slice(0, self.filled - self.first)
-        self._values[place + 1, here] = shape.load(time)
-        self._forces[place, here] = shape.force(time)
+        self._history.values[place + 1, here] = shape.load(time)
+        self._history.forces[place, here] = shape.force(time)
         begins = max(shape.begins / self.interval, self.first)
         kernels.rebuild(
             min(int(begins), self.taken) - self.first,
             self.taken - self.first,
-            len(self.shapes) + 1,
             place + 1,
-            self._columns,
-            self._h,
-            self._x,
+            self._model,
+            self._state,
+            self._history,
+            self._fit,
             FORCE,
-            self._present,
-            self._values,
-            self._v,
-            self._ahead,
-            self._gain_K,
-            self._gain_S,
-            self._information,
-            self._target,
         )
         self._solve()
 
     def _solve(self) -> None:
-        kernels.solve(self._information, self._target, len(self.shapes), self._sizes, self._root)
+        kernels.solve(self._fit, len(self.shapes))
 
     def remove(self, place: int) -> None:
         """Count a shape with the constant, or with nothing, as it has become the same in all that is not yet final."""
         count = len(self.shapes)
         turn = np.eye(count)
         turn[0, place] = -self.shapes[place].remains
-        information = turn.T @ self._information[:count, :count] @ turn
-        target = turn.T @ self._target[:count]
+        information = turn.T @ self._fit.information[:count, :count] @ turn
+        target = turn.T @ self._fit.target[:count]
         rest = np.delete(np.arange(count), place)
         share = information[rest, place] / max(float(information[place, place]), 1e-300)
-        self._information[np.ix_(rest, rest)] = information[np.ix_(rest, rest)] - np.outer(
+        self._fit.information[np.ix_(rest, rest)] = information[np.ix_(rest, rest)] - np.outer(
             share, information[place, rest]
         )
-        self._target[rest] = target[rest] - share * target[place]
+        self._fit.target[rest] = target[rest] - share * target[place]
         self.drop(place)
 
     def drop(self, place: int) -> None:
         """Follow a known shape no longer, as if it had never been."""
         count = len(self.shapes)
         rest = np.delete(np.arange(count), place)
-        self._information[: count - 1, : count - 1] = self._information[np.ix_(rest, rest)]
-        self._target[: count - 1] = self._target[rest]
+        self._fit.information[: count - 1, : count - 1] = self._fit.information[np.ix_(rest, rest)]
+        self._fit.target[: count - 1] = self._fit.target[rest]
         series = np.concatenate(([0], rest + 1))
-        for many in (self._values, self._v, self._ahead, self._x):
+        for many in (self._history.values, self._history.v, self._history.predicted, self._state.x):
             many[:count] = many[series]
-        self._forces[: count - 1] = self._forces[rest]
+        self._history.forces[: count - 1] = self._history.forces[rest]
         del self.shapes[place]
+        self._marks[0].series = len(self.shapes) + 1
         self._solve()
 
     def rung_out(self, place: int) -> bool:
@@ -347,68 +321,66 @@ class LiveFilter:
         if shape.begins / self.interval >= self.next_final:
             return False
         waiting = slice(max(self.next_final - self.first, 0), self.taken - self.first)
-        left = [many[place + 1, waiting] - shape.remains * many[1, waiting] for many in (self._values, self._ahead)]
+        left = [
+            many[place + 1, waiting] - shape.remains * many[1, waiting]
+            for many in (self._history.values, self._history.predicted)
+        ]
         return all(float(np.max(np.abs(part), initial=0.0)) < RUNG_OUT for part in left)
 
     def likeliest_step(self) -> float:
         """Time at which a step is most likely to have set in [s], to a sample."""
         now = self.taken - 1 - self.first
-        begin = max(int(self._counters[kernels.SCANNED]), now - self._step.size + 1)
+        begin = max(int(self._marks[0].scanned), now - self._scan.step.size + 1)
         stop = max(now - YOUNGEST + 1, begin + 1)
-        gain = self._scores[begin:stop] ** 2 * self._inverse[self._step.size - 1 - now + np.arange(begin, stop)]
+        gain = (
+            self._history.score[begin:stop] ** 2
+            * self._scan.inverse[self._scan.step.size - 1 - now + np.arange(begin, stop)]
+        )
         return float((begin + int(np.argmax(gain)) - 1 + self.first) * self.interval)
 
     def look_again(self, *, after: int) -> None:
         """Work out the residuals again with the sizes at hand, and look for steps only after a number."""
-        begin = max(self.taken - self.first - max(self._step.size, STRANGE_WINDOW), 0)
+        begin = max(self.taken - self.first - max(self._scan.step.size, STRANGE_WINDOW), 0)
         part = slice(begin, self.taken - self.first)
         count = len(self.shapes)
-        left = self._v[0, part] - self._sizes[:count] @ self._v[1 : count + 1, part]
-        self._residual[part] = left / np.sqrt(self._gain_S[part])
-        self._counters[kernels.SCANNED] = max(after - self.first, int(self._counters[kernels.SCANNED]))
-        self._counters[kernels.STRANGE_FOR] = 0
+        left = self._history.v[0, part] - self._fit.sizes[:count] @ self._history.v[1 : count + 1, part]
+        self._history.residual[part] = left / np.sqrt(self._history.S[part])
+        marks = self._marks[0]
+        marks.scanned, marks.strange = max(after - self.first, marks.scanned), 0
 
     def residuals(self, first: int, stop: int) -> tuple[Array, NDArray[np.bool_]]:
         """Normalised residuals of samples that were taken, and whether there was a reading."""
         part = slice(max(first - self.first, 0), stop - self.first)
-        return self._residual[part], self._present[part]
+        return self._history.residual[part], self._history.present[part]
 
     @property
     def innovation_variance(self) -> float:
         """Variance of the last innovation [N^2]."""
-        return float(self._gain_S[max(self.taken - 1 - self.first, 0)])
+        return float(self._history.S[max(self.taken - 1 - self.first, 0)])
 
     @property
     def sizes(self) -> Array:
         """Sizes of the known shapes, shape (p,)."""
-        return self._sizes[: len(self.shapes)].copy()
+        return self._fit.sizes[: len(self.shapes)].copy()
 
     def size_uncertainty(self, place: int) -> float:
         """Standard uncertainty of the size of a known shape."""
         count = len(self.shapes)
         slope, work = np.eye(count)[place], np.empty(count)
-        return float(np.sqrt(kernels.spread(self._root, slope, count, work)))
+        return float(np.sqrt(kernels.variance_along(self._fit.root, slope, count, work)))
 
     def whitened(self, first: int, place: int) -> Array:
         """Readings (place -1) or a known shape, whitened, from a number to the last sample taken."""
         part = slice(first - self.first, self.taken - self.first)
-        return np.asarray(self._v[place + 1, part] / np.sqrt(self._gain_S[part]))
+        return np.asarray(self._history.v[place + 1, part] / np.sqrt(self._history.S[part]))
 
     def whiten(self, first: int, begins: float, load: Callable[[Array], Array]) -> Array:
         """A load that is zero before a time [s], whitened, from a number to the last sample taken."""
         begin = int(np.clip(begins / self.interval, first, self.taken))
         values = load(self._time(begin, self.taken))
         white = np.zeros(self.taken - first)
-        white[begin - first :] = kernels.innovate(
-            begin - self.first,
-            self.taken - self.first,
-            self._columns,
-            self._h,
-            self._present,
-            values,
-            self._gain_K,
-        )
-        return white / np.sqrt(self._gain_S[first - self.first : self.taken - self.first])
+        white[begin - first :] = kernels.innovate(begin - self.first, values, self._model, self._history)
+        return white / np.sqrt(self._history.S[first - self.first : self.taken - self.first])
 
 
 def strange_square(count: int) -> float:
