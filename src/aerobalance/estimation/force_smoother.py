@@ -17,7 +17,7 @@ from aerobalance.estimation.statespace import _kernels
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.steps import Step, columns_of, find_steps, response_to, shape_of
 from aerobalance.recording.channel import Array
-from aerobalance.recording.linalg import covariance_root
+from aerobalance.recording.linalg import symmetric_root
 
 FREQUENCIES: Final = 1 << 14
 """Steps from zero to half the sampling rate in the spectrum of the error: finer than the resonance is wide."""
@@ -282,14 +282,24 @@ class Estimator:
         count = self.filter.present.size
         states = _kernels.simulate(
             system.model.columns,
-            np.ascontiguousarray(covariance_root(system.process_noise, reduced=False).T),
-            covariance_root(system.initial, reduced=False) @ generator.normal(size=size),
+            np.ascontiguousarray(_root(system.process_noise).T),
+            _root(system.initial) @ generator.normal(size=size),
             generator.normal(size=(count, size)),
             np.array([LOAD, FORCE, *system.colors]),
         )
         readings = states[:, 0] + np.sqrt(system.noise_variance) * generator.normal(size=count)
         readings += np.sum(states[:, 2:], axis=1)
         return states[:, 1], np.where(self.filter.present, readings, 0.0)
+
+
+def _root(covariance: Array) -> Array:
+    """Return B with B B^T = covariance, shape (d, d) [units of the states].
+
+    Most eigenvalues of these covariances are smaller than rounding: only a root that does not depend on the choice of
+    eigenvectors gives the same draws from numbers that differ by rounding.
+    """
+    unit = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    return np.asarray(unit[:, None] * symmetric_root(covariance / np.outer(unit, unit)))
 
 
 def instant_columns(
