@@ -1,0 +1,164 @@
+"""The compiled loops against the same loops without compilation, line by line."""
+
+from __future__ import annotations
+
+import dis
+import importlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import CodeType, FrameType, ModuleType
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.estimation.force_smoother import Estimator
+from aerobalance.estimation.live import _live_kernels
+from aerobalance.estimation.live.filter import KnownShape, LiveFilter
+from aerobalance.estimation.statespace import _kernels, kalman
+from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE, KalmanFilter, StateSpace
+from helpers.butterworth import butterworth
+
+BALANCE = Dynamics("AF", 177.87, 3.093e7, 8e3, further_modes=(Mode(165.0, 0.2, 0.05),))  # the gain settles soon
+NOISE = 200.0
+INTERVAL = 1 / 1600
+LAG = 32
+ROUNDING = np.finfo(np.float64).eps
+
+
+@pytest.fixture(scope="module")
+def plain() -> Iterator[tuple[ModuleType, ModuleType]]:
+    """The two modules of kernels as they are without compilation."""
+    names = (_kernels.__name__, _live_kernels.__name__)
+    compiled = {name: sys.modules.pop(name) for name in names}
+    before, numba.config.DISABLE_JIT = numba.config.DISABLE_JIT, 1
+    try:
+        modules = tuple(importlib.import_module(name) for name in names)
+    finally:
+        numba.config.DISABLE_JIT = before
+        sys.modules.update(compiled)
+        for name, module in compiled.items():
+            package, _, last = name.rpartition(".")
+            setattr(sys.modules[package], last, module)
+    yield modules[0], modules[1]
+
+
+def system() -> StateSpace:
+    force = butterworth(2, cutoff=120.0, density=500.0)
+    return StateSpace.of_balance(BALANCE, force, interval=INTERVAL, noise=NOISE, input_density=0.5, swing=30.0)
+
+
+def whole_record(readings: np.ndarray) -> list[np.ndarray]:
+    """All that the kernels of whole records give."""
+    present = np.isfinite(readings)
+    filled = np.where(present, readings, 0.0)
+    kalman_filter = KalmanFilter.of(system(), present)
+    states = kalman_filter.smooth(filled[:, None], [LOAD, LOAD_RATE, FORCE])[:, 0]
+    estimator = Estimator(kalman_filter.system, kalman_filter, np.ones((present.size, 1)), np.ones((present.size, 1)))
+    force, simulated = estimator.simulate(np.random.default_rng(1))
+    deviation = np.sqrt(kalman_filter.gains.S[kalman_filter.gains.row])
+    return [
+        *states.T,
+        kalman_filter.smoothed_variance,
+        deviation,
+        kalman_filter.whiten(filled[:, None]),
+        force,
+        simulated,
+    ]
+
+
+def live(readings: np.ndarray) -> list[np.ndarray]:
+    """All that the live kernels give: a step is found and followed, and readings that are not explained come last."""
+    step = BALANCE.step_response((np.arange(2 * LAG) + 1) * INTERVAL)
+    one = LiveFilter(system(), interval=INTERVAL, lag=LAG, first=0, step=step)
+    one.jolt[[LOAD, LOAD_RATE]] = 9.0
+    happened, parts = [], []
+    for begin in range(0, readings.size, 50):
+        one.feed(readings[begin : begin + 50])
+        while one.taken < one.filled:
+            what = one.run(one.filled)
+            happened.append(float(what))
+            if what == _live_kernels.STEP and len(one.shapes) == 1:
+                instant = one.likeliest_step()
+                load = lambda time, instant=instant: BALANCE.step_response(time - instant)  # noqa: E731
+                one.add(
+                    KnownShape(load, lambda time, instant=instant: np.heaviside(time - instant, 1.0), instant, 1.0)
+                )
+                parts.append(one.whiten(one.oldest, instant, load))
+            if what != _live_kernels.NOTHING:
+                one.look_again(after=one.taken)
+                one.give(one.taken - LAG)
+    one.give(one.taken)
+    _, force, variance = one.collect()
+    assert {_live_kernels.NOTHING, _live_kernels.STEP, _live_kernels.STRANGE} <= set(happened)
+    residuals, _ = one.residuals(0, one.taken)
+    return [force, np.sqrt(variance), residuals, *parts, one.sizes, np.array(happened)]
+
+
+def record(rng: np.random.Generator) -> np.ndarray:
+    readings = rng.normal(0, NOISE, 260)
+    readings[[0, 7, *range(40, 45)]] = np.nan
+    return readings
+
+
+def stepped(rng: np.random.Generator) -> np.ndarray:
+    """Readings of a quiet force, with gaps, a step, and noise a hundred times as strong in the end."""
+    time = np.arange(320) * INTERVAL
+    readings = rng.normal(0, NOISE, time.size) + 1e4 * BALANCE.step_response(time - 215.4 * INTERVAL)
+    readings[270:] += rng.normal(0, 100 * NOISE, 50)
+    readings[[5, *range(12, 18), 190]] = np.nan
+    return readings
+
+
+class Lines:
+    """Lines of kernels that were run."""
+
+    def __init__(self, *modules: ModuleType) -> None:
+        self.files = {module.__file__ for module in modules}
+        self.run: set[tuple[str, int]] = set()
+
+    def trace(self, frame: FrameType, event: str, _: object) -> Callable[..., Any] | None:
+        if frame.f_code.co_filename not in self.files:
+            return None
+        self.run.add((frame.f_code.co_filename, frame.f_lineno))
+        return self.trace
+
+    @property
+    def missed(self) -> list[str]:
+        """Lines of functions that were not run."""
+        lines = set()
+        for file in self.files:
+            module = compile(Path(file).read_text(), file, "exec")
+            functions = [one for one in module.co_consts if isinstance(one, CodeType) and one.co_name.islower()]
+            for code in functions:
+                starts = {line for _, line in dis.findlinestarts(code) if line and line > code.co_firstlineno + 1}
+                lines |= {(file, line) for line in starts}
+        return [f"{Path(file).name}:{line}" for file, line in sorted(lines - self.run)]
+
+
+def test_compiled_and_plain_kernels_agree(rng, plain, monkeypatch):
+    """And every line of them is run.
+
+    The operations are the same. The compiler sums in another order where it may (weighted innovations, squares of
+    residuals), and the two libraries of linear algebra do in products of matrices of d = 6 states. So each sample adds
+    at most 4 d roundings, and n samples 4 d n, of the largest value of a result.
+    """
+    readings, live_readings = record(rng), stepped(rng)
+    compiled = [whole_record(readings), live(live_readings)]
+    lines = Lines(*plain)
+    monkeypatch.setattr(kalman, "_kernels", plain[0])
+    monkeypatch.setattr("aerobalance.estimation.force_smoother._kernels", plain[0])
+    monkeypatch.setattr("aerobalance.estimation.live.filter.kernels", plain[1])
+    before = sys.gettrace()
+    sys.settrace(lines.trace)
+    try:
+        interpreted = [whole_record(readings), live(live_readings)]
+    finally:
+        sys.settrace(before)
+    for ones, others, count in zip(compiled, interpreted, (readings.size, live_readings.size), strict=True):
+        for one, other in zip(ones, others, strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=4 * 6 * count * ROUNDING * np.max(np.abs(one)))
+    assert not lines.missed
