@@ -28,61 +28,73 @@ from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import warn_quality
 
-STEP_EVIDENCE: Final = 40.0
-"""Gain in twice the log-likelihood that a step must bring in a record of `FEW_INSTANTS`.
 
-Chance brings it at one of so many instants once in a million records: n times the tail of chi-square with one degree
-of freedom. At 25 it was once in 600 (measured: 4 in 3600 records).
-"""
+@dataclass(frozen=True, slots=True)
+class StepSettings:
+    """Thresholds of the search for steps.
 
-FEW_INSTANTS: Final = 3200
-"""Samples of a record up to which that is enough; every further instant is one more chance to be misled."""
+    Attributes
+    ----------
+    evidence
+        Gain in twice the log-likelihood that a step must bring in a record of up to `instants` samples. Chance brings
+        it at one of so many instants once in a million records: n times the tail of chi-square with one degree of
+        freedom. At 25 it was once in 600 (measured: 4 in 3600 records).
+    instants
+        Samples of a record up to which that is enough; every further instant is one more chance to be misled.
+    ramp_evidence
+        Gain in twice the log-likelihood for which a step is given a duration. Chance brings it to one sudden step in a
+        hundred thousand (chi-square with one degree of freedom); at 10 it was one in 600, which was then found half a
+        sample early.
+    ramps
+        Durations that are tried first [samples].
+    most_steps
+        Largest number of steps that are searched in one record.
+    highest
+        Height of a step over the range of the observations, above which it is one of a pair that cannot be separated.
+    faint
+        Rms of a force in the observations over their range, below which it may be the remainder of two steps that were
+        fitted as one ramp.
+    faint_steps
+        Largest number of steps that such a force is explained by; more are the error of a wrong model.
+    grid
+        Largest number of instants that are tried where a step is located again.
+    iterations
+        Largest number of Gauss-Newton iterations on all steps together.
+    window
+        Shortest and longest part of a record, around a step, on which its instant is refined [samples].
+    decay_times
+        Decay times after which the response to a step has ended: 2 % of it is left, with 0.03 % of the information on
+        the instant.
+    neighbours
+        Largest number of earlier steps that are refined again beside a new one: the nearest ones.
+    echo
+        Height of a step over that of an earlier one, up to which it may be a model error in the response to that one.
+    echoes
+        Number of such steps within the response up to which they are accepted; more are the model error.
+    echo_periods
+        Periods of the natural frequency in which they are counted, if the response is shorter.
+    """
 
-RAMP_EVIDENCE: Final = 20.0
-"""Gain in twice the log-likelihood for which a step is given a duration.
+    evidence: float = 40.0
+    instants: int = 3200
+    ramp_evidence: float = 20.0
+    ramps: tuple[float, ...] = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0)
+    most_steps: int = 20
+    highest: float = 10.0
+    faint: float = 0.05
+    faint_steps: int = 2
+    grid: int = 64
+    iterations: int = 5
+    window: tuple[int, int] = (1 << 12, 1 << 14)
+    decay_times: float = 4.0
+    neighbours: int = 4
+    echo: float = 0.03
+    echoes: int = 2
+    echo_periods: float = 30.0
 
-Chance brings it to one sudden step in a hundred thousand (chi-square with one degree of freedom); at 10 it was one in
-600, which was then found half a sample early.
-"""
 
-RAMPS: Final = np.array([0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0])
-"""Durations that are tried to begin with, in samples."""
-
-MOST_STEPS: Final = 20
-"""Steps that are looked for in one record."""
-
-HIGHEST: Final = 10.0
-"""Height of a step, over the swing of the readings, above which it is one of a pair that cannot be told apart."""
-
-FAINT: Final = 0.05
-"""Rms in the reading, over its swing, of a force that may be what is left over of two steps read as a ramp."""
-
-FAINT_STEPS: Final = 2
-"""Steps that such a force is taken for at most; more are the error of a wrong model."""
-
-MOST_INSTANTS: Final = 64
-"""Instants that are tried at most where a step that was found before is placed again."""
-
-NEWTON_TURNS: Final = 5
-"""Turns of the Gauss-Newton iteration on all steps at once."""
-
-REFINING_SAMPLES: Final = (1 << 12, 1 << 14)
-"""Shortest and longest part of a record, around a step, on which its instant is refined."""
-
-DECAYED: Final = 4.0
-"""Decay times after which a step rings no more: 2 % of it is left, with 0.03 % of what it says of the instant."""
-
-BESIDE: Final = 4
-"""Earlier steps at most that are placed again beside a new one: those next to it."""
-
-ECHO: Final = 0.03
-"""Height of a step over that of one before it, up to which it may be an error of the model in that one's ringing."""
-
-ECHOES: Final = 2
-"""Such steps within the ringing up to which they are taken for steps; more are the model's error."""
-
-ECHO_PERIODS: Final = 30.0
-"""Periods of the natural frequency over which they are looked for, if the balance's own ringing is shorter."""
+SETTINGS: Final = StepSettings()
+"""Thresholds that the search uses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +124,13 @@ class Step:
 
 
 def response_to(step: Step, reading: Reading) -> Array:
-    """Load felt after a step of 1 N, shape (n,) [1]."""
+    """Return the load felt after a step of 1 N, shape (n,) [1]."""
     time = np.arange(reading.values.size) * reading.interval - step.instant
     return reading.dynamics.step_response(time, duration=step.duration)
 
 
 def shape_of(step: Step, reading: Reading) -> Array:
-    """Force of a step of 1 N, shape (n,) [1]: 0 before, 1 after, the mean over a ramp that falls within a sample."""
+    """Return the force of a step of 1 N, shape (n,) [1]: 0 before, 1 after, and a straight line between."""
     time = np.arange(reading.values.size) * reading.interval - step.instant
     if step.duration <= 0:
         return (time >= 0).astype(np.float64)
@@ -126,27 +138,36 @@ def shape_of(step: Step, reading: Reading) -> Array:
 
 
 def columns_of(steps: list[Step], reading: Reading) -> Array:
-    """The constant, the response to every step, and sine and cosine of hum, shape (n, 1 + steps + 2 lines)."""
+    """Return the constant, the response to every step, and sine and cosine of hum, shape (n, 1 + steps + 2 lines)."""
     count = reading.values.size
     lines = columns_of_lines(reading.hum, count=count, interval=reading.interval)
     return np.column_stack([np.ones(count), *(response_to(step, reading) for step in steps), lines])
 
 
 def find_steps(reading: Reading) -> tuple[list[Step], Learned]:
-    """Find the steps of a record, and the prior of what is left when they are taken out."""
+    """Return the steps of a record in the order of time, and the spectral prior of the force without them.
+
+    Steps are found one at a time: the likeliest instant is proposed by a matched filter, located between samples, and
+    accepted if the likelihood grows enough.
+    """
     steps: list[Step] = []
     columns = columns_of(steps, reading)
     learned = confirmed(reading, learn(reading, columns=columns), columns=columns)
     faint = 0
-    while len(steps) < MOST_STEPS:
-        found = _one_more(reading, learned, steps, prior=learned)
-        if found is None and steps and faint < FAINT_STEPS and _faint(reading, learned, beside=FAINT * reading.swing):
-            found = _one_more(reading, learned, steps, prior=_silenced(learned))
+    while len(steps) < SETTINGS.most_steps:
+        found = _propose_step(reading, learned, steps, prior=learned)
+        if (
+            found is None
+            and steps
+            and faint < SETTINGS.faint_steps
+            and _is_faint(reading, learned, beside=SETTINGS.faint * reading.swing)
+        ):
+            found = _propose_step(reading, learned, steps, prior=_without_force(learned))
             faint += 1
         if found is None:
             break
         steps, learned = found
-        sound = _without_echoes(steps, reading)
+        sound = _without_model_errors(steps, reading)
         if len(sound) < len(steps):
             warn_quality(
                 f"{reading.dynamics.component} rings after a step as its dynamics do not: what they leave over is no "
@@ -157,81 +178,83 @@ def find_steps(reading: Reading) -> tuple[list[Step], Learned]:
     return sorted(steps, key=lambda step: step.instant), learned
 
 
-def _without_echoes(steps: list[Step], reading: Reading) -> list[Step]:
-    """The steps less those that a wrong model of the balance has made of the ringing after another, where so many are.
+def _without_model_errors(steps: list[Step], reading: Reading) -> list[Step]:
+    """Return the steps without those that only correct a wrong model in the response to a larger one, if many do.
 
-    They would go on for as long as it rings, and explain nothing.
+    Otherwise the search would go on for as long as the response lasts.
     """
     ordered = sorted(steps, key=lambda step: step.instant)
     d = reading.dynamics
-    reach = max(_ringing_time(reading), ECHO_PERIODS / d.natural_frequency)
+    reach = max(_ringing_time(reading), SETTINGS.echo_periods / d.natural_frequency)
     for step in sorted(ordered, key=lambda step: -abs(step.height)):
         echoes = [
             other
             for other in ordered
-            if 0 < other.instant - step.instant < reach and abs(other.height) < ECHO * abs(step.height)
+            if 0 < other.instant - step.instant < reach and abs(other.height) < SETTINGS.echo * abs(step.height)
         ]
-        if len(echoes) > ECHOES:
+        if len(echoes) > SETTINGS.echoes:
             return [other for other in ordered if other not in echoes]
     return ordered
 
 
 def _ringing_time(reading: Reading) -> float:
-    """Time after which a step rings no more [s]."""
+    """Return the time after which the response to a step has ended [s]."""
     slowest = min(mode.damping_ratio * mode.angular_frequency for mode in reading.dynamics.modes)
-    return DECAYED / max(slowest, 1e-300)
+    return SETTINGS.decay_times / max(slowest, 1e-300)
 
 
-def _one_more(
+def _propose_step(
     reading: Reading, learned: Learned, steps: list[Step], *, prior: Learned
 ) -> tuple[list[Step], Learned] | None:
-    """The steps with the likeliest further one under a prior, and the prior without it; None if there is none."""
-    candidate, promise = _scan(reading, prior, columns_of(steps, reading))
-    if promise < _evidence_needed(reading):
+    """Return the steps with the likeliest further one under a prior, and the new prior; None if there is no other."""
+    candidate, promise = _matched_filter_scan(reading, prior, columns_of(steps, reading))
+    if promise < _evidence_threshold(reading):
         return None
-    return _taken_up(reading, learned, _settle(reading, prior, [*steps, candidate]))
+    return _accept_step(reading, learned, _relocate(reading, prior, [*steps, candidate]))
 
 
-def _silenced(learned: Learned) -> Learned:
-    """The same noise with a force that does not fluctuate."""
+def _without_force(learned: Learned) -> Learned:
+    """Return a prior with the same noise and a force that does not fluctuate."""
     return replace(learned, spectrum=Spectrum(np.zeros(0), np.zeros(0)), shaping=ShapingFilter.silent())
 
 
-def _faint(reading: Reading, learned: Learned, *, beside: float = 0.0) -> bool:
-    """Whether a force was learned that makes less of the reading than the noise, or a size beside it [N], does.
+def _is_faint(reading: Reading, learned: Learned, *, beside: float = 0.0) -> bool:
+    """Return whether the force of a prior has a smaller rms in the observations than their noise, or than a size [N].
 
-    It may be what a step that was read wrongly has left over: a ramp for two steps, or a step for a ramp.
+    It may be the remainder of a step that was fitted wrongly: a ramp for two steps, or a step for a ramp.
     """
     frequency = np.linspace(0, 0.5 / reading.interval, 4097)[1:]
     load = np.abs(reading.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
     return bool(0 < float(np.mean(load)) < max(learned.noise, beside) ** 2 * reading.interval)
 
 
-def _evidence_needed(reading: Reading) -> float:
-    """Gain in twice the log-likelihood for which a step is taken up: of n chances the largest grows as 2 log n."""
-    return STEP_EVIDENCE + 2 * float(np.log(max(reading.values.size / FEW_INSTANTS, 1.0)))
+def _evidence_threshold(reading: Reading) -> float:
+    """Return the gain in twice the log-likelihood for which a step is accepted: the largest of n grows as 2 log n."""
+    return SETTINGS.evidence + 2 * float(np.log(max(reading.values.size / SETTINGS.instants, 1.0)))
 
 
-def _taken_up(
+def _accept_step(
     reading: Reading, learned: Learned, settled: tuple[list[Step], Learned]
 ) -> tuple[list[Step], Learned] | None:
-    """The steps with one more that has settled, last, and the prior; None if it does not bring the evidence."""
+    """Return the steps with the one located last, and the prior; None if it does not bring the evidence."""
     trial, relearned = settled
     steps = trial[:-1]
-    if max(abs(step.height) for step in trial) > HIGHEST * reading.swing:
+    if max(abs(step.height) for step in trial) > SETTINGS.highest * reading.swing:
         return None
     relearned = confirmed(reading, relearned, columns=columns_of(trial, reading))
     # each prior was learned from a periodogram, which hardly sees what happens near the ends of the record
     priors = (learned, relearned)
-    (without, _), (with_it, better) = _likelier(reading, priors, steps, trial)
+    (without, _), (with_it, better) = _most_likely_priors(reading, priors, steps, trial)
     evidence = 2 * (with_it - without)
-    if evidence < _evidence_needed(reading):
+    if evidence < _evidence_threshold(reading):
         return None
     return [*trial[:-1], replace(trial[-1], evidence=evidence)], better
 
 
-def _likelier(reading: Reading, priors: tuple[Learned, ...], *readings: list[Step]) -> list[tuple[float, Learned]]:
-    """Log-likelihood of each set of steps and the prior under which it is largest."""
+def _most_likely_priors(
+    reading: Reading, priors: tuple[Learned, ...], *readings: list[Step]
+) -> list[tuple[float, Learned]]:
+    """Return the largest log-likelihood of each set of steps, and the prior under which it is reached."""
     filters = [KalmanFilter.of(reading.system(prior), reading.present) for prior in priors]
     found = []
     for steps in readings:
@@ -242,71 +265,73 @@ def _likelier(reading: Reading, priors: tuple[Learned, ...], *readings: list[Ste
     return found
 
 
-def _settle(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list[Step], Learned]:
-    """Place a new step with the prior at hand, learn the prior again without it, and so on until neither moves."""
+def _relocate(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list[Step], Learned]:
+    """Locate the last step with the prior, fit the prior again without that step, and so on until neither changes."""
     for turn in range(5):
         last, placed = steps[-1], [step.instant for step in steps]
         others = columns_of(steps[:-1], reading)
-        near, _ = _scan(reading, learned, others)
+        near, _ = _matched_filter_scan(reading, learned, others)
         if abs(near.instant - last.instant) < 2 * reading.interval:
             near = last
-        # the first prior still holds the step's own trace and would read a ramp into it
-        steps = [*steps[:-1], _refine(reading, learned, others, near, ramps=turn > 0)]
+        # the first prior was fitted with this step in the record, and would show a ramp where there is none
+        steps = [*steps[:-1], _refine_step(reading, learned, others, near, ramps=turn > 0)]
         if turn == 1:
-            steps = _earlier_again(reading, learned, steps)
+            steps = _refine_neighbours(reading, learned, steps)
         if turn > 0:
-            steps = _together(reading, learned, steps)
-        # the first prior holds the step's own trace, and would leave some of it in the second
+            steps = _joint_gauss_newton(reading, learned, steps)
+        # the same prior would leave a part of the step in the next one
         before = learned if turn > 0 else None
         learned = learn(reading, columns=columns_of(steps, reading), before=before)
         moved = max(abs(step.instant - instant) for step, instant in zip(steps, placed, strict=True))
-        if turn > 0 and moved < 0.01 * reading.interval:  # an earlier one may still be where this one had bent it to
+        if turn > 0 and moved < 0.01 * reading.interval:  # an earlier one may still be displaced by this one
             break
-    return (steps, learned) if steps[-1].duration > 0 else _as_ramp(reading, learned, steps)
+    return (steps, learned) if steps[-1].duration > 0 else _test_ramp(reading, learned, steps)
 
 
-def _as_ramp(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list[Step], Learned]:
-    """The same or, if that is more likely, with a duration for the last step.
+def _test_ramp(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list[Step], Learned]:
+    """Return the same or, if that is more likely, steps and prior with a duration for the last step.
 
-    What is left over where a ramp was read as a sudden step is then taken for a fluctuating force, which gives no
-    evidence for a ramp any more. So a ramp is tried as if there were none.
+    If a ramp was fitted as a sudden step, the prior explains the remainder as a fluctuating force, and nothing is left
+    that shows a ramp. So the ramp is tested with a prior without such a force.
     """
-    ramp = _refine(reading, _silenced(learned), columns_of(steps[:-1], reading), steps[-1], ramps=True)
+    ramp = _refine_step(reading, _without_force(learned), columns_of(steps[:-1], reading), steps[-1], ramps=True)
     if ramp.duration == 0:
         return steps, learned
     trial = [*steps[:-1], ramp]
     relearned = learn(reading, columns=columns_of(trial, reading))
-    trial = _together(reading, relearned, trial)
+    trial = _joint_gauss_newton(reading, relearned, trial)
     relearned = learn(reading, columns=columns_of(trial, reading), before=relearned)
     priors = (learned, relearned)
-    (sudden, _), (slow, better) = _likelier(reading, priors, steps, trial)
-    if 2 * (slow - sudden) < RAMP_EVIDENCE:
+    (sudden, _), (slow, better) = _most_likely_priors(reading, priors, steps, trial)
+    if 2 * (slow - sudden) < SETTINGS.ramp_evidence:
         return steps, learned
     # of two steps close to each other a ramp explains much, but not all
-    strict = _silenced(better) if _faint(reading, better) else better
-    _, promise = _scan(reading, strict, columns_of(trial, reading))
-    return (trial, better) if promise < _evidence_needed(reading) else (steps, learned)
+    strict = _without_force(better) if _is_faint(reading, better) else better
+    _, promise = _matched_filter_scan(reading, strict, columns_of(trial, reading))
+    return (trial, better) if promise < _evidence_threshold(reading) else (steps, learned)
 
 
-def _earlier_again(reading: Reading, learned: Learned, steps: list[Step]) -> list[Step]:
-    """The steps next to the last one placed again beside it: they were placed while it still bent the record."""
+def _refine_neighbours(reading: Reading, learned: Learned, steps: list[Step]) -> list[Step]:
+    """Return the steps with the neighbours of the last one refined: they were located while it was not yet known."""
     steps = list(steps)
     nearest = np.argsort([abs(step.instant - steps[-1].instant) for step in steps[:-1]])
-    for place in sorted(int(number) for number in nearest[:BESIDE]):
+    for place in sorted(int(number) for number in nearest[: SETTINGS.neighbours]):
         step = steps[place]
         others = columns_of(steps[:place] + steps[place + 1 :], reading)
-        steps[place] = replace(_refine(reading, learned, others, step, ramps=True), evidence=step.evidence)
+        steps[place] = replace(_refine_step(reading, learned, others, step, ramps=True), evidence=step.evidence)
     return steps
 
 
-def _together(reading: Reading, learned: Learned, steps: list[Step]) -> list[Step]:
-    """Instants and durations of all steps at once, by Gauss-Newton iteration from places that are nearly right."""
+def _joint_gauss_newton(reading: Reading, learned: Learned, steps: list[Step]) -> list[Step]:
+    """Return the steps, all instants and durations fitted together by Gauss-Newton iteration, with uncertainties."""
     filter_ = KalmanFilter.of(reading.system(learned), reading.present)
     small, most = 0.05 * reading.interval, 0.5 * reading.interval
-    for _ in range(NEWTON_TURNS):
+    for _ in range(SETTINGS.iterations):
         slow = np.array([step.duration > 0 for step in steps])
-        later = [_change(step, reading, later=small) for step in steps]
-        longer = [_change(step, reading, longer=min(small, step.duration / 2)) for step in steps if step.duration > 0]
+        later = [_derivative(step, reading, later=small) for step in steps]
+        longer = [
+            _derivative(step, reading, longer=min(small, step.duration / 2)) for step in steps if step.duration > 0
+        ]
         known = columns_of(steps, reading)
         columns = np.column_stack([known, *later, *longer])
         sizes, covariance, _ = generalised_least_squares(filter_, reading.filled, columns)
@@ -333,15 +358,15 @@ def _together(reading: Reading, learned: Learned, steps: list[Step]) -> list[Ste
     return steps
 
 
-def _change(step: Step, reading: Reading, *, later: float = 0.0, longer: float = 0.0) -> Array:
-    """Derivative of the response to a step by its instant or its duration, shape (n,) [1/s]."""
+def _derivative(step: Step, reading: Reading, *, later: float = 0.0, longer: float = 0.0) -> Array:
+    """Return the derivative of the response to a step with respect to instant or duration, shape (n,) [1/s]."""
     high = Step(step.instant + later, step.duration + longer)
     low = Step(step.instant - later, step.duration - longer)
     return (response_to(high, reading) - response_to(low, reading)) / (2 * (later + longer))
 
 
-def _scan(reading: Reading, learned: Learned, columns: Array) -> tuple[Step, float]:
-    """The most likely instant of one more step, to a sample, and the gain in twice the log-likelihood it promises."""
+def _matched_filter_scan(reading: Reading, learned: Learned, columns: Array) -> tuple[Step, float]:
+    """Return the likeliest further step, to a sample, and its gain in twice the log-likelihood [deJong1998]_."""
     filter_ = KalmanFilter.of(reading.system(learned), reading.present)
     series = filter_.whiten(np.column_stack([reading.filled, columns]))
     basis, _ = np.linalg.qr(series[:, 1:])
@@ -360,10 +385,10 @@ def _scan(reading: Reading, learned: Learned, columns: Array) -> tuple[Step, flo
     return Step(instant=(place - 1) * reading.interval, duration=0.0), float(gain[place])
 
 
-def _refine(reading: Reading, learned: Learned, columns: Array, step: Step, *, ramps: bool) -> Step:
-    """Instant, duration, height and their uncertainties of a step whose place is known to a sample."""
+def _refine_step(reading: Reading, learned: Learned, columns: Array, step: Step, *, ramps: bool) -> Step:
+    """Return a step, located to a sample before, with instant, duration, height and their uncertainties."""
     count, interval = reading.values.size, reading.interval
-    length = int(np.clip(2 * _ringing_time(reading) / interval, *REFINING_SAMPLES))
+    length = int(np.clip(2 * _ringing_time(reading) / interval, *SETTINGS.window))
     first = int(np.clip(step.instant / interval - length // 2, 0, max(count - length, 0)))
     part = slice(first, min(first + length, count))
     local = replace(reading, values=reading.values[part])
@@ -382,7 +407,7 @@ def _refine(reading: Reading, learned: Learned, columns: Array, step: Step, *, r
         return float(left @ left - (left @ column) ** 2 / max(float(column @ column), 1e-300))
 
     begin, end = step.instant - 1.5 * interval, step.instant + step.duration + 1.5 * interval
-    grid = np.arange(begin, end, max(0.25 * interval, (end - begin) / MOST_INSTANTS))
+    grid = np.arange(begin, end, max(0.25 * interval, (end - begin) / SETTINGS.grid))
     coarse = float(grid[np.argmin([squares(instant, 0.0) for instant in grid])])
     sharp = minimize_scalar(
         squares,
@@ -392,7 +417,7 @@ def _refine(reading: Reading, learned: Learned, columns: Array, step: Step, *, r
     )
     instant, duration = float(sharp.x), 0.0
     if ramps:
-        instant, duration = _ramp(squares, instant, enough=sharp.fun - RAMP_EVIDENCE, interval=interval)
+        instant, duration = _fit_ramp(squares, instant, enough=sharp.fun - SETTINGS.ramp_evidence, interval=interval)
     column = response_to(Step(instant - origin, duration), local)
     late = response_to(Step(instant - origin + 0.05 * interval, duration), local)
     early = response_to(Step(instant - origin - 0.05 * interval, duration), local)
@@ -408,12 +433,12 @@ def _refine(reading: Reading, learned: Learned, columns: Array, step: Step, *, r
     )
 
 
-def _ramp(
+def _fit_ramp(
     squares: Callable[[float, float], float], middle: float, *, enough: float, interval: float
 ) -> tuple[float, float]:
-    """Instant and duration that leave the least sum of squares; a sudden step at the middle if that is not enough."""
+    """Return instant and duration [s] of the least sum of squares; a sudden step if that is not small enough."""
     # the phase of what follows fixes the middle of a ramp, whatever its duration
-    tried = interval * RAMPS
+    tried = interval * np.array(SETTINGS.ramps)
     longest = float(tried[np.argmin([squares(middle - length / 2, length) for length in tried])])
     simplex = np.array([[middle, longest], [middle, 1.3 * longest], [middle + 0.1 * interval, longest]])
     found = minimize(

@@ -16,7 +16,8 @@ from scipy.stats import norm
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.live import _live_kernels as kernels
 from aerobalance.estimation.live.filter import MOST_STEPS, KnownShape, LiveFilter
-from aerobalance.estimation.steps import RAMP_EVIDENCE, Step
+from aerobalance.estimation.steps import SETTINGS as SEARCH
+from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
 
 SHIFT: Final = 0.05
@@ -223,7 +224,7 @@ def place_step(
             if middle - duration / 2 > first * interval
         ]
         longer = max(trials, key=lambda trial: trial[1], default=best)
-        if longer[1] - best[1] > RAMP_EVIDENCE:
+        if longer[1] - best[1] > SEARCH.ramp_evidence:
             best = longer
     return best
 
