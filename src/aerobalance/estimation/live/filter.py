@@ -1,9 +1,9 @@
-"""The filter of the smoother run forward for ever, with the force given out a fixed lag behind the readings.
+"""Kalman filter on a stream, with a fixed-lag smoother: the force is final a fixed number of samples later.
 
-With the gain steady, the force at a sample is the filter's prediction of it plus a weighted sum of the innovations
-from that sample on. While the gain changes (at the start, around missing readings) every sample has weights of its
-own. Known shapes (the constant, the responses to steps) run through the same filter and their sizes are found by
-recursive generalised least squares.
+While the gain is constant, the smoothed force at a sample is its prediction plus a weighted sum of the innovations
+from that sample on. While the gain changes (at the start, around missing observations) each sample has its own
+weights. Known shapes (the constant, the responses to steps) pass through the same filter, and their sizes are
+estimated by recursive generalised least squares.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from aerobalance.estimation.statespace.kalman import FORCE, GAIN_TOLERANCE, Stat
 from aerobalance.recording.channel import Array
 
 HISTORY: Final = 16
-"""Lags of readings that are kept."""
+"""Length of the buffers, in lags."""
 
 PIECE: Final = 2048
 """Samples beyond them that the buffers have room for."""
 
 MOST_STEPS: Final = 8
-"""Steps that are followed at once."""
+"""Largest number of steps that are estimated at the same time."""
 
 MOST_SHAPES: Final = 1 + 3 * MOST_STEPS
 """Known shapes that there is room for: the constant, and up to three for a step."""
@@ -35,17 +35,31 @@ MOST_SHAPES: Final = 1 + 3 * MOST_STEPS
 SCAN_LAGS: Final = 2
 """Lags back to which a step is looked for."""
 
-YOUNGEST: Final = 3
-"""Samples after which a step may be found."""
 
-STRANGE_WINDOW: Final = 64
-"""Samples over which the mean square of the residuals is watched."""
+@dataclass(frozen=True, slots=True)
+class WatchSettings:
+    """Thresholds of what the filter watches for.
 
-FALSE_ALARM: Final = 86_400.0
-"""Time within which chance lets one step be found in a load that is as its process says [s]."""
+    Attributes
+    ----------
+    false_alarm
+        Time within which chance lets one step be found in a load that is as its spectral prior says [s].
+    youngest
+        Samples after which a step may be found.
+    window
+        Samples over which the mean square of the residuals is watched.
+    ended
+        What is left of the response to a step, over its height, at which it is counted with the constant.
+    """
 
-RUNG_OUT: Final = 1e-7
-"""Ringing left of a step, over its height, at which it is counted with the constant."""
+    false_alarm: float = 86_400.0
+    youngest: int = 3
+    window: int = 64
+    ended: float = 1e-7
+
+
+SETTINGS: Final = WatchSettings()
+"""Thresholds that the filter uses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +86,12 @@ CONSTANT: Final = KnownShape(load=np.ones_like, force=np.ones_like, begins=-np.i
 
 
 def false_alarm_evidence(interval: float) -> float:
-    """Gain in twice the log-likelihood that chance brings once in `FALSE_ALARM`.
+    """Return the gain in twice the log-likelihood that chance brings once in `WatchSettings.false_alarm`.
 
     Every sample is a new instant for a step, and what speaks for an instant is renewed about four times while it is
     watched.
     """
-    return float(chi2.isf(interval / (4 * FALSE_ALARM), 1))
+    return float(chi2.isf(interval / (4 * SETTINGS.false_alarm), 1))
 
 
 class LiveFilter:
@@ -146,9 +160,9 @@ class LiveFilter:
             response=np.zeros(watched.size),
             inverse=np.zeros(watched.size),
             threshold=false_alarm_evidence(interval),
-            youngest=YOUNGEST,
-            strange=strange_square(STRANGE_WINDOW),
-            window=STRANGE_WINDOW,
+            youngest=SETTINGS.youngest,
+            strange=strange_square(SETTINGS.window),
+            window=SETTINGS.window,
             patience=lag // 4,
         )
         marks = self._marks[0]
@@ -172,11 +186,11 @@ class LiveFilter:
 
     @property
     def oldest(self) -> int:
-        """Number of the oldest reading that is kept."""
+        """Number of the oldest observation in the buffers."""
         return self.first
 
     def room(self) -> int:
-        """Readings that can be fed now."""
+        """Return how many observations can be fed now."""
         used = self.filled - self.first
         keep = min(HISTORY * self.lag, self.taken - self.first)
         if used == self._history.present.size and self.taken - self.first > keep:
@@ -203,7 +217,7 @@ class LiveFilter:
         return np.arange(first, stop, dtype=np.float64) * self.interval
 
     def feed(self, values: Array) -> None:
-        """Put readings [N] into the buffers, NaN where missing; there must be `room`."""
+        """Put observations [N] into the buffers, NaN where missing; there must be `room`."""
         here = slice(self.filled - self.first, self.filled - self.first + values.size)
         self._history.present[here] = np.isfinite(values)
         self._history.values[0, here] = np.where(self._history.present[here], values, 0.0)
@@ -214,12 +228,12 @@ class LiveFilter:
         self.filled += values.size
 
     def readings(self, first: int, stop: int) -> Array:
-        """Readings that were fed, NaN where missing [N]."""
+        """Return observations that were fed, NaN where missing [N]."""
         part = slice(first - self.first, stop - self.first)
         return np.where(self._history.present[part], self._history.values[0, part], np.nan)
 
     def run(self, stop: int, *, watch: bool = True, give: bool = True) -> int:
-        """Take readings up to a number, or until something happens; say what, as in `_live_kernels`."""
+        """Take observations up to a number, or until an event; return the event as in `_live_kernels`."""
         reached, happened = kernels.advance(
             self.taken - self.first,
             min(stop, self.filled) - self.first,
@@ -239,7 +253,7 @@ class LiveFilter:
         return int(happened)
 
     def give(self, stop: int) -> None:
-        """Make final what comes before a number, by the readings that were taken."""
+        """Make the force before a sample final, with the observations taken so far."""
         for k in range(self.next_final, stop):
             end = min(k + self.lag, self.taken - 1)
             kernels.emit(
@@ -248,13 +262,13 @@ class LiveFilter:
         self.next_final = max(self.next_final, stop)
 
     def collect(self) -> tuple[int, Array, Array]:
-        """Number of the first sample, force [N] and variance [N^2] of what became final since the last call."""
+        """Return number of the first sample, force [N] and variance [N^2] that became final since the last call."""
         begin, self._collected = self._collected, self.next_final
         part = self._fixed.out[begin - self.first : self.next_final - self.first].copy()
         return begin, part[:, 0], part[:, 1]
 
     def start_giving(self, at: int) -> None:
-        """Let the next sample that becomes final be this one."""
+        """Set the next sample that becomes final."""
         self.next_final = self._collected = at
 
     def add(self, shape: KnownShape) -> None:
@@ -287,7 +301,7 @@ class LiveFilter:
         kernels.solve(self._fit, len(self.shapes))
 
     def remove(self, place: int) -> None:
-        """Count a shape with the constant, or with nothing, as it has become the same in all that is not yet final."""
+        """Merge a shape with the constant, or with zero, which it equals in all samples that are not yet final."""
         count = len(self.shapes)
         turn = np.eye(count)
         turn[0, place] = -self.shapes[place].remains
@@ -302,7 +316,7 @@ class LiveFilter:
         self.drop(place)
 
     def drop(self, place: int) -> None:
-        """Follow a known shape no longer, as if it had never been."""
+        """Remove a known shape as if it had never been estimated."""
         count = len(self.shapes)
         rest = np.delete(np.arange(count), place)
         self._fit.information[: count - 1, : count - 1] = self._fit.information[np.ix_(rest, rest)]
@@ -316,7 +330,7 @@ class LiveFilter:
         self._solve()
 
     def rung_out(self, place: int) -> bool:
-        """Whether a known shape has become its constant remainder in all that is not yet final."""
+        """Return whether a known shape is constant in all samples that are not yet final."""
         shape = self.shapes[place]
         if shape.begins / self.interval >= self.next_final:
             return False
@@ -325,13 +339,13 @@ class LiveFilter:
             many[place + 1, waiting] - shape.remains * many[1, waiting]
             for many in (self._history.values, self._history.predicted)
         ]
-        return all(float(np.max(np.abs(part), initial=0.0)) < RUNG_OUT for part in left)
+        return all(float(np.max(np.abs(part), initial=0.0)) < SETTINGS.ended for part in left)
 
     def likeliest_step(self) -> float:
-        """Time at which a step is most likely to have set in [s], to a sample."""
+        """Return the likeliest instant of a step [s], to a sample."""
         now = self.taken - 1 - self.first
         begin = max(int(self._marks[0].scanned), now - self._scan.step.size + 1)
-        stop = max(now - YOUNGEST + 1, begin + 1)
+        stop = max(now - SETTINGS.youngest + 1, begin + 1)
         gain = (
             self._history.score[begin:stop] ** 2
             * self._scan.inverse[self._scan.step.size - 1 - now + np.arange(begin, stop)]
@@ -339,8 +353,8 @@ class LiveFilter:
         return float((begin + int(np.argmax(gain)) - 1 + self.first) * self.interval)
 
     def look_again(self, *, after: int) -> None:
-        """Work out the residuals again with the sizes at hand, and look for steps only after a number."""
-        begin = max(self.taken - self.first - max(self._scan.step.size, STRANGE_WINDOW), 0)
+        """Compute the residuals again with the present sizes, and look for steps only after a sample."""
+        begin = max(self.taken - self.first - max(self._scan.step.size, SETTINGS.window), 0)
         part = slice(begin, self.taken - self.first)
         count = len(self.shapes)
         left = self._history.v[0, part] - self._fit.sizes[:count] @ self._history.v[1 : count + 1, part]
@@ -349,7 +363,7 @@ class LiveFilter:
         marks.scanned, marks.strange = max(after - self.first, marks.scanned), 0
 
     def residuals(self, first: int, stop: int) -> tuple[Array, NDArray[np.bool_]]:
-        """Normalised residuals of samples that were taken, and whether there was a reading."""
+        """Return normalised residuals [1] of samples that were taken, and whether there was an observation."""
         part = slice(max(first - self.first, 0), stop - self.first)
         return self._history.residual[part], self._history.present[part]
 
@@ -364,18 +378,18 @@ class LiveFilter:
         return self._fit.sizes[: len(self.shapes)].copy()
 
     def size_uncertainty(self, place: int) -> float:
-        """Standard uncertainty of the size of a known shape."""
+        """Return the standard uncertainty of the size of a known shape."""
         count = len(self.shapes)
         slope, work = np.eye(count)[place], np.empty(count)
         return float(np.sqrt(kernels.variance_along(self._fit.root, slope, count, work)))
 
     def whitened(self, first: int, place: int) -> Array:
-        """Readings (place -1) or a known shape, whitened, from a number to the last sample taken."""
+        """Return the whitened observations (place -1) or a known shape, from a sample to the last one taken."""
         part = slice(first - self.first, self.taken - self.first)
         return np.asarray(self._history.v[place + 1, part] / np.sqrt(self._history.S[part]))
 
     def whiten(self, first: int, begins: float, load: Callable[[Array], Array]) -> Array:
-        """A load that is zero before a time [s], whitened, from a number to the last sample taken."""
+        """Return a load that is zero before a time [s], whitened, from a sample to the last one taken."""
         begin = int(np.clip(begins / self.interval, first, self.taken))
         values = load(self._time(begin, self.taken))
         white = np.zeros(self.taken - first)
@@ -384,5 +398,5 @@ class LiveFilter:
 
 
 def strange_square(count: int) -> float:
-    """Sum of squares of residuals that chance does not reach: eight times its scatter over its mean."""
+    """Return a sum of squares of residuals that chance does not reach: its mean and eight standard deviations."""
     return count * (1 + 8 * float(np.sqrt(2 / count)))
