@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.single import Dynamics, Mode
-from aerobalance.estimation.force_smoother import Estimator
+from aerobalance.estimation.force_smoother import LinearSmoother
 from aerobalance.estimation.live import _live_kernels
 from aerobalance.estimation.live.filter import KnownShape, LiveFilter
 from aerobalance.estimation.statespace import _kernels, kalman
@@ -57,7 +57,9 @@ def whole_record(readings: np.ndarray) -> list[np.ndarray]:
     filled = np.where(present, readings, 0.0)
     kalman_filter = KalmanFilter.of(system(), present)
     states = kalman_filter.smooth(filled[:, None], [LOAD, LOAD_RATE, FORCE])[:, 0]
-    estimator = Estimator(kalman_filter.system, kalman_filter, np.ones((present.size, 1)), np.ones((present.size, 1)))
+    estimator = LinearSmoother(
+        kalman_filter.system, kalman_filter, np.ones((present.size, 1)), np.ones((present.size, 1))
+    )
     force, simulated = estimator.simulate(np.random.default_rng(1))
     deviation = np.sqrt(kalman_filter.gains.S[kalman_filter.gains.row])
     return [

@@ -9,7 +9,7 @@ from aerobalance.estimation.decoupled_record import load_felt
 from aerobalance.estimation.live.coupled import JUDGED, LiveCoupledForce
 from aerobalance.estimation.live.decoupling import MARGIN, LiveApart
 from aerobalance.estimation.live.platform import LivePlatform, Mounted
-from aerobalance.estimation.prior import Learned, Reading, generalised_least_squares
+from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.recording.components import COMPONENTS
@@ -141,10 +141,10 @@ def test_gap_spoils_its_surroundings_alone(rng):
     assert np.array_equal(found[: 1000 - MARGIN], whole[: 1000 - MARGIN])
 
 
-def process(*, rms: float, cutoff: float, noise: float) -> Learned:
+def process(*, rms: float, cutoff: float, noise: float) -> SpectralPrior:
     density = rms**2 / (2 * cutoff)
     spectrum = Spectrum(np.array([np.inf]), np.array([density]), (cutoff, 4.0, 1.0))
-    return Learned(spectrum, butterworth(2, cutoff=cutoff, density=density), noise)
+    return SpectralPrior(spectrum, butterworth(2, cutoff=cutoff, density=density), noise)
 
 
 def started(generator: np.random.Generator, **settings) -> tuple[CoupledBalance, LiveCoupledForce]:
@@ -187,7 +187,7 @@ def test_live_is_the_smoother_of_the_lone_reading(rng):
         learned = part._learning.learned
         for k in rng.integers(1500, 3900, 2):
             seen = reading[: k + part.lag + 1]
-            system = Reading(reading[: part.lag // 2], 1 / RATE, lone.dynamics).system(learned)
+            system = Observation(reading[: part.lag // 2], 1 / RATE, lone.dynamics).system(learned)
             filter_ = KalmanFilter.of(system, np.isfinite(seen))
             (size,), ((variance,),), _ = generalised_least_squares(filter_, seen, np.ones((seen.size, 1)))
             states, spread = filter_.smooth((seen - size)[:, None])[:, 0], filter_.smoothed_variance

@@ -7,7 +7,14 @@ from scipy.stats import multivariate_normal
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.prior import Learned, Reading, confirmed, generalised_least_squares, learn, log_likelihood
+from aerobalance.estimation.prior import (
+    Observation,
+    SpectralPrior,
+    fit_prior,
+    generalised_least_squares,
+    log_likelihood,
+    refine_edges,
+)
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
@@ -38,25 +45,25 @@ def smooth_reading(
     edge: float = 120.0,
     rms: float = 500.0,
     noise: float = 2.0,
-) -> Reading:
+) -> Observation:
     """Load felt under a smooth force, made on a clock 8 times as fast."""
     n = int(seconds * RATE)
     force = band_limited(generator, 8 * n, rate=8 * RATE, edge=edge, rms=rms)
     load = T128.load_felt(force, interval=1 / (8 * RATE))[::8]
-    return Reading(load + generator.normal(0, noise, n), 1 / RATE, T128)
+    return Observation(load + generator.normal(0, noise, n), 1 / RATE, T128)
 
 
-def released(generator: np.random.Generator, *, noise: float, instant: float, duration: float = 0.0) -> Reading:
+def released(generator: np.random.Generator, *, noise: float, instant: float, duration: float = 0.0) -> Observation:
     rig = CableCut(release=instant, release_duration=duration, sensors={"AF": Sensor(noise=noise)})
     record = rig.run(3.0, generator).recording
-    return Reading(record.channel("AF").values, 1 / RATE, T128)
+    return Observation(record.channel("AF").values, 1 / RATE, T128)
 
 
-def first_order(corner: float, level: float, noise: float) -> Learned:
+def first_order(corner: float, level: float, noise: float) -> SpectralPrior:
     """A force of spectrum level / (1 + (f / corner)^2), its shaping filter written down by hand."""
     rate = 2 * np.pi * corner
     spectrum = Spectrum(np.array([np.inf]), np.array([level]), (corner, 2.0, 1.0))
-    return Learned(spectrum, ShapingFilter(np.array([[-rate]]), np.array([rate * np.sqrt(level)])), noise)
+    return SpectralPrior(spectrum, ShapingFilter(np.array([[-rate]]), np.array([rate * np.sqrt(level)])), noise)
 
 
 @pytest.mark.parametrize("missing", [False, True])
@@ -65,7 +72,7 @@ def test_log_likelihood_is_the_dense_one_up_to_a_constant(missing, rng):
     values = rng.normal(0, 100, n)
     if missing:
         values[[0, 7, 8, 9, 30]] = np.nan
-    reading = Reading(values, 1 / RATE, T128)
+    reading = Observation(values, 1 / RATE, T128)
     present = np.flatnonzero(reading.present)
     columns = np.column_stack([np.ones(n), np.linspace(-1, 1, n)])
     found, dense = [], []
@@ -95,7 +102,7 @@ def test_log_likelihood_is_the_dense_one_up_to_a_constant(missing, rng):
 
 def test_generalised_least_squares_is_the_textbook_one(rng):
     n = 50
-    reading = Reading(rng.normal(0, 30, n), 1 / RATE, T128)
+    reading = Observation(rng.normal(0, 30, n), 1 / RATE, T128)
     system = reading.system(first_order(80.0, 5.0, 3.0))
     filter_ = KalmanFilter.of(system, reading.present)
     X = rng.normal(size=(n, 3))
@@ -111,7 +118,7 @@ def test_generalised_least_squares_is_the_textbook_one(rng):
 
 def test_noise_and_band_are_learned(rng):
     reading = smooth_reading(rng)
-    learned = learn(reading, columns=np.ones((reading.values.size, 1)))
+    learned = fit_prior(reading, columns=np.ones((reading.values.size, 1)))
     # 85 % of 8000 samples' bandwidth carries noise alone, seen through a window worth half of it:
     # relative error 1 / sqrt(2 * 6800 / 1.94) = 1.2 %; 5 of these.
     assert learned.noise == pytest.approx(2.0, rel=0.06)
@@ -126,13 +133,13 @@ def test_noise_and_band_are_learned(rng):
 
 def test_given_noise_is_kept(rng):
     reading = smooth_reading(rng, seconds=2.0)
-    given = Reading(reading.values, reading.interval, T128, noise=2.0)
-    assert learn(given, columns=np.ones((given.values.size, 1))).noise == pytest.approx(2.0, rel=1e-12)
+    given = Observation(reading.values, reading.interval, T128, noise=2.0)
+    assert fit_prior(given, columns=np.ones((given.values.size, 1))).noise == pytest.approx(2.0, rel=1e-12)
 
 
 def test_no_force_is_learned_where_none_fluctuates(rng):
-    reading = Reading(100 + rng.normal(0, 3.0, 4000), 1 / RATE, T128)
-    learned = learn(reading, columns=np.ones((4000, 1)))
+    reading = Observation(100 + rng.normal(0, 3.0, 4000), 1 / RATE, T128)
+    learned = fit_prior(reading, columns=np.ones((4000, 1)))
     assert not learned.spectrum.levels.any()
     # relative error of a standard deviation through the window: 1 / sqrt(2 * 4000 / 1.94) = 1.6 %; 5 of these
     assert learned.noise == pytest.approx(3.0, rel=0.08)
@@ -141,11 +148,11 @@ def test_no_force_is_learned_where_none_fluctuates(rng):
 def test_what_was_learned_does_not_hang_on_missing_readings(rng):
     reading = smooth_reading(rng)
     columns = np.ones((reading.values.size, 1))
-    whole = learn(reading, columns=columns)
+    whole = fit_prior(reading, columns=columns)
     values = reading.values.copy()
     values[rng.choice(values.size, 80, replace=False)] = np.nan
     values[4000:4040] = np.nan
-    some = learn(Reading(values, reading.interval, T128), columns=columns)
+    some = fit_prior(Observation(values, reading.interval, T128), columns=columns)
     # 1.5 % of the readings are replaced by their expectation, without noise: 1.5 % of its variance. The 40 samples in
     # a row are 3 periods at the edge, which the expectation bridges but for a part that is as smooth as the load.
     assert some.noise == pytest.approx(whole.noise, rel=0.05)
@@ -173,7 +180,7 @@ def test_smoother_with_a_learned_spectrum_is_the_gaussian_process(rng):
     covariance = toeplitz(of_load) + noise**2 * np.eye(n)
     across = toeplitz(ahead, behind)
     exact = across @ cho_solve(cho_factor(covariance), reading.values)
-    learned = learn(reading, columns=np.ones((n, 1)))
+    learned = fit_prior(reading, columns=np.ones((n, 1)))
     filter_ = KalmanFilter.of(reading.system(learned), reading.present)
     states, variance = filter_.smooth(reading.values[:, None])[:, 0], filter_.smoothed_variance
     inner = slice(n // 20, -n // 20)
@@ -229,7 +236,7 @@ def test_ramps_are_found(duration, rng):
 def test_two_steps_are_told_apart(rng):
     time = np.arange(4800) / RATE
     load = 700 * T128.step_response(time - 0.80011) - 300 * T128.step_response(time - 0.93007)
-    steps, _ = find_steps(Reading(load + rng.normal(0, 2, 4800), 1 / RATE, T128))
+    steps, _ = find_steps(Observation(load + rng.normal(0, 2, 4800), 1 / RATE, T128))
     assert len(steps) == 2, steps
     for step, (instant, height) in zip(steps, ((0.80011, 700), (0.93007, -300)), strict=True):
         assert abs(step.instant - instant) < 5 * step.instant_uncertainty, steps
@@ -242,7 +249,7 @@ def test_steps_near_the_ends_are_found_too(rng):
     time = np.arange(3200) / RATE
     true = [(0.28013, 300.0), (0.61029, -500.0), (1.20041, 800.0), (1.68007, -300.0)]
     load = sum(height * T128.step_response(time - instant) for instant, height in true)
-    steps, _ = find_steps(Reading(load + rng.normal(0, 2, time.size), 1 / RATE, T128))
+    steps, _ = find_steps(Observation(load + rng.normal(0, 2, time.size), 1 / RATE, T128))
     assert len(steps) == len(true), steps
     for step, (instant, height) in zip(steps, true, strict=True):
         assert abs(step.instant - instant) < 5 * step.instant_uncertainty, steps
@@ -252,18 +259,18 @@ def test_steps_near_the_ends_are_found_too(rng):
 def test_edge_of_a_short_record_is_put_where_the_innovations_want_it(rng):
     reading = smooth_reading(rng, seconds=2.0, edge=30.0, noise=0.5)
     columns = np.ones((reading.values.size, 1))
-    learned = learn(reading, columns=columns)
+    learned = fit_prior(reading, columns=columns)
     edges = learned.spectrum.edges.copy()
     edges[0] = 29.0  # two ordinates too low, beyond anything the periodogram gives
     spectrum = Spectrum(edges, learned.spectrum.levels)
     rate, noise = 1 / reading.interval, learned.noise
     shaping = ShapingFilter.of_spectrum(lambda f: spectrum.density(f) + 1e-6 / (1 + (f / rate) ** 4), centre=29.0)
-    better = confirmed(reading, Learned(spectrum, shaping, noise), columns=columns)
+    better = refine_edges(reading, SpectralPrior(spectrum, shaping, noise), columns=columns)
     # the load is a sum of lines at multiples of 0.5 Hz up to 30 Hz; moves of half an ordinate and more bring it there
     assert 29.4 < better.spectrum.edges[0] < 31.1
     first, second = (
         log_likelihood(reading, KalmanFilter.of(reading.system(prior), reading.present), columns=columns)
-        for prior in (better, Learned(spectrum, shaping, noise))
+        for prior in (better, SpectralPrior(spectrum, shaping, noise))
     )
     assert first - second > 3
 
@@ -272,7 +279,7 @@ def test_steps_that_cancel_are_not_taken_up(rng):
     """A pair too high to be believed is one that the readings cannot tell apart."""
     time = np.arange(1600) / RATE
     load = 500 * T128.step_response(time - 0.5002) + 300 * T128.step_response(time - 0.5052)
-    reading = Reading(load + rng.normal(0, 10, time.size), 1 / RATE, T128)
+    reading = Observation(load + rng.normal(0, 10, time.size), 1 / RATE, T128)
     steps, _ = find_steps(reading)
     assert steps
     assert max(abs(step.height) for step in steps) < 10 * reading.swing, steps
@@ -285,10 +292,10 @@ def test_no_step_in_a_smooth_record(edge, rng):
 
 
 def test_no_step_in_noise(rng):
-    assert find_steps(Reading(rng.normal(0, 2, 3000), 1 / RATE, T128))[0] == []
+    assert find_steps(Observation(rng.normal(0, 2, 3000), 1 / RATE, T128))[0] == []
 
 
 def test_shape_of_a_step():
-    reading = Reading(np.zeros(8), 0.1, T128)
+    reading = Observation(np.zeros(8), 0.1, T128)
     assert shape_of(Step(0.25, 0.0), reading) == pytest.approx([0, 0, 0, 1, 1, 1, 1, 1])
     assert shape_of(Step(0.15, 0.2), reading) == pytest.approx([0, 0, 0.25, 0.75, 1, 1, 1, 1])

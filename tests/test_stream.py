@@ -8,7 +8,7 @@ from aerobalance.estimation.live.filter import false_alarm_evidence
 from aerobalance.estimation.live.health import wide_process
 from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.estimation.live.motion import LiveGround
-from aerobalance.estimation.prior import Learned, Reading, generalised_least_squares
+from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
@@ -24,22 +24,22 @@ RATE = 1600.0
 NOISE = 2.0
 
 
-def second_order(*, cutoff: float = 120.0, density: float = 500.0) -> Learned:
+def second_order(*, cutoff: float = 120.0, density: float = 500.0) -> SpectralPrior:
     """A process whose gain settles within a thousand samples."""
     spectrum = Spectrum(np.array([np.inf]), np.array([density]), (cutoff, 4.0, 1.0))
-    return Learned(spectrum, butterworth(2, cutoff=cutoff, density=density), NOISE)
+    return SpectralPrior(spectrum, butterworth(2, cutoff=cutoff, density=density), NOISE)
 
 
-def silent() -> Learned:
+def silent() -> SpectralPrior:
     """A force that does not fluctuate."""
-    return Learned(Spectrum(np.zeros(0), np.zeros(0)), ShapingFilter.silent(), NOISE)
+    return SpectralPrior(Spectrum(np.zeros(0), np.zeros(0)), ShapingFilter.silent(), NOISE)
 
 
 def drawn(
-    generator: np.random.Generator, n: int, *, learned: Learned, dynamics: Dynamics = T128, level: float = 300.0
+    generator: np.random.Generator, n: int, *, learned: SpectralPrior, dynamics: Dynamics = T128, level: float = 300.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Readings and force drawn from the model itself."""
-    system = Reading(np.zeros(1), 1 / RATE, dynamics).system(learned)
+    system = Observation(np.zeros(1), 1 / RATE, dynamics).system(learned)
     root = np.linalg.cholesky(
         system.process_noise + 1e-12 * np.trace(system.process_noise) * np.eye(len(system.initial))
     )
@@ -76,12 +76,12 @@ def streamed(live: LiveForce, readings: np.ndarray, sizes=(), **channels: np.nda
     return np.concatenate([p.force for p in parts]), np.concatenate([p.uncertainty for p in parts])
 
 
-def offline(live: LiveForce, learned: Learned, readings: np.ndarray, k: int) -> tuple[float, float]:
+def offline(live: LiveForce, learned: SpectralPrior, readings: np.ndarray, k: int) -> tuple[float, float]:
     """Force at sample k and its uncertainty by the whole-record smoother, from the readings up to k and the lag."""
     seen = readings[: k + live.lag + 1]
     # the swing that the start allows for is judged from the first half lag of readings
     finite = np.flatnonzero(np.isfinite(readings))[live.lag // 2 - 1]
-    system = Reading(readings[: finite + 1], 1 / RATE, live.dynamics).system(learned)
+    system = Observation(readings[: finite + 1], 1 / RATE, live.dynamics).system(learned)
     filter_ = KalmanFilter.of(system, np.isfinite(seen))
     filled, one = np.where(np.isfinite(seen), seen, 0.0), np.ones(seen.size)
     (size,), ((variance,),), _ = generalised_least_squares(filter_, filled, one[:, None])
@@ -153,7 +153,7 @@ def test_chunks_do_not_matter(what, rng):
 
 def test_wide_process_is_that_of_its_spectrum(rng):
     readings = rng.normal(0, NOISE, 60)
-    wide = wide_process(Reading(readings, 1 / RATE, T128), frequency=T128.natural_frequency)
+    wide = wide_process(Observation(readings, 1 / RATE, T128), frequency=T128.natural_frequency)
     edge = 1.5 * T128.natural_frequency
     frequency = np.linspace(0.01, 1.5, 200) * edge
     # the shaping filter moves edges outward by 0.7 % in frequency, of which the 16th power makes 12 %
@@ -274,7 +274,9 @@ def test_a_load_that_sets_in_after_quiet_is_followed(rng):
     rise = np.clip((time - 1.5) / 0.1, 0, 1)
     readings = T128.load_felt(truth * rise, interval=1 / RATE) + rng.normal(0, NOISE, 4800)
     live = LiveForce(
-        T128, interval=1 / RATE, learned=Learned(Spectrum(np.zeros(0), np.zeros(0)), ShapingFilter.silent(), NOISE)
+        T128,
+        interval=1 / RATE,
+        learned=SpectralPrior(Spectrum(np.zeros(0), np.zeros(0)), ShapingFilter.silent(), NOISE),
     )
     force, _ = streamed(live, readings)
     # what was given at first is given up: a wide band, or learned again since

@@ -9,8 +9,8 @@ import pytest
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.force_smoother import Estimator, Smoothed
-from aerobalance.estimation.prior import Learned
+from aerobalance.estimation.force_smoother import LinearSmoother, SmootherResult
+from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.record import Job
 from aerobalance.estimation.result import ComponentForce, with_balance
 from aerobalance.motion.single_axis import GroundMotion
@@ -64,7 +64,7 @@ def made(values: np.ndarray, *contributions, smoothed=False) -> ComponentForce:
 
 
 @cache
-def prior() -> Learned:
+def prior() -> SpectralPrior:
     """Any prior: it marks an estimate as the smoother's."""
     learned = estimate_force(run(np.random.default_rng(1)), T128).only.learned
     assert learned is not None
@@ -269,8 +269,8 @@ def test_the_fast_estimator_is_the_obvious_one(rng):
     reading = Job.of(given, T128, GroundMotion.of(given, "AF")).reading()
     estimate = estimate_force(given, T128).only
     assert len(estimate.steps) == 1
-    obvious = Smoothed.of(reading, learned=estimate.learned, steps=estimate.steps)
-    fast = Estimator.of(reading, learned=estimate.learned, steps=estimate.steps)
+    obvious = SmootherResult.of(reading, learned=estimate.learned, steps=estimate.steps)
+    fast = LinearSmoother.of(reading, learned=estimate.learned, steps=estimate.steps)
     size = np.ptp(obvious.force)
     left = reading.filled - obvious.columns @ obvious.sizes
     assert fast.smooth(left[:, None])[:, 0] == pytest.approx(obvious.states[:, 2], abs=1e-9 * size)
@@ -283,7 +283,7 @@ def test_simulated_readings_are_those_of_the_model(rng):
     given = run(rng, count=4000)
     estimate = estimate_force(given, T128).only
     reading = Job.of(given, T128, GroundMotion.of(given, "AF")).reading()
-    estimator = Estimator.of(reading, learned=estimate.learned, steps=())
+    estimator = LinearSmoother.of(reading, learned=estimate.learned, steps=())
     _, simulated = estimator.simulate(rng)
     white = estimator.filter.whiten(simulated[:, None])[:, 0]
     # innovations over their standard deviation: 4000 of variance 1; 5 standard deviations

@@ -14,7 +14,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.decoupled_record import load_felt
 from aerobalance.estimation.live.coupled import LiveCoupledForce
 from aerobalance.estimation.live.live_force import LiveForce
-from aerobalance.estimation.prior import Learned, Reading, learn
+from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
 from aerobalance.simulation import CableCut, Sensor
@@ -26,10 +26,10 @@ LEARNING = {1600.0: 20.0, 25_000.0: 4.0}
 """Seconds that the process is learned from, by sampling rate."""
 
 
-def learned_first(readings: Array, dynamics: Dynamics, *, rate: float) -> tuple[Learned, Array, int]:
+def learned_first(readings: Array, dynamics: Dynamics, *, rate: float) -> tuple[SpectralPrior, Array, int]:
     """The process from the first part of a record, the readings of the rest, and where it begins."""
     begin = round(LEARNING[rate] * rate)
-    process = learn(Reading(readings[:begin], 1 / rate, dynamics), columns=np.ones((begin, 1)))
+    process = fit_prior(Observation(readings[:begin], 1 / rate, dynamics), columns=np.ones((begin, 1)))
     return process, readings[begin:], begin
 
 

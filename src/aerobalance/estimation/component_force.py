@@ -12,8 +12,8 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from aerobalance.estimation.direct import band_limited, central_differences
-from aerobalance.estimation.force_smoother import Apart, Estimator, Smoothed, taken_apart
-from aerobalance.estimation.prior import Learned, Reading
+from aerobalance.estimation.force_smoother import LinearSmoother, SignalModel, SmootherResult, fit_signal_model
+from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import Job
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.line_noise import Hum, Line
@@ -107,8 +107,8 @@ class Fitted:
 
     job: Job
     hum: Hum
-    apart: Apart
-    smoothed: Smoothed
+    apart: SignalModel
+    smoothed: SmootherResult
 
     @classmethod
     def of(cls, job: Job, *, hum: Hum) -> Fitted:
@@ -120,8 +120,8 @@ class Fitted:
             The balance is not in the range that can be calculated with, or the noise has another sampling rate.
         """
         _check(job)
-        apart = taken_apart(_with_noise(job), hum=hum)
-        return cls(job, hum, apart, Smoothed.of(apart.reading, learned=apart.learned, steps=apart.steps))
+        apart = fit_signal_model(_with_noise(job), hum=hum)
+        return cls(job, hum, apart, SmootherResult.of(apart.reading, learned=apart.learned, steps=apart.steps))
 
     def estimate(self) -> ComponentForce:
         """The force with its uncertainty; says what is doubtful about it."""
@@ -146,7 +146,7 @@ class Fitted:
 
         def again(other: Job) -> Array:
             changed = other.reading(hum=reading.hum)
-            return Estimator.of(changed, learned=learned, steps=steps).run(changed.filled[:, None])[:, 0]
+            return LinearSmoother.of(changed, learned=learned, steps=steps).run(changed.filled[:, None])[:, 0]
 
         def moved(item: Unknown) -> Array:
             return -through(job.felt_under(item)[:, None])[:, 0]
@@ -172,7 +172,7 @@ class Fitted:
         )
 
 
-def _words_on_noise(job: Job, learned: Learned) -> str:
+def _words_on_noise(job: Job, learned: SpectralPrior) -> str:
     """What the noise of the readings is taken for, where that is said or seen."""
     if job.noise is not None:
         return f"; noise of the record of noise: {job.noise}"
@@ -187,7 +187,7 @@ def _doubt(job: Job, text: str) -> None:
     warn_quality(f"{job.recording.name}: {text}")
 
 
-def _with_noise(job: Job) -> Reading:
+def _with_noise(job: Job) -> Observation:
     """The reading with the noise that was given, unless its white part is not that of the run."""
     reading = job.reading()
     ratio = None if job.noise is None else departure_of(reading)
@@ -202,7 +202,7 @@ def _with_noise(job: Job) -> Reading:
     return replace(reading, noise=None)
 
 
-def _tell_of_faint(job: Job, learned: Learned) -> None:
+def _tell_of_faint(job: Job, learned: SpectralPrior) -> None:
     """Say that a force which is fainter than the noise may be noise with a color."""
     frequency = np.linspace(0, 0.5 / job.interval, FREQUENCIES)[1:]
     felt = np.abs(job.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
@@ -267,7 +267,7 @@ def _unexplained(job: Job, white: Array) -> Array:
     return np.repeat(raised, [block.size for block in blocks])
 
 
-def _resolved_bandwidth(reading: Reading, learned: Learned) -> float:
+def _resolved_bandwidth(reading: Observation, learned: SpectralPrior) -> float:
     """Frequency up to which the force is stronger in the reading than the noise [Hz]; 0 if it is nowhere."""
     frequency = np.linspace(0, 0.5 / reading.interval, FREQUENCIES)[1:]
     transfer = np.abs(reading.dynamics.response(frequency)) ** 2

@@ -27,7 +27,7 @@ from scipy.signal import oaconvolve
 
 from aerobalance.dynamics.decoupling import LoneComponent
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.prior import BESIDE_A_GAP, Learned, Reading
+from aerobalance.estimation.prior import BESIDE_A_GAP, Observation, SpectralPrior
 from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
 from aerobalance.estimation.spectra.periodogram import Periodogram
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
@@ -148,7 +148,7 @@ class NoiseMatrix:
     def of(
         cls,
         lones: Sequence[LoneComponent],
-        learned: Sequence[Learned],
+        learned: Sequence[SpectralPrior],
         *,
         interval: float,
         noise: Array,
@@ -268,7 +268,7 @@ def shared_noise(
     )
 
 
-def as_expected(reading: Reading, before: Learned) -> bool:
+def as_expected(reading: Observation, before: SpectralPrior) -> bool:
     """Whether a reading with noise taken off has no more of it than is said, where its force shows nothing.
 
     It has where readings were shifted by parts of a sample, which weakens noise near half the sampling rate, or where

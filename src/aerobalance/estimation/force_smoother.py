@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import norm
 
 from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
-from aerobalance.estimation.prior import Learned, Reading, generalised_least_squares
+from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
 from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_lines, hum_lines
 from aerobalance.estimation.spectra.noise_floor import Floor, floor_of
 from aerobalance.estimation.statespace import _kernels
@@ -36,7 +36,7 @@ SHIFT: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Apart:
+class SignalModel:
     """What a record is made of.
 
     Attributes
@@ -55,15 +55,15 @@ class Apart:
         What may be a color of the noise, far above the natural frequency; None if there is nothing.
     """
 
-    reading: Reading
+    reading: Observation
     steps: list[Step]
-    learned: Learned
+    learned: SpectralPrior
     hum: tuple[Line, ...]
     large: tuple[Line, ...]
     floor: Floor | None = None
 
 
-def taken_apart(reading: Reading, *, hum: Hum) -> Apart:
+def fit_signal_model(reading: Observation, *, hum: Hum) -> SignalModel:
     """Find hum, steps and prior of a record.
 
     Steps ring over a wide band and hide weak lines, so the lines are looked for again when the steps are known. A
@@ -87,10 +87,10 @@ def taken_apart(reading: Reading, *, hum: Hum) -> Apart:
     if floor is not None and floor.color is not None:
         named = replace(named, color=floor.color)
         steps, learned = find_steps(named)
-    return Apart(named, steps, learned, lines, large, floor)
+    return SignalModel(named, steps, learned, lines, large, floor)
 
 
-def _hum_of(reading: Reading, values: Array, hum: Hum) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
+def _hum_of(reading: Observation, values: Array, hum: Hum) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
     """Lines of hum, and lines of the mains that are too large for it: a drive at 50 or 60 Hz is what is recorded."""
     lines = hum_lines(values, reading.interval, hum=hum)
     largest = LARGEST_HUM * float(np.nanmax(reading.values) - np.nanmin(reading.values)) / 2
@@ -100,7 +100,7 @@ def _hum_of(reading: Reading, values: Array, hum: Hum) -> tuple[tuple[Line, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Smoothed:
+class SmootherResult:
     """What the smoother makes of a reading with a given prior and given steps.
 
     Attributes
@@ -125,8 +125,8 @@ class Smoothed:
         Variance of that force, the sizes taken as known, shape (n,) [N^2].
     """
 
-    reading: Reading
-    learned: Learned
+    reading: Observation
+    learned: SpectralPrior
     steps: tuple[Step, ...]
     filter: KalmanFilter
     columns: Array
@@ -136,7 +136,7 @@ class Smoothed:
     variance: Array
 
     @classmethod
-    def of(cls, reading: Reading, *, learned: Learned, steps: Sequence[Step]) -> Smoothed:
+    def of(cls, reading: Observation, *, learned: SpectralPrior, steps: Sequence[Step]) -> SmootherResult:
         """Smooth a reading."""
         filter_ = KalmanFilter.of(reading.system(learned), reading.present)
         columns = columns_of(list(steps), reading)
@@ -169,10 +169,12 @@ class Smoothed:
         )
 
     @property
-    def estimator(self) -> Estimator:
+    def estimator(self) -> LinearSmoother:
         """The estimator that gave it."""
         heights = [step.height for step in self.steps]
-        return Estimator(self.filter.system, self.filter, *instant_columns(self.reading, self.steps, heights=heights))
+        return LinearSmoother(
+            self.filter.system, self.filter, *instant_columns(self.reading, self.steps, heights=heights)
+        )
 
     @property
     def innovations(self) -> Array:
@@ -233,7 +235,7 @@ class Smoothed:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimator:
+class LinearSmoother:
     """The smoother with prior and steps given, run on several series at once.
 
     Attributes
@@ -250,7 +252,7 @@ class Estimator:
     forms: Array
 
     @classmethod
-    def of(cls, reading: Reading, *, learned: Learned, steps: Sequence[Step]) -> Estimator:
+    def of(cls, reading: Observation, *, learned: SpectralPrior, steps: Sequence[Step]) -> LinearSmoother:
         """Make the estimator for a reading; the heights of the steps are those found before."""
         system = reading.system(learned)
         columns, forms = instant_columns(reading, steps, heights=[step.height for step in steps])
@@ -303,7 +305,7 @@ def _root(covariance: Array) -> Array:
 
 
 def instant_columns(
-    reading: Reading, steps: Sequence[Step], *, heights: Sequence[float] | Array
+    reading: Observation, steps: Sequence[Step], *, heights: Sequence[float] | Array
 ) -> tuple[Array, Array]:
     """Load felt under the constant, under every step of 1 N and under a later instant of every step, and their forces.
 
@@ -334,7 +336,7 @@ def instant_columns(
 
 
 def _error_spectra(
-    reading: Reading, learned: Learned, *, factor: float, only: int | None = None
+    reading: Observation, learned: SpectralPrior, *, factor: float, only: int | None = None
 ) -> tuple[Array, Array]:
     """Spectrum of the force's error, S_F N / (S_F + N), shared out over the two noises that make up N.
 

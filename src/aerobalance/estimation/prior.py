@@ -37,7 +37,7 @@ BESIDE_A_GAP: Final = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Learned:
+class SpectralPrior:
     """The process that the force is taken for, and the noise, that go with a record.
 
     Attributes
@@ -66,7 +66,7 @@ class Learned:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reading:
+class Observation:
     """One component's record as the estimator takes it.
 
     Attributes
@@ -115,7 +115,7 @@ class Reading:
         """Noise below which double precision cannot tell a reading from its prediction [N]."""
         return 1e-7 * float(np.nanmax(np.abs(self.values))) + 1e-60
 
-    def system(self, learned: Learned) -> StateSpace:
+    def system(self, learned: SpectralPrior) -> StateSpace:
         """The state space of this reading with what was learned."""
         return StateSpace.of_balance(
             self.dynamics,
@@ -128,7 +128,7 @@ class Reading:
         )
 
 
-def learn(reading: Reading, *, columns: Array, before: Learned | None = None) -> Learned:
+def fit_prior(reading: Observation, *, columns: Array, before: SpectralPrior | None = None) -> SpectralPrior:
     """Find the spectrum of the force and the noise that make the readings most likely.
 
     Known shapes are taken out first by plain, then by generalised least squares; missing readings are bridged first by
@@ -156,7 +156,7 @@ def learn(reading: Reading, *, columns: Array, before: Learned | None = None) ->
     return learned if columns.shape[1] == 1 else _learned_beside(reading, learned, columns)
 
 
-def _learned_beside(reading: Reading, learned: Learned, columns: Array) -> Learned:
+def _learned_beside(reading: Observation, learned: SpectralPrior, columns: Array) -> SpectralPrior:
     """What is learned when the known shapes are taken out under a prior, and gaps bridged by its smoother."""
     present = reading.present
     filter_ = KalmanFilter.of(reading.system(learned), present)
@@ -167,7 +167,7 @@ def _learned_beside(reading: Reading, learned: Learned, columns: Array) -> Learn
     return _learn(reading, left)
 
 
-def confirmed(reading: Reading, learned: Learned, *, columns: Array) -> Learned:
+def refine_edges(reading: Observation, learned: SpectralPrior, *, columns: Array) -> SpectralPrior:
     """The same with the edges of its spectrum where the innovations want them.
 
     Of a short record the periodogram shows an edge to a good ordinate only, but its readings tell much better: a load
@@ -199,7 +199,7 @@ def confirmed(reading: Reading, learned: Learned, *, columns: Array) -> Learned:
     return learned
 
 
-def _widened(reading: Reading, learned: Learned, *, place: int, width: float) -> Learned:
+def _widened(reading: Observation, learned: SpectralPrior, *, place: int, width: float) -> SpectralPrior:
     """The same with one edge moved into the fainter of its two segments, or to the end of it."""
     edges, levels = learned.spectrum.edges.copy(), learned.spectrum.levels
     if levels[place] > levels[place + 1]:
@@ -210,7 +210,7 @@ def _widened(reading: Reading, learned: Learned, *, place: int, width: float) ->
     return replace(learned, spectrum=spectrum, shaping=_shaped(reading, spectrum, learned.noise**2 * reading.interval))
 
 
-def _learn(reading: Reading, values: Array) -> Learned:
+def _learn(reading: Observation, values: Array) -> SpectralPrior:
     """The answer from readings without gaps and known shapes; what bridges a gap has no noise."""
     interval, share = reading.interval, share_seen(reading.present)
     color = reading.color
@@ -228,10 +228,10 @@ def _learn(reading: Reading, values: Array) -> Learned:
     )
     density = fit.noise_density / share
     shaping = _shaped(reading, fit.spectrum, density)
-    return Learned(fit.spectrum, shaping, float(np.sqrt(density / interval)), color)
+    return SpectralPrior(fit.spectrum, shaping, float(np.sqrt(density / interval)), color)
 
 
-def _shaped(reading: Reading, spectrum: Spectrum, noise_density: float) -> ShapingFilter:
+def _shaped(reading: Observation, spectrum: Spectrum, noise_density: float) -> ShapingFilter:
     """The shaping filter of a spectrum, over a background so faint that the noise hides it."""
     highest = 0.5 / reading.interval
     frequency = np.linspace(0, highest, 8193)[1:]
@@ -272,11 +272,11 @@ def generalised_least_squares(filter_: KalmanFilter, readings: Array, columns: A
     return solution / scale, covariance, float(residual @ residual)
 
 
-def _filter(reading: Reading, learned: Learned) -> KalmanFilter:
+def _filter(reading: Observation, learned: SpectralPrior) -> KalmanFilter:
     return KalmanFilter.of(reading.system(learned), reading.present)
 
 
-def log_likelihood(reading: Reading, filter_: KalmanFilter, *, columns: Array) -> float:
+def log_likelihood(reading: Observation, filter_: KalmanFilter, *, columns: Array) -> float:
     """Logarithm of the likelihood of a filter's innovations, the sizes of the columns at their best."""
     *_, squares = generalised_least_squares(filter_, reading.filled, columns)
     return -0.5 * (filter_.log_determinant + squares)

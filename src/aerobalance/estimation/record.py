@@ -12,7 +12,7 @@ from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.error_sources import Contribution, Systematic, total_deviation
-from aerobalance.estimation.prior import Reading
+from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.single_axis import GroundMotion, Unknown, load_from_ground
@@ -85,14 +85,14 @@ class Job:
         names = [name for name in given if name in self.recording]
         return " and ".join(names) or "ground_acceleration"
 
-    def reading(self, *, hum: tuple[float, ...] = ()) -> Reading:
+    def reading(self, *, hum: tuple[float, ...] = ()) -> Observation:
         """The record as the estimator takes it: the load that the ground's motion has put on it is taken off.
 
         Hum is named by its frequencies [Hz] and left in; readings that rest on a limit count as missing.
         """
         channel, d = self.recording.channel(self.dynamics.component), self.dynamics
         from_ground = load_from_ground(self.motion, d, rate=self.recording.rate, load_delay=channel.delay)
-        reading = Reading(
+        reading = Observation(
             values=np.where(channel.at_limit, np.nan, channel.values - from_ground),
             interval=self.interval,
             dynamics=d,

@@ -8,7 +8,7 @@ import numpy as np
 
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
-from aerobalance.estimation.prior import Learned
+from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.spectra.line_noise import Line
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
@@ -62,7 +62,7 @@ class ComponentForce:
     assumptions: tuple[str, ...] = ()
     budget: dict[str, float] = field(default_factory=dict)
     contributions: tuple[Contribution, ...] = ()
-    learned: Learned | None = None
+    learned: SpectralPrior | None = None
     shared: SharedNoise | None = None
 
 

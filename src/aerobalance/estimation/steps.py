@@ -20,7 +20,14 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 from scipy.signal import fftconvolve
 
-from aerobalance.estimation.prior import Learned, Reading, confirmed, generalised_least_squares, learn, log_likelihood
+from aerobalance.estimation.prior import (
+    Observation,
+    SpectralPrior,
+    fit_prior,
+    generalised_least_squares,
+    log_likelihood,
+    refine_edges,
+)
 from aerobalance.estimation.spectra.line_noise import columns_of_lines
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import KalmanFilter
@@ -123,13 +130,13 @@ class Step:
     evidence: float = 0.0
 
 
-def response_to(step: Step, reading: Reading) -> Array:
+def response_to(step: Step, reading: Observation) -> Array:
     """Return the load felt after a step of 1 N, shape (n,) [1]."""
     time = np.arange(reading.values.size) * reading.interval - step.instant
     return reading.dynamics.step_response(time, duration=step.duration)
 
 
-def shape_of(step: Step, reading: Reading) -> Array:
+def shape_of(step: Step, reading: Observation) -> Array:
     """Return the force of a step of 1 N, shape (n,) [1]: 0 before, 1 after, and a straight line between."""
     time = np.arange(reading.values.size) * reading.interval - step.instant
     if step.duration <= 0:
@@ -137,14 +144,14 @@ def shape_of(step: Step, reading: Reading) -> Array:
     return np.clip(time / step.duration, 0.0, 1.0)
 
 
-def columns_of(steps: list[Step], reading: Reading) -> Array:
+def columns_of(steps: list[Step], reading: Observation) -> Array:
     """Return the constant, the response to every step, and sine and cosine of hum, shape (n, 1 + steps + 2 lines)."""
     count = reading.values.size
     lines = columns_of_lines(reading.hum, count=count, interval=reading.interval)
     return np.column_stack([np.ones(count), *(response_to(step, reading) for step in steps), lines])
 
 
-def find_steps(reading: Reading) -> tuple[list[Step], Learned]:
+def find_steps(reading: Observation) -> tuple[list[Step], SpectralPrior]:
     """Return the steps of a record in the order of time, and the spectral prior of the force without them.
 
     Steps are found one at a time: the likeliest instant is proposed by a matched filter, located between samples, and
@@ -152,7 +159,7 @@ def find_steps(reading: Reading) -> tuple[list[Step], Learned]:
     """
     steps: list[Step] = []
     columns = columns_of(steps, reading)
-    learned = confirmed(reading, learn(reading, columns=columns), columns=columns)
+    learned = refine_edges(reading, fit_prior(reading, columns=columns), columns=columns)
     faint = 0
     while len(steps) < SETTINGS.most_steps:
         found = _propose_step(reading, learned, steps, prior=learned)
@@ -174,11 +181,11 @@ def find_steps(reading: Reading) -> tuple[list[Step], Learned]:
                 "steps and stays in the force, and smaller steps of the record are not looked for any more; identify "
                 "the dynamics again"
             )
-            return sound, learn(reading, columns=columns_of(sound, reading))
+            return sound, fit_prior(reading, columns=columns_of(sound, reading))
     return sorted(steps, key=lambda step: step.instant), learned
 
 
-def _without_model_errors(steps: list[Step], reading: Reading) -> list[Step]:
+def _without_model_errors(steps: list[Step], reading: Observation) -> list[Step]:
     """Return the steps without those that only correct a wrong model in the response to a larger one, if many do.
 
     Otherwise the search would go on for as long as the response lasts.
@@ -197,15 +204,15 @@ def _without_model_errors(steps: list[Step], reading: Reading) -> list[Step]:
     return ordered
 
 
-def _ringing_time(reading: Reading) -> float:
+def _ringing_time(reading: Observation) -> float:
     """Return the time after which the response to a step has ended [s]."""
     slowest = min(mode.damping_ratio * mode.angular_frequency for mode in reading.dynamics.modes)
     return SETTINGS.decay_times / max(slowest, 1e-300)
 
 
 def _propose_step(
-    reading: Reading, learned: Learned, steps: list[Step], *, prior: Learned
-) -> tuple[list[Step], Learned] | None:
+    reading: Observation, learned: SpectralPrior, steps: list[Step], *, prior: SpectralPrior
+) -> tuple[list[Step], SpectralPrior] | None:
     """Return the steps with the likeliest further one under a prior, and the new prior; None if there is no other."""
     candidate, promise = _matched_filter_scan(reading, prior, columns_of(steps, reading))
     if promise < _evidence_threshold(reading):
@@ -213,12 +220,12 @@ def _propose_step(
     return _accept_step(reading, learned, _relocate(reading, prior, [*steps, candidate]))
 
 
-def _without_force(learned: Learned) -> Learned:
+def _without_force(learned: SpectralPrior) -> SpectralPrior:
     """Return a prior with the same noise and a force that does not fluctuate."""
     return replace(learned, spectrum=Spectrum(np.zeros(0), np.zeros(0)), shaping=ShapingFilter.silent())
 
 
-def _is_faint(reading: Reading, learned: Learned, *, beside: float = 0.0) -> bool:
+def _is_faint(reading: Observation, learned: SpectralPrior, *, beside: float = 0.0) -> bool:
     """Return whether the force of a prior has a smaller rms in the observations than their noise, or than a size [N].
 
     It may be the remainder of a step that was fitted wrongly: a ramp for two steps, or a step for a ramp.
@@ -228,20 +235,20 @@ def _is_faint(reading: Reading, learned: Learned, *, beside: float = 0.0) -> boo
     return bool(0 < float(np.mean(load)) < max(learned.noise, beside) ** 2 * reading.interval)
 
 
-def _evidence_threshold(reading: Reading) -> float:
+def _evidence_threshold(reading: Observation) -> float:
     """Return the gain in twice the log-likelihood for which a step is accepted: the largest of n grows as 2 log n."""
     return SETTINGS.evidence + 2 * float(np.log(max(reading.values.size / SETTINGS.instants, 1.0)))
 
 
 def _accept_step(
-    reading: Reading, learned: Learned, settled: tuple[list[Step], Learned]
-) -> tuple[list[Step], Learned] | None:
+    reading: Observation, learned: SpectralPrior, settled: tuple[list[Step], SpectralPrior]
+) -> tuple[list[Step], SpectralPrior] | None:
     """Return the steps with the one located last, and the prior; None if it does not bring the evidence."""
     trial, relearned = settled
     steps = trial[:-1]
     if max(abs(step.height) for step in trial) > SETTINGS.highest * reading.swing:
         return None
-    relearned = confirmed(reading, relearned, columns=columns_of(trial, reading))
+    relearned = refine_edges(reading, relearned, columns=columns_of(trial, reading))
     # each prior was learned from a periodogram, which hardly sees what happens near the ends of the record
     priors = (learned, relearned)
     (without, _), (with_it, better) = _most_likely_priors(reading, priors, steps, trial)
@@ -252,8 +259,8 @@ def _accept_step(
 
 
 def _most_likely_priors(
-    reading: Reading, priors: tuple[Learned, ...], *readings: list[Step]
-) -> list[tuple[float, Learned]]:
+    reading: Observation, priors: tuple[SpectralPrior, ...], *readings: list[Step]
+) -> list[tuple[float, SpectralPrior]]:
     """Return the largest log-likelihood of each set of steps, and the prior under which it is reached."""
     filters = [KalmanFilter.of(reading.system(prior), reading.present) for prior in priors]
     found = []
@@ -265,7 +272,7 @@ def _most_likely_priors(
     return found
 
 
-def _relocate(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list[Step], Learned]:
+def _relocate(reading: Observation, learned: SpectralPrior, steps: list[Step]) -> tuple[list[Step], SpectralPrior]:
     """Locate the last step with the prior, fit the prior again without that step, and so on until neither changes."""
     for turn in range(5):
         last, placed = steps[-1], [step.instant for step in steps]
@@ -281,14 +288,14 @@ def _relocate(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[li
             steps = _joint_gauss_newton(reading, learned, steps)
         # the same prior would leave a part of the step in the next one
         before = learned if turn > 0 else None
-        learned = learn(reading, columns=columns_of(steps, reading), before=before)
+        learned = fit_prior(reading, columns=columns_of(steps, reading), before=before)
         moved = max(abs(step.instant - instant) for step, instant in zip(steps, placed, strict=True))
         if turn > 0 and moved < 0.01 * reading.interval:  # an earlier one may still be displaced by this one
             break
     return (steps, learned) if steps[-1].duration > 0 else _test_ramp(reading, learned, steps)
 
 
-def _test_ramp(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[list[Step], Learned]:
+def _test_ramp(reading: Observation, learned: SpectralPrior, steps: list[Step]) -> tuple[list[Step], SpectralPrior]:
     """Return the same or, if that is more likely, steps and prior with a duration for the last step.
 
     If a ramp was fitted as a sudden step, the prior explains the remainder as a fluctuating force, and nothing is left
@@ -298,9 +305,9 @@ def _test_ramp(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[l
     if ramp.duration == 0:
         return steps, learned
     trial = [*steps[:-1], ramp]
-    relearned = learn(reading, columns=columns_of(trial, reading))
+    relearned = fit_prior(reading, columns=columns_of(trial, reading))
     trial = _joint_gauss_newton(reading, relearned, trial)
-    relearned = learn(reading, columns=columns_of(trial, reading), before=relearned)
+    relearned = fit_prior(reading, columns=columns_of(trial, reading), before=relearned)
     priors = (learned, relearned)
     (sudden, _), (slow, better) = _most_likely_priors(reading, priors, steps, trial)
     if 2 * (slow - sudden) < SETTINGS.ramp_evidence:
@@ -311,7 +318,7 @@ def _test_ramp(reading: Reading, learned: Learned, steps: list[Step]) -> tuple[l
     return (trial, better) if promise < _evidence_threshold(reading) else (steps, learned)
 
 
-def _refine_neighbours(reading: Reading, learned: Learned, steps: list[Step]) -> list[Step]:
+def _refine_neighbours(reading: Observation, learned: SpectralPrior, steps: list[Step]) -> list[Step]:
     """Return the steps with the neighbours of the last one refined: they were located while it was not yet known."""
     steps = list(steps)
     nearest = np.argsort([abs(step.instant - steps[-1].instant) for step in steps[:-1]])
@@ -322,7 +329,7 @@ def _refine_neighbours(reading: Reading, learned: Learned, steps: list[Step]) ->
     return steps
 
 
-def _joint_gauss_newton(reading: Reading, learned: Learned, steps: list[Step]) -> list[Step]:
+def _joint_gauss_newton(reading: Observation, learned: SpectralPrior, steps: list[Step]) -> list[Step]:
     """Return the steps, all instants and durations fitted together by Gauss-Newton iteration, with uncertainties."""
     filter_ = KalmanFilter.of(reading.system(learned), reading.present)
     small, most = 0.05 * reading.interval, 0.5 * reading.interval
@@ -358,14 +365,14 @@ def _joint_gauss_newton(reading: Reading, learned: Learned, steps: list[Step]) -
     return steps
 
 
-def _derivative(step: Step, reading: Reading, *, later: float = 0.0, longer: float = 0.0) -> Array:
+def _derivative(step: Step, reading: Observation, *, later: float = 0.0, longer: float = 0.0) -> Array:
     """Return the derivative of the response to a step with respect to instant or duration, shape (n,) [1/s]."""
     high = Step(step.instant + later, step.duration + longer)
     low = Step(step.instant - later, step.duration - longer)
     return (response_to(high, reading) - response_to(low, reading)) / (2 * (later + longer))
 
 
-def _matched_filter_scan(reading: Reading, learned: Learned, columns: Array) -> tuple[Step, float]:
+def _matched_filter_scan(reading: Observation, learned: SpectralPrior, columns: Array) -> tuple[Step, float]:
     """Return the likeliest further step, to a sample, and its gain in twice the log-likelihood [deJong1998]_."""
     filter_ = KalmanFilter.of(reading.system(learned), reading.present)
     series = filter_.whiten(np.column_stack([reading.filled, columns]))
@@ -385,7 +392,7 @@ def _matched_filter_scan(reading: Reading, learned: Learned, columns: Array) -> 
     return Step(instant=(place - 1) * reading.interval, duration=0.0), float(gain[place])
 
 
-def _refine_step(reading: Reading, learned: Learned, columns: Array, step: Step, *, ramps: bool) -> Step:
+def _refine_step(reading: Observation, learned: SpectralPrior, columns: Array, step: Step, *, ramps: bool) -> Step:
     """Return a step, located to a sample before, with instant, duration, height and their uncertainties."""
     count, interval = reading.values.size, reading.interval
     length = int(np.clip(2 * _ringing_time(reading) / interval, *SETTINGS.window))

@@ -29,8 +29,8 @@ from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.decoupled_record import LoneJob
 from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.force import Force, ForceRecord
-from aerobalance.estimation.force_smoother import Estimator
-from aerobalance.estimation.prior import Learned, Reading
+from aerobalance.estimation.force_smoother import LinearSmoother
+from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import Job
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import Step, shape_of
@@ -197,19 +197,19 @@ class _Trial:
         """Name of what the dynamics contribute."""
         return next(part.name for part in self.estimate.contributions if part.source == "dynamics")
 
-    def by_smoother(self, learned: Learned) -> Iterator[Mapping[str, Array]]:
+    def by_smoother(self, learned: SpectralPrior) -> Iterator[Mapping[str, Array]]:
         """Errors of the smoother's force by contribution, one draw after the other."""
         hum = tuple(line.frequency for line in self.estimate.hum)
         reading = self.job.reading(hum=hum)
         steps = self.estimate.steps
-        nominal = Estimator.of(reading, learned=learned, steps=steps)
+        nominal = LinearSmoother.of(reading, learned=learned, steps=steps)
         found = nominal.run(reading.filled[:, None])[:, 0]
         for job, others in zip(self.changed(self.generator), self.others(), strict=True):
             exact = job is self.job
             estimator, drawn = nominal, reading
             if not exact:
                 drawn = job.reading(hum=hum)
-                estimator = Estimator.of(drawn, learned=learned, steps=steps)
+                estimator = LinearSmoother.of(drawn, learned=learned, steps=steps)
             truth, simulated = estimator.simulate(self.generator)
             series = np.column_stack([drawn.filled, simulated, simulated])
             sizes = estimator.sizes(series)
@@ -259,7 +259,7 @@ class _Trial:
             }
 
 
-def _changed_sides(reading: Reading, steps: tuple[Step, ...], sizes: Array) -> Array:
+def _changed_sides(reading: Observation, steps: tuple[Step, ...], sizes: Array) -> Array:
     """Error of a pure step on samples between its true instant and the one found, shape (n,) [N]."""
     error = np.zeros(reading.values.size)
     for step, shift in zip(steps, sizes[1 + len(steps) : 1 + 2 * len(steps)], strict=True):

@@ -18,8 +18,8 @@ from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.component_force import estimated
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.force_smoother import Smoothed
-from aerobalance.estimation.prior import learn
+from aerobalance.estimation.force_smoother import SmootherResult
+from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.record import Job
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import columns_of
@@ -178,8 +178,8 @@ class _Component:
         """The smoother with the diagonals of the matrices; what they leave ringing would be taken for steps."""
         job = Job.of(recording, self.diagonal, GroundMotion.of(recording, self.name))
         reading = job.reading()
-        learned = learn(reading, columns=columns_of([], reading))
-        values = Smoothed.of(reading, learned=learned, steps=()).force
+        learned = fit_prior(reading, columns=columns_of([], reading))
+        values = SmootherResult.of(reading, learned=learned, steps=()).force
         words = f"smoother: {learned.spectrum}; no steps looked for: what the diagonal leaves ringing looks like many"
         return RivalEstimate(f"{THIS}, diagonal", values, words, f"no delay; {ONE_COMPONENT}")
 

@@ -16,7 +16,7 @@ import numpy as np
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.force import Force
-from aerobalance.estimation.prior import Reading
+from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.record import FEWEST_SAMPLES, Job
 from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
 from aerobalance.estimation.steps import Step, columns_of
@@ -179,7 +179,7 @@ def _peaks(job: Job, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]
     return [] if mode is None else [Peak(job.dynamics.component, mode.mode.natural_frequency, mode.u_frequency)]
 
 
-def _unbroken(job: Job, steps: Sequence[Step], hum: Sequence[Line]) -> tuple[Reading, list[Step]] | None:
+def _unbroken(job: Job, steps: Sequence[Step], hum: Sequence[Line]) -> tuple[Observation, list[Step]] | None:
     """The longest stretch of a reading without a gap, hum taken out, and the steps within; None where it is still."""
     reading = job.reading()
     lines = reading_of_lines(tuple(hum), count=reading.values.size, interval=reading.interval) if hum else 0.0
@@ -197,7 +197,7 @@ def _unbroken(job: Job, steps: Sequence[Step], hum: Sequence[Line]) -> tuple[Rea
     return replace(reading, values=values), within
 
 
-def _without_steps(reading: Reading, steps: Sequence[Step]) -> Array:
+def _without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
     """Reading less the mean, the steps and the free motion that explain it best, shape (n,)."""
     columns = columns_of(list(steps), reading)
     sizes, *_ = np.linalg.lstsq(columns, reading.values, rcond=None)

@@ -11,7 +11,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.live.coupled import LiveCoupledForce
 from aerobalance.estimation.live.health import Health, Learning, LiveEstimate, Snapshot
 from aerobalance.estimation.live.platform import LivePlatform, Mounted
-from aerobalance.estimation.prior import Learned
+from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.motion.sensors import sensor_kind
 from aerobalance.recording.channel import Array
@@ -54,7 +54,7 @@ class CoupledStream(Stream):
         self._specific = np.array([one.coupling == "dc" for one in sensors], dtype=np.bool_)
         angles = [columns.get(name) if dynamics.mass else None for name in ("pitch", "roll")]
         self._pitch, self._roll = angles
-        self._learned: dict[str, Learned] = {}
+        self._learned: dict[str, SpectralPrior] = {}
         self._noise: Array | None = None
         self._live: LiveCoupledForce | None = None
         loads = [columns[name] for name in dynamics.components]

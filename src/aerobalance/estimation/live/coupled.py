@@ -22,7 +22,7 @@ from aerobalance.estimation.live.decoupling import LiveApart
 from aerobalance.estimation.live.health import SHORTEST, Health, Learning, LiveEstimate, Snapshot
 from aerobalance.estimation.live.live_force import LAG_PERIODS, LiveForce
 from aerobalance.estimation.live.motion import Passed
-from aerobalance.estimation.prior import Learned
+from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
@@ -78,7 +78,7 @@ class LiveCoupledForce:
         dynamics: CoupledDynamics,
         *,
         interval: float,
-        learned: Mapping[str, Learned] | None = None,
+        learned: Mapping[str, SpectralPrior] | None = None,
         noise: Array | None = None,
         lag: float | None = None,
         limits: Mapping[str, float] | None = None,

@@ -12,7 +12,7 @@ from scipy.stats import gamma
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.live.filter import strange_square
-from aerobalance.estimation.prior import Learned, Reading
+from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.estimation.steps import Step, find_steps
@@ -142,7 +142,7 @@ class Learning:
         First sample and sample after the last.
     """
 
-    learned: Learned
+    learned: SpectralPrior
     steps: tuple[Step, ...]
     first: int
     stop: int
@@ -160,7 +160,7 @@ class Snapshot:
         Number of the first of them.
     """
 
-    reading: Reading
+    reading: Observation
     first: int
 
     def learn(self) -> Learning:
@@ -218,7 +218,7 @@ class Watch:
             self._tone, self._count = 0j, 0
 
 
-def wide_process(reading: Reading, *, frequency: float) -> Learned:
+def wide_process(reading: Observation, *, frequency: float) -> SpectralPrior:
     """A process that excludes no force in a band around a natural frequency [Hz], from a few readings."""
     present = reading.values[reading.present]
     # few readings may make the noise look smaller than it is
@@ -230,7 +230,7 @@ def wide_process(reading: Reading, *, frequency: float) -> Learned:
     level = rms**2 / (2 * edge)
     unit = _wide_shape()
     shaping = ShapingFilter(edge * unit.drift, edge * float(np.sqrt(level)) * unit.drive)
-    return Learned(_wide_spectrum(edge, level), shaping, noise)
+    return SpectralPrior(_wide_spectrum(edge, level), shaping, noise)
 
 
 def _wide_spectrum(edge: float, level: float) -> Spectrum:

@@ -28,7 +28,7 @@ from aerobalance.estimation.live.health import (
 )
 from aerobalance.estimation.live.motion import LiveReadings, RecentReadings
 from aerobalance.estimation.live.steps import STEP_LAGS, Followed, Following, place_step
-from aerobalance.estimation.prior import Learned, Reading
+from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
@@ -89,7 +89,7 @@ class LiveForce:
         dynamics: Dynamics,
         *,
         interval: float,
-        learned: Learned | None = None,
+        learned: SpectralPrior | None = None,
         noise: float | None = None,
         lag: float | None = None,
         limit: float = np.inf,
@@ -284,7 +284,7 @@ class LiveForce:
         """The filter of the process at hand; the readings tell how far the balance may swing when it starts."""
         if np.count_nonzero(np.isfinite(values)) < FEWEST:
             values = self._begin  # a long gap
-        reading = Reading(values, self.interval, self.dynamics, self._input_density, self._noise)
+        reading = Observation(values, self.interval, self.dynamics, self._input_density, self._noise)
         learned = self._learning.learned if self._learning else wide_process(reading, frequency=self._highest)
         later = (np.arange(SCAN_LAGS * self.lag) + 1) * self.interval
         live = LiveFilter(
@@ -357,7 +357,7 @@ class LiveForce:
             raise FitError(
                 f"{values.size} readings so far; learning the force's process needs at least {2 * SHORTEST}"
             )
-        return Snapshot(Reading(values, self.interval, self.dynamics, self._input_density, self._noise), first)
+        return Snapshot(Observation(values, self.interval, self.dynamics, self._input_density, self._noise), first)
 
     def adopt(self, learning: Learning) -> None:
         """Go on with a process that was learned; it holds for all samples that are not final yet.

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.signal.windows import hann
 
-from aerobalance.estimation.prior import Learned, Reading, learn
+from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
 from aerobalance.estimation.spectra.noise_record import Ordinates, cost_of, fitted, humps_of, model_of
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise
 from aerobalance.recording.channel import Array
@@ -91,7 +91,7 @@ class Floor:
         )
 
 
-def floor_of(reading: Reading, learned: Learned, *, left: Array) -> Floor | None:
+def floor_of(reading: Observation, learned: SpectralPrior, *, left: Array) -> Floor | None:
     """Look for a color in the floor of a record.
 
     Parameters
@@ -166,7 +166,7 @@ def lasts(left: Array, *, first: float, interval: float, noise: float) -> bool:
     return bool(middle - white > LASTING * (power.mean() - white) - 3 * scatter)
 
 
-def departure_of(reading: Reading) -> float | None:
+def departure_of(reading: Observation) -> float | None:
     """Power of a run's white noise over that of the noise that was given for it [1]; None where they agree.
 
     Where they do not, the noise of the run has to be learned from the run: if it were taken as given, what is beyond
@@ -175,13 +175,13 @@ def departure_of(reading: Reading) -> float | None:
     if reading.noise is None:
         return None
     count = reading.values.size
-    free = learn(replace(reading, noise=None), columns=np.ones((count, 1)))
+    free = fit_prior(replace(reading, noise=None), columns=np.ones((count, 1)))
     ratio = (free.noise / reading.noise) ** 2
     chance = float(np.sqrt(2 / np.count_nonzero(reading.present)))
     return None if abs(np.log(ratio)) < max(DEPARTURE, 6 * chance) else ratio
 
 
-def _likelier_color(reading: Reading, learned: Learned, *, left: Array, start: float) -> ColoredNoise | None:
+def _likelier_color(reading: Observation, learned: SpectralPrior, *, left: Array, start: float) -> ColoredNoise | None:
     """Humps of the noise that explain what is above a frequency [Hz] about as well as a force; None if none do."""
     seen = Ordinates.of(
         left, reading.dynamics, interval=reading.interval, input_density=reading.input_density, taper=1.0
