@@ -394,14 +394,6 @@ def wind_off_loads(
     return columns[0], columns[1]
 
 
-def smooth_variance(felt: Loads) -> Array:
-    """Mean variance of the loads from the coefficients of the matrix, the scatter of readings left out, shape (c,)."""
-    known = felt.native[np.isfinite(felt.native).all(axis=1)]
-    covariance = felt.balance.load_covariance(known[:: max(len(known) // 200, 1)], residual=False)
-    T = felt.transform
-    return np.asarray(np.einsum("ij,njk,ik->ni", T, covariance, T).mean(axis=0))
-
-
 def static_uncertainty(felt: Loads, *, forces: Mapping[str, Array]) -> dict[str, Array]:
     """Standard uncertainty that the calibration gives to static loads of the size of forces, by component.
 

@@ -8,7 +8,7 @@ coefficients: at every sample the terms times a sensitivity.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,6 +22,14 @@ from aerobalance.recording.linalg import symmetric_root
 
 ROWS: Final = 2048
 """Samples worked on at a time."""
+
+MISFIT_LENGTH: Final = 0.5
+"""Distance of two loads, over half of range, along which what the terms of a matrix cannot follow stays alike.
+
+Twelve random balances with products and absolute values of loads were calibrated with the terms of second order alone.
+With this length the rms of the error of a mass over its uncertainty was 0.9 in a pitch sweep (1.2 where it goes one
+way), with 1 it was 1.5, with 2 it was 2.1, and with nothing but the errors of the coefficients 2.6.
+"""
 
 
 class Part(NamedTuple):
@@ -79,6 +87,40 @@ class MatrixErrors:
                 x = np.ascontiguousarray(matrix.outputs(loads) / matrix.output_scale)
                 gain = np.broadcast_to(turn, (len(x), *turn.shape))
             yield Part(place, np.asarray(gain), kernels.design(*codes(matrix.terms), x))
+
+
+def covariance_at_points(errors: MatrixErrors, names: tuple[str, ...], *, zero: Array) -> Array:
+    """Covariance of the errors [N, N*m] that a matrix gives loads at n points, shape (n, c, n, c) for c names.
+
+    The errors of the coefficients are the same at all points: they go with the load, and nothing of them is left at
+    the load that the zero was read under, as loads count from there. So does what the terms cannot follow, which
+    stays alike for `MISFIT_LENGTH`. It is the scatter of the calibration's residuals beyond the noise of its readings,
+    and is known where that noise is.
+
+    Parameters
+    ----------
+    errors
+        Where the matrix is used.
+    names
+        Loads that are wanted.
+    zero
+        Load that the zero was read under, in the balance's own components, shape (c,) [N, N*m].
+    """
+    matrix = errors.matrix
+    own = np.concatenate([errors.native, zero[None, :]])
+    parts = list(replace(errors, native=own).parts(np.arange(len(own)), names))
+    gain, terms = np.concatenate([part.gain for part in parts])[:-1], np.concatenate([part.terms for part in parts])
+    n, r, c = gain.shape
+    changes = np.einsum("nri,nt->nrit", gain, terms[:-1] - terms[-1]).reshape(n * r, c * terms.shape[1])
+    found = (changes @ coefficient_covariance(matrix) @ changes.T).reshape(n, r, n, r)
+    scaled = own / matrix.load_scale
+    distance = np.sum((scaled[:, None] - scaled) ** 2, axis=2)
+    alike = np.exp(-0.5 * distance / MISFIT_LENGTH**2)
+    alike = alike[:-1, :-1] - alike[:-1, -1:] - alike[-1:, :-1] + alike[-1, -1]
+    noise = matrix.noise_of_readings
+    misfit = np.where(noise > 0, np.sqrt(np.maximum(matrix.residual_deviation**2 - noise**2, 0.0)), 0.0)
+    between = matrix.residual_correlation * np.outer(misfit, misfit)
+    return np.asarray(found + np.einsum("nri,ij,msj,nm->nrms", gain, between, gain, alike, optimize=True))
 
 
 def coefficient_covariance(matrix: BalanceMatrix) -> Array:

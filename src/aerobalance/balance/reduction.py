@@ -16,9 +16,9 @@ import numpy as np
 
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.load_formats import Form
-from aerobalance.balance.loads import Loads, loads_of_outputs, smooth_variance, wind_off_loads
+from aerobalance.balance.loads import Loads, loads_of_outputs, wind_off_loads
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.weighing import LoadPoints, Weighing, points_from_recordings
+from aerobalance.balance.weighing import LoadPoints, Weighing, points_from_recordings, with_matrix_errors
 from aerobalance.balance.weighing import weigh as fit_weight
 from aerobalance.balance.zeros import (
     CLEARLY,
@@ -407,10 +407,9 @@ def weighing_points(
     Curved bridges read a load by what else hangs on them, so the weight that was on the balance while its zero was
     read is put back: that of a first weighing, then that of the next, until it changes no more.
 
-    The error of the matrix is no noise: it goes with the load, so it can pass for a mass, an offset or a tilt. A
-    smooth error of u over n points counts like noise of u sqrt(n) a point. Where neither the run nor the calibration
-    has zeros, the mean of all recordings stands for them: weighing finds the offsets anyway, and only curved or
-    bidirectional bridges care where their zero is.
+    The errors of the matrix are no noise but go with the load; the points say what they share. Where neither the run
+    nor the calibration has zeros, the mean of all recordings stands for them: weighing finds the offsets anyway, and
+    only curved or bidirectional bridges care where their zero is.
 
     Parameters
     ----------
@@ -450,9 +449,7 @@ def weighing_points(
             f"{', '.join(names or COMPONENTS)}, for which the calibration lacks the gauges' distances"
         )
     points = points_from_recordings([item.recording for item in felt], components)
-    smooth = np.sqrt(np.mean([smooth_variance(item) for item in felt], axis=0))
-    own = smooth[[felt[0].components.index(name) for name in components]] * np.sqrt(len(points.pitch))
-    return replace(points, noise=np.hypot(0.0 if points.noise is None else points.noise, own))
+    return with_matrix_errors(points, felt)
 
 
 def _zero_under(

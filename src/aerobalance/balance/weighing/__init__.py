@@ -2,7 +2,7 @@
 
 from aerobalance.balance.weighing.fit import weigh
 from aerobalance.balance.weighing.model import WeightModel
-from aerobalance.balance.weighing.points import LoadPoints, points_from_recordings
+from aerobalance.balance.weighing.points import LoadPoints, points_from_recordings, with_matrix_errors
 from aerobalance.balance.weighing.result import Agreement, MovingMass, Weighing
 
 __all__ = [
@@ -13,4 +13,5 @@ __all__ = [
     "WeightModel",
     "points_from_recordings",
     "weigh",
+    "with_matrix_errors",
 ]

@@ -47,12 +47,27 @@ class Readings:
         Readings and their known standard uncertainties, shape (n, c).
     mass
         Scale of the mass [kg].
+    shared
+        Covariance of the errors that readings share, shape (n, c, n, c); None for none.
     """
 
     directions: Array
     loads: Array
     noise: Array
     mass: float
+    shared: Array | None = None
+
+    @property
+    def size(self) -> Array:
+        """Known uncertainty of the readings as the fit weighs them, shape (n, c) [N, N*m].
+
+        An error that n readings share counts like noise of sqrt(n) times its size: so large is what it may change.
+        """
+        if self.shared is None:
+            return self.noise
+        n, c = self.loads.shape
+        variance = np.einsum("nn->n", self.shared.reshape(n * c, n * c)).reshape(n, c)
+        return np.asarray(np.hypot(self.noise, np.sqrt(n * np.maximum(variance.mean(axis=0), 0.0))))
 
     @property
     def length(self) -> float:
@@ -224,7 +239,7 @@ def adjust(model: WeightModel, readings: Readings, *, assumed: Array | None = No
         values = _solve(model, readings, kept=kept, sigma=sigma, held=held)
         deviations, _ = _scatter(model, readings, kept=kept, values=values, sigma=sigma)
         floor = ROUNDING * readings.load_scales(model)
-        used, sigma = sigma, np.maximum(np.maximum(deviations, floor), readings.noise)
+        used, sigma = sigma, np.maximum(np.maximum(deviations, floor), readings.size)
         settled = np.abs(sigma - used) <= 1e-4 * sigma + 10 * floor
         if np.array_equal(before, kept) and settled.all():
             break
@@ -239,7 +254,7 @@ def _free_sigma(model: WeightModel, readings: Readings) -> Array:
     residuals = readings.loads - design @ solution
     scales = readings.load_scales(model)
     scatter = np.sqrt(np.sum(residuals**2, axis=0) / (count - rank)) if count > rank else 1e-3 * scales
-    return np.maximum(np.maximum(scatter, ROUNDING * scales), readings.noise)
+    return np.maximum(np.maximum(scatter, ROUNDING * scales), readings.size)
 
 
 def _solve(model: WeightModel, readings: Readings, *, kept: Indices, sigma: Array, held: Array) -> Array:
@@ -304,12 +319,18 @@ def _outcome(
     left_out: Indices = np.setdiff1d(np.arange(values.size), kept)
     scales = natural_scales(model, readings)[left_out]
     absorbed = inverse @ rows[:, left_out]
+    spread = inverse @ inverse.T
+    if readings.shared is not None:
+        white = _noise_beside(readings, rows[:, kept] @ inverse, sigma=sigma, deviations=deviations, freedom=freedom)
+        slopes = inverse / sigma.ravel()
+        whole = readings.shared.reshape(sigma.size, sigma.size)
+        spread = (slopes * white.ravel() ** 2) @ slopes.T + slopes @ whole @ slopes.T
     return Adjustment(
         model=model,
         values=values,
         kept=kept,
         left_out=left_out,
-        covariance=inverse @ inverse.T + (absorbed * scales**2) @ absorbed.T,
+        covariance=spread + (absorbed * scales**2) @ absorbed.T,
         residuals=readings.loads - model.loads(readings.directions, values),
         sigma=free,
         deviations=deviations,
@@ -317,3 +338,24 @@ def _outcome(
         scales=scales,
         absorbed=absorbed,
     )
+
+
+def _noise_beside(readings: Readings, fitted: Array, *, sigma: Array, deviations: Array, freedom: Array) -> Array:
+    """Standard uncertainty of readings by noise [N, N*m], shape (n, c): their scatter less what shared errors give.
+
+    Parameters
+    ----------
+    readings
+        With their shared errors.
+    fitted
+        Whitened fit of whitened readings, shape (n c, n c).
+    sigma
+        What whitened them, shape (n, c).
+    deviations, freedom
+        Residual standard deviation and degrees of freedom of every component, shape (c,).
+    """
+    left = np.eye(sigma.size) - fitted
+    shared = np.asarray(readings.shared).reshape(fitted.shape) / np.outer(sigma, sigma)
+    in_residuals = np.einsum("ij,jk,ik->i", left, shared, left, optimize=True).reshape(sigma.shape) * sigma**2
+    square = np.divide(in_residuals.sum(axis=0), freedom, out=np.zeros_like(freedom), where=freedom > 0)
+    return np.asarray(np.maximum(np.sqrt(np.maximum(deviations**2 - square, 0.0)), readings.noise))

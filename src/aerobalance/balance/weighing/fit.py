@@ -127,7 +127,7 @@ def _readings(points: LoadPoints, gravity: float) -> tuple[str, Readings]:
     if mass <= 0:
         raise _wrong_sign(lead, mass)
     noise = np.zeros_like(points.loads) if points.noise is None else points.noise
-    return lead, Readings(directions, points.loads, noise, mass)
+    return lead, Readings(directions, points.loads, noise, mass, points.shared)
 
 
 def _basic_advice(points: LoadPoints) -> str:

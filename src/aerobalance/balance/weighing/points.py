@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from aerobalance.balance.loads import Loads
+from aerobalance.balance.matrix_errors import MatrixErrors, covariance_at_points
+from aerobalance.balance.zeros import in_own_components
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError
@@ -32,7 +35,10 @@ class LoadPoints:
     roll
         Roll of every point, shape (n,) [rad]; None where it was not recorded (then it counts as zero).
     noise
-        Standard uncertainty of each reading, shape (n, c) [N, N*m]; zero where it is not known.
+        Standard uncertainty of each reading by itself, shape (n, c) [N, N*m]; zero where it is not known.
+    shared
+        Covariance of errors that the points share, shape (n, c, n, c) [N^2, N^2*m, N^2*m^2]: those of the balance
+        matrix, which go with the load and can pass for a mass, an offset or a tilt. None for none.
 
     Raises
     ------
@@ -45,6 +51,7 @@ class LoadPoints:
     loads: Array
     roll: Array | None = None
     noise: Array | None = None
+    shared: Array | None = None
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.components if name not in COMPONENTS]
@@ -56,6 +63,8 @@ class LoadPoints:
             shapes["roll"] = (count,)
         if self.noise is not None:
             shapes["noise"] = shapes["loads"]
+        if self.shared is not None:
+            shapes["shared"] = shapes["loads"] * 2
         for name, shape in shapes.items():
             values = np.array(getattr(self, name), dtype=np.float64)
             if values.shape != shape:
@@ -97,6 +106,30 @@ def points_from_recordings(recordings: Sequence[Recording], components: Sequence
     table = np.concatenate([np.zeros((0, 2 + 2 * size)), *parts])
     rolls = table[:, 1] if with_roll else None
     return LoadPoints(names, table[:, 0], table[:, 2 : 2 + size], rolls, table[:, 2 + size :])
+
+
+def with_matrix_errors(points: LoadPoints, felt: Sequence[Loads]) -> LoadPoints:
+    """Return points with the covariance [N^2, N^2*m, N^2*m^2] of the errors that a balance matrix gives them together.
+
+    Parameters
+    ----------
+    points
+        Points of recordings of gauge outputs.
+    felt
+        Balance loads of these recordings, by one matrix.
+    """
+    first, matrix = felt[0], felt[0].balance
+    columns = [first.components.index(name) for name in points.components]
+    native, values = (np.concatenate(tables) for tables in ([f.native for f in felt], [f.values for f in felt]))
+    values = np.where(np.isfinite(native).all(axis=1, keepdims=True), values, np.nan)[:, columns]
+    scale = np.max(np.abs(points.loads), axis=0) + np.finfo(np.float64).tiny
+    # a sample of about the load of the point tells the load in the balance's own components
+    rows = [int(np.nanargmin(np.sum(((values - load) / scale) ** 2, axis=1))) for load in points.loads]
+    zero = in_own_components(first.zero.weight, matrix)
+    if first.zero.operating_point is not None:
+        zero = zero + first.zero.operating_point
+    errors = MatrixErrors(matrix, first.components, first.transform, native[rows])
+    return replace(points, shared=covariance_at_points(errors, points.components, zero=zero))
 
 
 def _stretches(recording: Recording, names: tuple[str, ...], *, with_roll: bool) -> Array:

@@ -1,0 +1,68 @@
+"""Uncertainty of a mass from gauge outputs: over many balances its error is as large as it says."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from aerobalance.balance.calibration.fit import calibrate
+from aerobalance.balance.loads import loads_of_outputs
+from aerobalance.balance.weighing import WeightModel, points_from_recordings, weigh, with_matrix_errors
+from aerobalance.balance.zeros import GaugeZero
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import DataQualityWarning
+from aerobalance.recording.gravity import weight_direction
+from aerobalance.recording.recording import Recording
+from aerobalance.simulation.calibration_stand import CalibrationStand
+from aerobalance.simulation.six_balance import random_balance
+
+NOISE, SAMPLES, BALANCES = 1e-4, 100, 12
+"""Noise of a bridge over its output at half of range, samples of a point, and balances of a test."""
+
+
+def scores(rng, *, model, components, rolls, known_noise=False):
+    """Error of the mass over its uncertainty, of balances drawn, calibrated and weighed anew, shape (BALANCES,)."""
+    pitch, roll = (angle.ravel() for angle in np.meshgrid(np.radians(np.arange(-12.0, 13, 4)), np.radians(rolls)))
+    found = []
+    for _ in range(BALANCES):
+        balance = random_balance(rng)
+        truth, mass = balance.matrix, balance.mass
+        noise = NOISE * float(truth.output_scale.min())
+        schedule = CalibrationStand(truth, noise=noise, repeats=2).run(int(rng.integers(1 << 31))).schedule
+        matrix = calibrate(schedule, model=model, reading_noise=noise if known_noise else 0.0).matrix
+        values = np.array([mass.mass, *(mass.mass * mass.centre), *np.zeros(9)])
+        loads = WeightModel(COMPONENTS).loads(weight_direction(pitch, roll), values)
+        zero = noise / np.sqrt(SAMPLES) * rng.standard_normal(6)
+        nothing = np.zeros(6)
+        felt = []
+        for number, row in enumerate(truth.outputs(loads)):
+            outputs = row + noise * rng.standard_normal((SAMPLES, 6))
+            channels = {f"r{name}": Channel(f"r{name}", outputs[:, i], "mV/V") for i, name in enumerate(COMPONENTS)}
+            angles = {"pitch": pitch[number], "roll": roll[number]}
+            still = {name: Channel(name, np.full(SAMPLES, angle), "rad") for name, angle in angles.items()}
+            run = Recording.from_columns(np.arange(SAMPLES) / 1000, channels | still, name=f"{number}")
+            felt.append(loads_of_outputs(run, matrix, zero=GaugeZero(zero, nothing, "zero", nothing, model_on=False)))
+        points = with_matrix_errors(points_from_recordings([one.recording for one in felt], components), felt)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataQualityWarning)
+            weighing = weigh(points)
+        found.append((weighing.mass - mass.mass) / weighing.u_mass)
+    return np.array(found)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+@pytest.mark.parametrize(
+    ("components", "rolls"), [(("AF",), (0.0,)), (COMPONENTS, (0.0, 90.0, 180.0, 270.0))], ids=["AF", "all"]
+)
+@pytest.mark.parametrize(("model", "known_noise"), [("96", False), ("quadratic", True)], ids=["right", "wrong"])
+def test_the_error_of_a_mass_is_as_large_as_its_uncertainty(rng, components, rolls, model, known_noise):
+    found = scores(rng, model=model, components=components, rolls=rolls, known_noise=known_noise)
+    square = np.mean(found**2)
+    # chi-squared, 1e-4 on either side. What a fit of the wrong terms leaves is even in the loads and cancels between
+    # opposite rolls; its length of likeness holds for what is odd too and is then on the safe side.
+    low, high = (stats.chi2.ppf(p, BALANCES) / BALANCES for p in (1e-4, 1 - 1e-4))
+    assert square < high
+    assert square > low or (known_noise and len(rolls) > 1)
