@@ -11,7 +11,7 @@ import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.io import read, write_recording
-from aerobalance.io.coupled_file import write_coupled
+from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
@@ -28,7 +28,7 @@ def cut(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CoupledBalance,
     simulation = rig.run(0.25, rng)
     folder = tmp_path_factory.mktemp("six")
     write_recording(folder / "run.h5", simulation.recording)
-    write_coupled(folder / "dynamics.json", replace(balance.dynamics, mass=balance.mass))
+    write_dynamics(folder / "dynamics.json", replace(balance.dynamics, mass=balance.mass))
     return folder, balance, simulation
 
 

@@ -17,7 +17,7 @@ from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.demos.six_demo import PULLED, Folder, bearable, still, weighed
 from aerobalance.io import read
 from aerobalance.io.balance_file import write_balance
-from aerobalance.io.coupled_file import read_coupled
+from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance

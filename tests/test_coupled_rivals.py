@@ -15,7 +15,7 @@ from aerobalance.app.cli import main
 from aerobalance.app.commands.compare import compare
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.io import write_recording
-from aerobalance.io.coupled_file import write_coupled
+from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.errors import DataQualityWarning, FitError
@@ -92,7 +92,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rng, seed) -> int:
     write_recording(Path("calm.csv"), recording_of(colored(rng, corners, 10 * len(felt))))
     columns = {name: Channel(name, column, si_unit(name)) for name, column in zip(("NF", "PM"), force.T, strict=True)}
     write_recording(Path("truth.csv"), Recording.from_columns(np.arange(len(felt)) / RATE, columns))
-    write_coupled(Path("dynamics.json"), pair())
+    write_dynamics(Path("dynamics.json"), pair())
     return seed
 
 

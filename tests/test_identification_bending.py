@@ -24,7 +24,7 @@ from aerobalance.identification.step_relaxation.internal_coordinates import (
 )
 from aerobalance.identification.step_relaxation.model import Piece, linearise
 from aerobalance.io import write_recording
-from aerobalance.io.coupled_file import read_coupled
+from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.errors import FitError

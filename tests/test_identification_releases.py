@@ -19,7 +19,7 @@ from aerobalance.identification.step_relaxation.identify import identify_release
 from aerobalance.identification.step_relaxation.model import Piece, linearise
 from aerobalance.identification.step_relaxation.record import ROUNDING
 from aerobalance.io import write_recording
-from aerobalance.io.coupled_file import read_coupled
+from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning, FitError

@@ -15,7 +15,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.identification.base_excitation.shaking import identify_shaking
 from aerobalance.io import write_recording
-from aerobalance.io.coupled_file import read_coupled
+from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, MOMENTS, si_unit
 from aerobalance.recording.errors import DataQualityWarning, FitError

@@ -10,7 +10,7 @@ from aerobalance.app.commands.identify_stiffness import from_stiffness
 from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
 from aerobalance.identification.coupled_modes import ModeTable
 from aerobalance.identification.from_stiffness import agreement, coupled_from_stiffness
-from aerobalance.io.coupled_file import read_coupled, write_coupled
+from aerobalance.io.dynamics_file import read_coupled, write_dynamics
 from aerobalance.io.stiffness_file import read_rigid_mass, read_stiffness
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning, ReadError
@@ -113,7 +113,7 @@ def test_a_mass_reads_from_toml_json_and_dynamics(tmp_path):
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance))[:4], [0.01, 1e-4, 0, 1e-4])
     dynamics = tmp_path / "dynamics.json"
     made = coupled_from_stiffness(stiffness(), found, damping_ratios=0.01)
-    write_coupled(dynamics, made)
+    write_dynamics(dynamics, made)
     np.testing.assert_allclose(read_rigid_mass(dynamics).values, rigid().values, rtol=1e-12)
     file = tmp_path / "mass.json"
     file.write_text(json.dumps({"mass": {"value": 3.0}, "components": {}}))
@@ -169,7 +169,7 @@ def test_the_command_compares_and_names_what_departs(tmp_path, capsys):
     truth = coupled_from_stiffness(stiffness(), rigid(), damping_ratios=0.01)
     values = np.concatenate([truth.inertia.ravel(), truth.damping.ravel()])
     covariance = np.diag((1e-4 * np.abs(values)) ** 2)
-    write_coupled(identified, CoupledDynamics(COMPONENTS, truth.inertia, truth.damping, covariance))
+    write_dynamics(identified, CoupledDynamics(COMPONENTS, truth.inertia, truth.damping, covariance))
     command = ["identify", "stiffness", str(table), "--mass", str(mass)]
     assert main([*command, "--ratios", RATIOS, "--compare", str(identified), "-o", str(out)]) == 0
     said = capsys.readouterr()
@@ -186,7 +186,7 @@ def test_the_command_compares_and_names_what_departs(tmp_path, capsys):
 
     heavier = truth.inertia.copy()
     heavier[0, 0] *= 1.05
-    write_coupled(identified, CoupledDynamics(COMPONENTS, heavier, truth.damping, covariance))
+    write_dynamics(identified, CoupledDynamics(COMPONENTS, heavier, truth.damping, covariance))
     with pytest.warns(DataQualityWarning, match="inertia NF/NF departs most"):
         from_stiffness(table, None, mass=mass, ratios=RATIOS, compare=identified)
 

@@ -35,7 +35,7 @@ from aerobalance.app.monitor.tasks import Tasks
 from aerobalance.app.monitor.view import Panel, View
 from aerobalance.app.monitor.viewer import UNSHOWN
 from aerobalance.estimation.live.live_force import LiveForce
-from aerobalance.io.coupled_file import read_any_dynamics, write_coupled
+from aerobalance.io.dynamics_file import read_any_dynamics, write_dynamics
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.recording.channel import QUANTITIES
@@ -152,7 +152,7 @@ def test_coupled_dynamics_need_all_their_components(tmp_path) -> None:
 
 
 def test_a_set_up_may_name_coupled_dynamics(tmp_path) -> None:
-    write_coupled(tmp_path / "six.json", rig_dynamics("six"), inputs=[])
+    write_dynamics(tmp_path / "six.json", rig_dynamics("six"), inputs=[])
     setup = setup_from({"source": {"kind": "replay", "file": "run.csv"}, "files": {"dynamics": "six.json"}})
     channels = [(name, QUANTITIES[name]) for name in ("pitch", *COMPONENTS)]
     panel = panel_of(setup, hello_of(*channels), tmp_path, {})

@@ -15,7 +15,6 @@ from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.live.coupled import LiveCoupledForce
 from aerobalance.estimation.live.live_force import LiveForce
-from aerobalance.io.coupled_file import write_coupled
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Array
 from aerobalance.simulation.six_balance import random_balance
@@ -335,7 +334,7 @@ def test_the_command_lists_every_mode_and_component(tmp_path: Path, capsys: pyte
 
 def test_the_command_on_coupled_components(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "dynamics.json"
-    write_coupled(file, pair())
+    write_dynamics(file, pair())
     arguments = ["plan", "--dynamics", str(file), "--rate", "4000"]
     noise = ["--noise", "NF=0.1", "--noise", "PM=0.005"]
     assert main([*arguments, *noise, "--force", "NF=10", "--force", "PM=0.5", "--json"]) == 0

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aerobalance.io.coupled_file import read_coupled
+from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import DataQualityWarning
 from helpers.six_chain import chain

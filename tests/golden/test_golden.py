@@ -23,8 +23,7 @@ from aerobalance.app.cli import main
 from aerobalance.estimation.live.coupled import LiveCoupledForce
 from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.io import read
-from aerobalance.io.coupled_file import read_coupled
-from aerobalance.io.dynamics_file import read_dynamics
+from aerobalance.io.dynamics_file import read_coupled, read_dynamics
 
 PINNED = Path(__file__).with_name("pinned.json")
 ROWS = 8

@@ -15,7 +15,7 @@ from aerobalance.app.commands.loads import from_gauges
 from aerobalance.app.demos.six_demo import Folder, calibrated, identified, weighed
 from aerobalance.estimation.force import estimate_force
 from aerobalance.io import read
-from aerobalance.io.coupled_file import read_coupled
+from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.simulation import SixComponentRig

@@ -9,8 +9,14 @@ import pytest
 
 from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.io.coupled_file import dynamics_kind, matrix_units, read_any_dynamics, read_coupled, write_coupled
-from aerobalance.io.dynamics_file import read_dynamics, write_dynamics
+from aerobalance.io.dynamics_file import (
+    dynamics_kind,
+    matrix_units,
+    read_any_dynamics,
+    read_coupled,
+    read_dynamics,
+    write_dynamics,
+)
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import ReadError
 from aerobalance.simulation import random_balance
@@ -36,7 +42,7 @@ def symmetric(matrix):
 
 def written(tmp_path, dynamics, **settings):
     path = tmp_path / "dynamics.json"
-    write_coupled(path, dynamics, **settings)
+    write_dynamics(path, dynamics, **settings)
     return path
 
 
@@ -70,7 +76,7 @@ def test_structure_names_rows_units_and_provenance(tmp_path):
         tmp_path, given, details={"rms": 0.5}, inputs=[source], settings={"component": "all"}, warnings=["one doubt"]
     )
     contents = json.loads(path.read_text())
-    assert contents["kind"] == "coupled dynamics"
+    assert contents["kind"] == "dynamics"
     assert contents["schema"] == 1
     assert contents["components"] == list(COMPONENTS)
     for kind in ("inertia", "damping"):
@@ -134,10 +140,56 @@ def test_each_kind_is_told_from_the_other(tmp_path):
     assert dynamics_kind(axial) == "axial"
     assert isinstance(read_any_dynamics(coupled), CoupledDynamics)
     assert list(read_any_dynamics(axial)) == ["AF"]
-    with pytest.raises(ReadError, match="ring each for itself, but coupled dynamics are needed"):
+    with pytest.raises(ReadError, match="holds components each for itself, but coupled dynamics are needed"):
         read_coupled(axial)
-    with pytest.raises(ReadError, match="'coupled dynamics', but a file of kind 'dynamics' is needed"):
+    with pytest.raises(ReadError, match="components: are coupled, but components each for itself are needed"):
         read_dynamics(coupled)
+
+
+OF_COUPLED = """{"kind": "coupled dynamics", "schema": 1, "components": ["NF", "AF"],
+ "inertia": {"rows": ["NF", "AF"], "columns": ["NF", "AF"], "units": [["s^2", "s^2"], ["s^2", "s^2"]],
+  "matrix": [[1e-06, 1e-07], [2e-07, 2e-06]], "u": [[1e-09, 0.0], [0.0, 0.0]]},
+ "damping": {"rows": ["NF", "AF"], "columns": ["NF", "AF"], "units": [["s", "s"], ["s", "s"]],
+  "matrix": [[1e-05, 0.0], [0.0, 3e-05]], "u": [[0.0, 0.0], [0.0, 1e-09]]},
+ "modes": [
+  {"natural_frequency": 111.99209253237684, "u_natural_frequency": 0.028, "damping_ratio": 0.010422209977047125,
+   "u_damping_ratio": 3.04e-06, "units": {"natural_frequency": "Hz", "damping_ratio": "1"}},
+  {"natural_frequency": 160.73864715269775, "u_natural_frequency": 0.08, "damping_ratio": 0.005240351468210848,
+   "u_damping_ratio": 3.5e-06, "units": {"natural_frequency": "Hz", "damping_ratio": "1"}}],
+ "covariance": {"parameters": ["inertia NF/NF", "damping AF/AF"], "matrix": [[1e-18, 2e-19], [2e-19, 1e-18]]},
+ "fit": {"rms": 0.5}, "warnings": [],
+ "provenance": {"program": "aerobalance 0.1.0", "created": "2026-11-23T01:47:06+00:00", "inputs": [],
+  "settings": {}}}"""
+"""As the program wrote coupled dynamics when they were a kind of file of their own."""
+
+OF_ONE = """{"kind": "dynamics", "schema": 1, "components": {"AF": {
+  "mass": {"value": 177.87, "u": 0.01, "unit": "kg"}, "stiffness": {"value": 30930000.0, "u": 100000.0, "unit": "N/m"},
+  "damping": {"value": 828.21, "u": 1.0, "unit": "N*s/m"},
+  "natural_frequency": {"value": 66.36800133535905, "u": 0.10730364498326093, "unit": "Hz"},
+  "damping_ratio": {"value": 0.005583019719114845, "u": 1.1265955993060955e-05, "unit": "1"},
+  "delay": {"value": 1e-05, "u": 1e-07, "unit": "s"},
+  "covariance": {"parameters": ["mass", "stiffness", "damping", "delay"],
+   "matrix": [[0.0001, 0.0, 0.0, 0.0], [0.0, 1e10, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1e-14]]},
+  "fit": {"method": "x"}}},
+ "warnings": [],
+ "provenance": {"program": "aerobalance 0.1.0", "created": "2026-11-23T01:47:06+00:00", "inputs": [],
+  "settings": {}}}"""
+"""As the program has written one component from the first version on."""
+
+
+def test_files_of_earlier_versions_are_read(tmp_path):
+    path = tmp_path / "dynamics.json"
+    path.write_text(OF_COUPLED)
+    found = read_any_dynamics(path)
+    assert isinstance(found, CoupledDynamics)
+    np.testing.assert_array_equal(found.inertia, [[1e-06, 1e-07], [2e-07, 2e-06]])
+    np.testing.assert_array_equal(found.damping, [[1e-05, 0.0], [0.0, 3e-05]])
+    assert found.covariance[0, 7] == 2e-19
+    assert [mode.natural_frequency for mode in found.modes] == pytest.approx([111.99209253, 160.73864715], rel=1e-9)
+    path.write_text(OF_ONE)
+    (one,) = read_any_dynamics(path).values()
+    assert (one.component, one.mass, one.stiffness, one.damping, one.delay) == ("AF", 177.87, 3.093e7, 828.21, 1e-5)
+    assert one.uncertainty("delay") == 1e-7
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"kind": "mass"}', '{"kind": 3}', "\x00", None])
@@ -214,7 +266,7 @@ def test_units_of_rows_over_columns():
 
 def test_a_failed_write_leaves_nothing(tmp_path):
     with pytest.raises(ValueError, match="no folder"):
-        write_coupled(tmp_path / "none" / "dynamics.json", full(6))
+        write_dynamics(tmp_path / "none" / "dynamics.json", full(6))
     assert list(tmp_path.iterdir()) == []
 
 

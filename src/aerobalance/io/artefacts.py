@@ -199,8 +199,8 @@ IN_EVERY_FILE: Final = frozenset({"schema", "warnings", "provenance", "descripti
 _JSON_NAMES: Final = {list: "an array", str: "a string", int: "a number", float: "a number", bool: "true or false"}
 
 
-def load(path: Path, kind: str, model: type[_Model]) -> _Model:
-    """Read and check a JSON file.
+def load(path: Path, kind: str, model: type[_Model], *, former: str = "") -> _Model:
+    """Return the checked contents of a JSON file; `former` is what earlier versions called its kind.
 
     Raises
     ------
@@ -232,7 +232,7 @@ def load(path: Path, kind: str, model: type[_Model]) -> _Model:
         raise ReadError(
             path, "", f"holds {_JSON_NAMES.get(type(given), 'null')}, not an object; a {kind}.json is needed"
         )
-    if "kind" in given and given["kind"] != kind:
+    if "kind" in given and given["kind"] not in (kind, former):
         raise ReadError(path, "kind", f"is {given['kind']!r}, but a file of kind {kind!r} is needed")
     if "schema" in given and (given["schema"] != SCHEMA or isinstance(given["schema"], bool)):
         raise ReadError(path, "schema", f"is {given['schema']!r}; this program reads schema {SCHEMA}")

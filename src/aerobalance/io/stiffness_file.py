@@ -13,9 +13,9 @@ from pydantic import Field, ValidationError
 from aerobalance.dynamics.coupled import RigidMass
 from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative
-from aerobalance.io.coupled_file import RigidMassPart, rigid_mass_from
 from aerobalance.io.messages import first_fault
 from aerobalance.io.opening import opened_file
+from aerobalance.io.rigid_mass_part import RigidMassPart, rigid_mass_from
 from aerobalance.io.toml_text import read_toml
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS

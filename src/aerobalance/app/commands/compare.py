@@ -15,7 +15,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.io import read
-from aerobalance.io.coupled_file import read_any_dynamics
+from aerobalance.io.dynamics_file import read_any_dynamics
 from aerobalance.io.kinds import PAGE
 from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.errors import FitError

@@ -12,7 +12,7 @@ from aerobalance.app.commands.loads import Source, loads_account
 from aerobalance.app.commands.shared import Account, doubts
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.io import read
-from aerobalance.io.coupled_file import modes_payload
+from aerobalance.io.dynamics_file import modes_payload
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.errors import FitError
 from aerobalance.validation.baselines import THIS

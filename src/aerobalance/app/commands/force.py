@@ -28,7 +28,7 @@ from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.io import check_output, write_force
 from aerobalance.io.artefacts import digest
-from aerobalance.io.coupled_file import read_any_dynamics
+from aerobalance.io.dynamics_file import read_any_dynamics
 from aerobalance.io.kinds import PAGE, TABLE
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.errors import warn_quality

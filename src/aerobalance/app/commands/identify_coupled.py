@@ -29,7 +29,7 @@ from aerobalance.balance.weighing.result import Weighing
 from aerobalance.identification.result import CoupledIdentification, CoupledResult
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.io.artefacts import digest
-from aerobalance.io.coupled_file import coupled_payload, write_coupled
+from aerobalance.io.dynamics_file import coupled_payload, write_dynamics
 from aerobalance.io.mass_file import read_masses, read_weighing
 from aerobalance.recording.components import COMPONENTS, MOMENTS, si_unit
 from aerobalance.recording.errors import ReadError
@@ -129,7 +129,7 @@ def account_of(
             "half_range": None if half_range is None else dict(half_range),
         }
         files = [file for file in inputs if file is not None]
-        write_coupled(out, found.dynamics, details=details, inputs=files, settings=kept, warnings=doubted)
+        write_dynamics(out, found.dynamics, details=details, inputs=files, settings=kept, warnings=doubted)
     return {**coupled_payload(found.dynamics), "fit": details, "summary": summary, "warnings": doubted}
 
 

@@ -19,7 +19,7 @@ from aerobalance.identification.from_stiffness import (
     coupled_from_stiffness,
 )
 from aerobalance.identification.rigid_body import Departure
-from aerobalance.io.coupled_file import coupled_payload, read_coupled, write_coupled
+from aerobalance.io.dynamics_file import coupled_payload, read_coupled, write_dynamics
 from aerobalance.io.stiffness_file import read_rigid_mass, read_stiffness
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import warn_quality
@@ -76,7 +76,7 @@ def from_stiffness(
     inputs = [file for file in (table, mass, compare) if file is not None]
     if out is not None:
         settings = {"ratios": ratios}
-        write_coupled(out, found, details=details, inputs=inputs, settings=settings, warnings=collected)
+        write_dynamics(out, found, details=details, inputs=inputs, settings=settings, warnings=collected)
     account = {**coupled_payload(found), "fit": details, "warnings": collected}
     if identified is not None:
         account["comparison"] = _comparison(found, identified, differences, test)

@@ -23,7 +23,7 @@ from aerobalance.app.reports.six_figures import SixFigure, six_figure
 from aerobalance.estimation.force import estimate_force
 from aerobalance.io import read, write_recording
 from aerobalance.io.balfit_file import write_balfit_schedule
-from aerobalance.io.coupled_file import read_coupled
+from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.recording import Recording

@@ -13,7 +13,7 @@ from aerobalance.acquisition.simulated import rig_dynamics
 from aerobalance.app.monitor.view import Panel
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.io.coupled_file import read_any_dynamics
+from aerobalance.io.dynamics_file import read_any_dynamics
 from aerobalance.io.matrix_file import read_matrix
 from aerobalance.recording.errors import FitError
 
