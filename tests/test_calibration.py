@@ -11,7 +11,7 @@ import pytest
 import scipy.stats
 
 from aerobalance.balance.calibration.fit import Calibration, calibrate
-from aerobalance.balance.calibration.fit_warnings import doubt_quality
+from aerobalance.balance.calibration.fit_warnings import warn_of_weaknesses
 from aerobalance.balance.calibration.quality import assess
 from aerobalance.balance.calibration.regression import regress
 from aerobalance.balance.matrix import BalanceMatrix
@@ -284,9 +284,9 @@ def test_readings_quieter_than_the_noise_given_are_doubted(rng) -> None:
     )
     fit = calibrate(schedule, model="linear", reading_noise=3 * noise)
     with pytest.warns(DataQualityWarning, match=r"scatter less about the matrix than .* the 0\.0006 mV/V"):
-        doubt_quality(fit, assess(fit))
+        warn_of_weaknesses(fit, assess(fit))
     fit = calibrate(schedule, model="linear", reading_noise=noise)
-    doubt_quality(fit, assess(fit))
+    warn_of_weaknesses(fit, assess(fit))
     with pytest.raises(ValueError, match="reading_noise must be zero or positive"):
         calibrate(schedule, model="linear", reading_noise=-noise)
 
@@ -300,7 +300,7 @@ def test_bridges_have_each_its_own_noise(way: str, rng) -> None:
     by_bridge = dict(zip((f"r{name}" for name in schedule.gauges), noise.tolist(), strict=True))
     fit = calibrate(schedule, model="linear", way=way, reading_noise=by_bridge)
     np.testing.assert_array_equal(fit.matrix.reading_noise, noise)
-    doubt_quality(fit, assess(fit))
+    warn_of_weaknesses(fit, assess(fit))
     # chi-squares over their degrees of freedom
     found, freedom = fit.matrix.residual_deviation, fit.matrix.degrees_of_freedom
     ratio = (found / fit.matrix.noise_of_readings) ** 2 - 1
@@ -319,7 +319,7 @@ def test_one_noise_for_bridges_that_differ_is_doubted_for_the_quiet_ones(rng) ->
     schedule = replace(schedule, outputs=schedule.outputs + rng.normal(0, noise, schedule.outputs.shape))
     fit = calibrate(schedule, model="linear", reading_noise=1e-4)
     with pytest.warns(DataQualityWarning) as caught:
-        doubt_quality(fit, assess(fit))
+        warn_of_weaknesses(fit, assess(fit))
     (text,) = (str(item.message) for item in caught)
     quiet = f"r{schedule.gauges[1]}"
     assert [f"r{name}" for name in schedule.gauges if f"r{name} 0." in text or f"r{name} 1" in text] == [quiet], text

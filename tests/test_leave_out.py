@@ -12,7 +12,7 @@ import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.balance.calibration.fit import calibrate
-from aerobalance.balance.calibration.fit_warnings import doubt_quality
+from aerobalance.balance.calibration.fit_warnings import warn_of_weaknesses
 from aerobalance.balance.calibration.quality import assess
 from aerobalance.balance.calibration.regression import regress
 from aerobalance.balance.schedule import Schedule
@@ -156,7 +156,7 @@ def test_a_point_that_fits_to_the_last_digit_without_one_reading_is_said_without
     assert quality.outliers[0].deviations is None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", DataQualityWarning)
-        doubt_quality(calibration, quality)
+        warn_of_weaknesses(calibration, quality)
     said = " ".join(str(item.message) for item in caught)
     assert "more than 100 standard deviations" in said
     assert "inf" not in said.replace("inflation", "")

@@ -10,7 +10,7 @@ from statsmodels.regression.linear_model import OLS
 
 from aerobalance.balance import _term_kernels as kernels
 from aerobalance.balance.calibration.fit import calibrate
-from aerobalance.balance.calibration.normalised_points import ScaledPoints
+from aerobalance.balance.calibration.normalised_points import NormalisedPoints
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.schedule import Schedule
 from aerobalance.balance.terms import codes
@@ -73,7 +73,7 @@ def test_chosen_terms_beside_other_choices(record, truth: str, rng) -> None:
 
 def by_students_t(schedule: Schedule, tares: Array, matrix: BalanceMatrix) -> Array:
     """Least squares without the terms that are not significant at 5 %, taken out one by one, shape (t, c)."""
-    data = ScaledPoints.of(schedule, "iterative")
+    data = NormalisedPoints.of(schedule, "iterative")
     design = data.design(matrix.terms, data.variables(tares))
     linear = np.array([term.kind == 0 for term in matrix.terms])
     C = np.zeros_like(matrix.coefficients)

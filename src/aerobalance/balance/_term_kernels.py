@@ -1,4 +1,4 @@
-"""Compiled loops over the terms of a balance matrix: scaled numbers and arrays, nothing checked.
+"""Compiled loops over the terms of a balance matrix: normalised numbers and arrays, nothing checked.
 
 A term is a kind (the ten of AIAA R-091, in its order) and the one or two variables that it is made of.
 """

@@ -23,7 +23,7 @@ _SURE: Final = 5.0
 
 
 def gauge_outputs(recording: Recording) -> Recording:
-    """Return a recording whose gauge outputs are all in mV/V.
+    """Return a recording with all gauge outputs in mV/V, those in V divided by the excitation.
 
     Outputs in V are divided, sample by sample, by the channel ``excitation`` [V]; outputs in mV/V stay as they are.
 

@@ -1,4 +1,4 @@
-"""The combined load envelope of a balance: how much of what it may bear together a set of loads takes up.
+"""Combined load envelope of a balance, and the part of it that a set of loads uses [1].
 
 Every envelope here is a closed region round zero load, and its utilisation is the factor by which the envelope would
 have to grow to touch the loads: 0 without load, 1 on its surface, twice as much for twice the loads. Makers state
@@ -11,7 +11,7 @@ and, for balances whose stress comes from two components at one place, limits on
 gauge of a balance with gauges 2 d apart bears N1 = NF / 2 + PM / (2 d), whose limits make a rhombus of NF and PM. That
 is the combined load diagram of [Ulbrich2025]_; a `Station` is one such load, and several of them with or without one
 of the shapes above make any convex polytope that is symmetric about zero load. The balance's spring feels the
-load, ringing included, so loads felt go in here and not the force applied.
+load, ringing included, so balance loads go in here and not the force applied.
 
 .. [Ulbrich2025] N. Ulbrich, Evaluation, Analysis, and Application of Internal Strain-Gage Balance Data, 3rd edition,
    NASA Ames Research Center, 2025, https://ntrs.nasa.gov/citations/20250002267, appendix on the combined load diagram
@@ -36,7 +36,7 @@ MOST_OF_IT: Final = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A load at one place of the balance, made up of several components.
+    """Load at one place of the balance as a sum of components, with its limit [N, N*m].
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Station:
 
 
 class Utilisation(NamedTuple):
-    """How much of an envelope a set of loads takes up.
+    """Part of an envelope that a set of loads uses [1].
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Utilisation(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LoadEnvelope:
-    """The loads that a balance may bear together.
+    """Largest loads of a balance that may act together [N, N*m].
 
     Attributes
     ----------
@@ -113,12 +113,12 @@ class LoadEnvelope:
         return tuple(dict.fromkeys(found))
 
     def utilisation(self, loads: Array, names: Sequence[str]) -> Array:
-        """How much of the envelope is taken up by loads.
+        """Return the part of the envelope that loads use [1].
 
         Parameters
         ----------
         loads
-            Loads felt, shape (n, c), SI.
+            Balance loads, shape (n, c), SI.
         names
             The c components of their columns.
 
@@ -135,7 +135,7 @@ class LoadEnvelope:
         return np.asarray(np.max(np.abs(self._parts(loads, names).sum(axis=2)), axis=1))
 
     def at_worst(self, loads: Array, names: Sequence[str]) -> Utilisation | None:
-        """Return the utilisation by the loads that take up most; None where no set of them is known whole.
+        """Return the largest utilisation of a set of loads [1]; None where no set of them is known whole.
 
         Parameters
         ----------

@@ -65,7 +65,7 @@ ROLES: Final[Mapping[str, str]] = {
 
 
 def role_of(name: str) -> str | None:
-    """Return what a load's name stands for (a value of `ROLES`); None where it is not known."""
+    """Return the standard role of a load by its name (a value of `ROLES`); None where it is not known."""
     return ROLES.get("".join(sign for sign in name.lower() if sign.isalnum()))
 
 

@@ -1,4 +1,4 @@
-r"""The balance matrix: gauge outputs [mV/V] to the loads that the balance feels, Eq. (2) of [Gorbushin2020]_.
+r"""Balance matrix: balance loads [N, N*m] from gauge outputs [mV/V], Eq. (2) of [Gorbushin2020]_.
 
 Eq. (2) and both ways of AIAA R-091 are one thing here: polynomials of terms such as N1, \|N1\|, N1*N2. In the
 iterative way they give the outputs from the loads, and the loads are found by iteration; in the non-iterative way they
@@ -37,7 +37,7 @@ CHUNK: Final = 1 << 15
 
 @dataclass(frozen=True, slots=True)
 class TemperatureEffect:
-    """What temperature does to one bridge.
+    """Change of zero [mV/V per K] and sensitivity [1/K] of one bridge with temperature.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Solution(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BalanceMatrix:
-    """The matrix of one balance, with its uncertainty: c components, c bridges, t terms.
+    """Balance matrix with its covariance: c components, c bridges, t terms.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class BalanceMatrix:
     terms
         The t terms; a component that lacks one has zero there.
     coefficients
-        Shape (t, c), for scaled loads and outputs.
+        Shape (t, c), for normalised loads and outputs: over `load_scale` and `output_scale`.
     load_scale
         Capacities, shape (c,) [N, N*m].
     output_scale
@@ -93,7 +93,7 @@ class BalanceMatrix:
         Covariance of each column of `coefficients`, shape (c, t, t). A term left out for want of significance has the
         coefficient zero and yet an uncertainty.
     residual_deviation
-        Standard deviation of the calibration's residuals, scaled, shape (c,).
+        Standard deviation of the calibration's residuals, normalised, shape (c,).
     residual_correlation
         Correlation between the residuals of the components, shape (c, c).
     degrees_of_freedom
@@ -180,7 +180,7 @@ class BalanceMatrix:
 
     @property
     def noise_of_readings(self) -> Array:
-        """What `reading_noise` is in the residuals, a standard deviation, scaled, shape (c,)."""
+        """Standard deviation that `reading_noise` gives the residuals, normalised, shape (c,)."""
         gauges = self.reading_noise / self.output_scale
         return gauges if self.way == "iterative" else np.sqrt(self.linear**2 @ gauges**2)
 
@@ -261,7 +261,7 @@ class BalanceMatrix:
         loads
             Where, shape (n, c) [N, N*m].
         residual
-            Whether the scatter of the calibration's residuals (what the terms cannot say, and how well the balance
+            Whether the scatter of the calibration's residuals (lack of fit, and how well the balance
             repeats) is part of it, beside the coefficients.
         reading
             Whether `reading_noise` is left in that scatter: for a reading of the calibration's own kind.

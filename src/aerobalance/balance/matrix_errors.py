@@ -1,4 +1,4 @@
-"""What a calibration leaves open in a balance matrix, as errors of the loads of one recording.
+"""Errors of balance loads [N, N*m] that come from errors of the balance matrix.
 
 The coefficients of the terms have errors that stay as they are from recording to recording, so that everything found
 from loads of the same matrix is wrong together. To first order the errors of the loads are linear in those of the
@@ -33,14 +33,16 @@ way), with 1 it was 1.5, with 2 it was 2.1, and with nothing but the errors of t
 
 
 class Part(NamedTuple):
-    """Change of the loads at some samples: the sum over i and t of gain[:, :, i] terms[:, t] change[i, t].
+    """Slope of the loads [N, N*m] at some samples by the coefficients of the matrix.
+
+    A change of the coefficients changes the loads by the sum over i and t of gain[:, :, i] terms[:, t] change[i, t].
 
     Attributes
     ----------
     rows
         Which of the samples asked for.
     gain
-        Change of the loads with the polynomial of each column of the matrix, scaled, shape (m, n, c) [N, N*m].
+        Change of the loads with the polynomial of each column of the matrix, normalised, shape (m, n, c) [N, N*m].
     terms
         Values of the terms, shape (m, t).
     """
@@ -52,7 +54,7 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatrixErrors:
-    """Where a balance matrix was used for the loads of a recording.
+    """Loads [N, N*m] at which a balance matrix was used, for the sensitivity to its errors.
 
     Attributes
     ----------
@@ -72,7 +74,7 @@ class MatrixErrors:
     native: Array
 
     def parts(self, rows: NDArray[np.intp], names: tuple[str, ...]) -> Iterator[Part]:
-        """How the loads of these names change with the coefficients at samples of shape (m,), some at a time."""
+        """Yield the slopes of these loads by the coefficients at samples of shape (m,), some at a time."""
         matrix = self.matrix
         turn = self.transform[[self.components.index(name) for name in names]] * matrix.load_scale
         for start in range(0, rows.size, ROWS):
@@ -80,7 +82,7 @@ class MatrixErrors:
             loads = self.native[rows[place]]
             if matrix.way == "iterative":
                 x = np.ascontiguousarray(loads / matrix.load_scale)
-                # of the loads by the outputs, both scaled
+                # of the loads by the outputs, both normalised
                 slope = matrix.sensitivity(loads) * matrix.output_scale / matrix.load_scale[:, None]
                 gain = -turn @ slope  # an output that the matrix makes too large is taken for less load
             else:
@@ -113,8 +115,8 @@ def covariance_at_points(errors: MatrixErrors, names: tuple[str, ...], *, zero: 
     n, r, c = gain.shape
     changes = np.einsum("nri,nt->nrit", gain, terms[:-1] - terms[-1]).reshape(n * r, c * terms.shape[1])
     found = (changes @ coefficient_covariance(matrix) @ changes.T).reshape(n, r, n, r)
-    scaled = own / matrix.load_scale
-    distance = np.sum((scaled[:, None] - scaled) ** 2, axis=2)
+    normalised = own / matrix.load_scale
+    distance = np.sum((normalised[:, None] - normalised) ** 2, axis=2)
     alike = np.exp(-0.5 * distance / MISFIT_LENGTH**2)
     alike = alike[:-1, :-1] - alike[:-1, -1:] - alike[-1:, :-1] + alike[-1, -1]
     noise = matrix.noise_of_readings
@@ -124,7 +126,7 @@ def covariance_at_points(errors: MatrixErrors, names: tuple[str, ...], *, zero: 
 
 
 def coefficient_covariance(matrix: BalanceMatrix) -> Array:
-    """Covariance of all coefficients, column by column of the matrix, shape (c t, c t), scaled.
+    """Covariance of all coefficients, column by column of the matrix, shape (c t, c t), normalised.
 
     The columns are fitted to the same points, so their errors go together as the residuals of these do
     (`BalanceMatrix.load_covariance`). Where the terms of two columns are drawn to different sizes the covariances of

@@ -1,4 +1,4 @@
-"""A load schedule: what was put on the balance and what its gauges read, point by point."""
+"""Load schedule: loads applied to the balance [N, N*m] and gauge outputs [mV/V], point by point."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from aerobalance.app.commands.shared import Account, check_out, doubts, table_te
 from aerobalance.balance.calibration.comparison import compare_calibrations
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.calibration.fit import calibrate as fit_matrix
-from aerobalance.balance.calibration.fit_warnings import doubt_quality
+from aerobalance.balance.calibration.fit_warnings import warn_of_weaknesses
 from aerobalance.balance.calibration.quality import Quality, assess
 from aerobalance.balance.load_formats import Geometry
 from aerobalance.balance.matrix import BalanceMatrix, Way
@@ -61,7 +61,7 @@ def calibrate(
             schedule = replace(schedule, geometry=geometry_from(distances))
         calibration = fit_matrix(schedule, model=model, way=way, reading_noise=reading_noise)
         quality = assess(calibration)
-        doubt_quality(calibration, quality)
+        warn_of_weaknesses(calibration, quality)
     found = calibration_payload(calibration, quality)
     settings = {
         "model": model,

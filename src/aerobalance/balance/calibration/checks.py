@@ -1,4 +1,4 @@
-"""Calibrations that no matrix should come of: what is wrong, in which component, by which evidence."""
+"""Checks of a load schedule: signs, wiring, slopes and zeros, with the component and the evidence for each fault."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def _check_alive(schedule: Schedule, answers: Array) -> None:
 
 
 def _check_slopes(schedule: Schedule, slopes: list[dict[int, tuple[float, float]]]) -> None:
-    """Doubt a series whose sensitivity is not that of the others."""
+    """Warn of a series whose sensitivity is not that of the others."""
     for name, found in zip(schedule.components, slopes, strict=True):
         if len(found) < 2:
             continue
@@ -193,7 +193,7 @@ def _check_slopes(schedule: Schedule, slopes: list[dict[int, tuple[float, float]
 
 
 def _check_zeros(schedule: Schedule, residuals: Array) -> None:
-    """Doubt bridges whose zero readings wander within a series by more than their noise can."""
+    """Warn of bridges whose zero readings drift within a series by more than their noise."""
     used = schedule.fitted
     series = schedule.series[used]
     unloaded = schedule.unloaded[used]
@@ -214,7 +214,7 @@ def _check_zeros(schedule: Schedule, residuals: Array) -> None:
 
 
 def check_residuals(schedule: Schedule, residuals: Array, *, deviation: Array) -> None:
-    """Refuse or doubt a fitted matrix by its residuals over capacity, shape (n, c), and their deviation, (c,).
+    """Refuse a fitted matrix, or warn of it, by its residuals over capacity, shape (n, c), and their deviation, (c,).
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Two calibrations of one balance: what has changed, and whether the change is more than chance."""
+"""Change of the sensitivities between two calibrations of one balance, with its significance."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class SensitivityDrift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drift:
-    """What two calibrations of one balance differ in, c components.
+    """Differences between two calibrations of one balance, c components.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Drift:
 
 
 def compare_calibrations(before: BalanceMatrix, after: BalanceMatrix) -> Drift:
-    """Compare two calibrations of one balance.
+    """Return the differences between two calibrations of one balance.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""From a load schedule to a balance matrix, Eq. (2) of [Gorbushin2020]_ and both ways of AIAA R-091.
+"""Least-squares fit of a balance matrix to a load schedule, Eq. (2) of [Gorbushin2020]_, both ways of AIAA R-091.
 
 References
 ----------
@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aerobalance.balance.calibration.checks import check_residuals, check_schedule
-from aerobalance.balance.calibration.normalised_points import ScaledPoints
+from aerobalance.balance.calibration.normalised_points import NormalisedPoints
 from aerobalance.balance.calibration.regression import Choice, Regression, residual_deviation, without_intercepts
 from aerobalance.balance.calibration.selection import Unidentified, identifiable, select
 from aerobalance.balance.calibration.shrinkage import Fitted, shrink
@@ -26,7 +26,7 @@ from aerobalance.recording.channel import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """A balance matrix and how it came about: n points, c components, s series.
+    """Result of a calibration: the balance matrix with residuals and tares; n points, c components, s series.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Calibration:
     unidentified
         Terms of AIAA R-091 that the schedule cannot tell, in the model or not; they are not in the matrix.
     condition
-        Condition number of the design, columns scaled to one.
+        Condition number of the design, columns of norm one.
     """
 
     schedule: Schedule
@@ -76,7 +76,7 @@ def calibrate(
     way: Way = "iterative",
     reading_noise: float | Mapping[str, float] = 0.0,
 ) -> Calibration:
-    """Make a balance matrix from a load schedule.
+    """Return the balance matrix of a load schedule, with residuals and tares [N, N*m].
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def calibrate(
     check_schedule(schedule)
     noise = _noise_of(reading_noise, schedule.gauges)
     terms = terms_of(model, len(schedule.components))
-    data = ScaledPoints.of(schedule, way)
+    data = NormalisedPoints.of(schedule, way)
     terms, unknown = identifiable(data.design(terms, data.loads), data.intercepts, terms)
     unknown += _beyond_model(data, terms, unknown)
     if way == "non-iterative":  # small interactions must not pass for products of loads that were never combined
@@ -158,7 +158,7 @@ def _noise_of(given: float | Mapping[str, float], gauges: Sequence[str]) -> floa
 
 
 def _beyond_model(
-    data: ScaledPoints, terms: tuple[Term, ...], unknown: tuple[Unidentified, ...]
+    data: NormalisedPoints, terms: tuple[Term, ...], unknown: tuple[Unidentified, ...]
 ) -> tuple[Unidentified, ...]:
     """Further terms, of the 96 of AIAA R-091, that the schedule cannot tell, whether or not the model offers them."""
     known = {*terms, *(item.term for item in unknown)}
@@ -167,8 +167,8 @@ def _beyond_model(
     return tuple(item for item in others if item.term not in known)
 
 
-def _chosen(data: ScaledPoints, terms: tuple[Term, ...], tares: Array) -> Choice:
-    """Terms of every component by significance, and what draws their coefficients to zero."""
+def _chosen(data: NormalisedPoints, terms: tuple[Term, ...], tares: Array) -> Choice:
+    """Significant terms of every component, and the shrinkage of their coefficients."""
     design = data.design(terms, data.variables(tares))
     kinds = np.array([term.kind for term in terms])
     points = []

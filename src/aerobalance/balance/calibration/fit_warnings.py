@@ -1,4 +1,4 @@
-"""What makes a matrix worse than it looks, told as warnings."""
+"""Warnings of weaknesses of a calibration that its residuals do not show."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ TOO_QUIET: Final = 1e-6
 """Probability, over all bridges together, below which the readings' scatter is less than the noise given for them."""
 
 
-def doubt_quality(calibration: Calibration, quality: Quality) -> None:
-    """Warn of what makes the matrix worse than it looks."""
+def warn_of_weaknesses(calibration: Calibration, quality: Quality) -> None:
+    """Warn of weaknesses of the matrix that its residuals do not show."""
     schedule, matrix = calibration.schedule, calibration.matrix
     if quality.outliers:
         worst = quality.outliers[0]
@@ -62,11 +62,11 @@ def doubt_quality(calibration: Calibration, quality: Quality) -> None:
             f"{inflation_text(max(inflated))}, above {HIGHEST_INFLATION:g}); their coefficients mean little one by "
             "one. --model auto keeps of them what the readings support"
         )
-    _doubt_reading_noise(calibration)
+    _warn_of_reading_noise(calibration)
 
 
-def _doubt_reading_noise(calibration: Calibration) -> None:
-    """Warn of a noise of the readings that is more than they scatter."""
+def _warn_of_reading_noise(calibration: Calibration) -> None:
+    """Warn where the stated noise of the readings is more than their scatter."""
     schedule, matrix = calibration.schedule, calibration.matrix
     noise, found, freedom = matrix.noise_of_readings, matrix.residual_deviation, matrix.degrees_of_freedom
     least = noise * np.sqrt(chi2.ppf(TOO_QUIET / noise.size, np.maximum(freedom, 1)) / np.maximum(freedom, 1))

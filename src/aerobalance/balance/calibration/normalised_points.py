@@ -1,4 +1,4 @@
-"""The points of a calibration, scaled to be fitted: loads over capacity, outputs over the output at capacity."""
+"""Normalised calibration points: loads over capacity, outputs over the output at capacity."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ TEMPERATURE_SPAN: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ScaledPoints:
-    """The points of the fit, scaled: n points, c components, s series with points.
+class NormalisedPoints:
+    """Normalised points that take part in the fit: n points, c components, s series with points.
 
     Attributes
     ----------
@@ -65,8 +65,8 @@ class ScaledPoints:
     warmth: Array | None
 
     @classmethod
-    def of(cls, schedule: Schedule, way: Way) -> ScaledPoints:
-        """Scale the points of a schedule that take part in the fit."""
+    def of(cls, schedule: Schedule, way: Way) -> NormalisedPoints:
+        """Return the normalised points of a schedule that take part in the fit."""
         if way not in ("iterative", "non-iterative"):
             raise ValueError(f"way must be iterative or non-iterative, not {way!r}")
         used = schedule.fitted
@@ -108,12 +108,12 @@ class ScaledPoints:
         return np.asarray(np.nan_to_num(tares)[self.schedule.series[self.schedule.fitted]])
 
     def variables(self, tares: Array) -> Array:
-        """What the terms are made of, shape (n, c)."""
+        """Variables of the terms, shape (n, c): loads, or outputs in the non-iterative way."""
         return self.loads + self.per_point(tares) if self.way == "iterative" else self.outputs
 
     @property
     def targets(self) -> Array:
-        """What the terms have to give, but for series intercepts, shape (n, c)."""
+        """Values that the terms are fitted to beside the series intercepts, shape (n, c)."""
         return self.outputs if self.way == "iterative" else self.loads
 
     def design(self, terms: tuple[Term, ...], x: Array) -> Array:
@@ -128,7 +128,7 @@ class ScaledPoints:
         return np.hstack(columns)
 
     def fit(self, terms: tuple[Term, ...], choice: Choice) -> tuple[Array, tuple[Regression, ...]]:
-        """Fit all components and the tares together, tares as intercepts: (s, c) over capacity, and the fits."""
+        """Return the tares over capacity, shape (s, c), and the fits of all components, with tares as intercepts."""
         c = self.loads.shape[1]
         tares = np.zeros((len(self.schedule.series_names), c))
         if not self.absolute:
@@ -215,7 +215,7 @@ class ScaledPoints:
         return np.array([(computed - total)[series == number].mean(axis=0) for number in self.series_used])
 
     def matrix(self, terms: tuple[Term, ...], regressions: tuple[Regression, ...], tares: Array) -> BalanceMatrix:
-        """Put the matrix together from the fits of all components."""
+        """Return the balance matrix made of the fits of all components."""
         schedule = self.schedule
         total = (self.loads + self.per_point(tares)) * schedule.capacities
         rest = np.column_stack([fit.residuals for fit in regressions])
@@ -284,7 +284,7 @@ class ScaledPoints:
         return np.asarray(residual * schedule.capacities)
 
     def _warm(self, terms: tuple[Term, ...], regressions: tuple[Regression, ...]) -> Array:
-        """What temperature adds to the outputs, at all points, shape (n, c)."""
+        """Part of the outputs that comes from temperature, at all points, shape (n, c)."""
         effects = self._temperature(terms, regressions)
         if not effects or self.schedule.temperature is None:
             return np.zeros_like(self.all_outputs)

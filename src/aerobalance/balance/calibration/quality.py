@@ -1,4 +1,4 @@
-"""How good a calibration is: direction, hysteresis, repeatability, outliers and confirmation points."""
+"""Quality of a calibration: direction, hysteresis, repeatability, outliers and confirmation points."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Direction:
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A point that does not go with the others.
+    """Calibration point whose residual is too large for chance.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class Quality:
 
 
 def assess(calibration: Calibration) -> Quality:
-    """Work out the statistics of a calibration."""
+    """Return the statistics of a calibration, in parts of capacity."""
     schedule, matrix = calibration.schedule, calibration.matrix
     used = schedule.fitted
     residuals = calibration.residuals / schedule.capacities

@@ -1,4 +1,4 @@
-"""Least squares of one output (or load) on the terms: coefficients, their uncertainty, and how much to trust them."""
+"""Regression of one output (or load) on the terms: coefficients, their covariance, and diagnostics."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MOST_INFLATION: Final = 1e6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """Which terms the components have, and what draws their coefficients to zero: c components, t terms.
+    """Terms of each component and the ridge penalty on their coefficients: c components, t terms.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Choice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Regression:
-    """Least squares of one component, n points, p terms in the model, intercepts left out of what is kept.
+    """Regression of one component, n points, p terms in the model; intercepts are not kept.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Regression:
 def regress(
     values: Array, design: Array, intercepts: Array, *, included: NDArray[np.bool_], penalty: Array
 ) -> Regression:
-    """Fit one component.
+    """Return the regression of one component on its terms.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which terms of a model a load schedule can identify, and which of those the data call for."""
+"""Term selection: terms that a load schedule can identify, and those of them that are significant."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Both in units of the covariance, in which it is expected to be the number of ter
 
 @dataclass(frozen=True, slots=True)
 class Unidentified:
-    """A term that the schedule cannot tell.
+    """Term that the schedule cannot identify, with those that it cannot be told from.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Unidentified:
 def identifiable(
     design: Array, intercepts: Array, terms: tuple[Term, ...]
 ) -> tuple[tuple[Term, ...], tuple[Unidentified, ...]]:
-    """Find the terms that the loads bring out, each apart from those before it.
+    """Return the terms that the loads identify, each beside those before it, and those that they do not.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def identifiable(
 
 
 def select(coefficients: Coefficients, kinds: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Choose the terms of every component by significance, from all that can be identified.
+    """Return the significant terms of every component, of those that can be identified.
 
     Backward elimination: the least significant term goes, one after the other, and what it stood for goes to those
     that are left, as far as they can take it up (the mean on the condition that it is zero). This ends before the

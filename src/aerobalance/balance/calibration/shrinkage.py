@@ -1,4 +1,4 @@
-"""How large each kind of term is in a balance, learned from its calibration, and what every coefficient then is.
+"""Shrinkage: coefficients with a prior width for each kind of term, fitted to the calibration (empirical Bayes).
 
 A calibration seldom says of a small coefficient alone whether it is there, and many that are not, taken together, are
 worth more than the noise of a reading. The coefficients of a kind, F*G say, of all bridges are therefore taken to come
@@ -41,7 +41,7 @@ ROUNDING: Final = 1e-12
 
 
 class Fitted(NamedTuple):
-    """What one component is fitted to, series intercepts taken out of both: n points, t terms.
+    """Design and values of one component, series intercepts projected out of both: n points, t terms.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Fitted(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficients:
-    """What the readings and the widths of the kinds say together: c components, t terms.
+    """Posterior of the coefficients by the readings and the widths of the kinds: c components, t terms.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Coefficients:
 
 
 def shrink(components: Sequence[Fitted], kinds: NDArray[np.intp]) -> Coefficients:
-    """Learn the width of each kind of term, and work out the coefficients.
+    """Return the width of each kind of term, fitted to the readings, and the coefficients with it.
 
     Widths and scatter of the readings by expectation and maximisation; the weights of single coefficients are those of
     a scale mixture of normal distributions.

@@ -1,4 +1,4 @@
-"""Fit of the weight model to all loads at once, with the parameters that the attitudes can show."""
+"""Weighted least squares of the weight model, with the parameters that the attitudes can identify."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """What is fitted.
+    """Static loads [N, N*m] with their attitudes and errors, ready for the fit.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Readings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjustment:
-    """Outcome of one fit.
+    """Parameters of the weight model with covariance and residuals, by one fit.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ def predicted_uncertainties(jacobian: Array) -> Array:
 
 
 def identified(model: WeightModel, jacobian: Array, scales: Array) -> Indices:
-    """Choose the parameters that can be told from one another.
+    """Return the indices of the parameters that can be identified beside one another.
 
     A parameter is identified where its standard uncertainty, predicted from the information matrix, is at most a
     fifth of its natural scale: of the mass for masses, an aluminium cube of that mass for the centre of gravity, one
@@ -211,7 +211,9 @@ def planning_jacobian(model: WeightModel, readings: Readings, *, values: Array, 
 
 
 def adjust(model: WeightModel, readings: Readings, *, assumed: Array | None = None) -> Adjustment:
-    """Fit by weighted least squares; every component is weighted by its own scatter, or by the known noise if larger.
+    """Return the fit by weighted least squares.
+
+    Every component is weighted by its own scatter, or by the known uncertainty of its readings where that is larger.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the attitudes of a weighing cannot tell, and which further ones would."""
+"""Parameters that the attitudes of a weighing do not identify, and the further attitudes that would."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ MARGIN: Final = 2.0
 
 
 def what_would_help(model: WeightModel, readings: Readings, *, values: Array, sigma: Array, name: str) -> str:
-    """Say which further attitudes would identify a parameter, worked out from the information they bring.
+    """Return advice on the attitudes that would identify a parameter, by the information that they bring.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def what_would_help(model: WeightModel, readings: Readings, *, values: Array, si
 def unidentified(
     readings: Readings, *, chosen: Adjustment, common: Adjustment, separate: Adjustment
 ) -> dict[str, str]:
-    """Name what the readings, or one component by itself, cannot tell, with what would help.
+    """Return advice by parameter that the readings, or one component by itself, do not identify.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a balance reads of a weight: six loads from mass, centre of gravity, offsets and misalignment.
+"""Weight model: six loads [N, N*m] from mass, centre of gravity, offsets and misalignment.
 
 Axes are aft, right, up, a right-handed triple. The weight W acts at r = (a, y, u) from the centre of the balance, so
 its moment is r x W, of which the part about right turns the nose up, the part about up turns it left and the part
@@ -46,7 +46,7 @@ LEVERS: Final = {moment: _levers(moment) for moment in MOMENTS}
 
 @dataclass(frozen=True, slots=True)
 class WeightModel:
-    """Loads as a function of attitude and parameters.
+    """Weight (tare) model: loads [N, N*m] as a function of attitude and parameters.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Static points for weighing, and how they come from recordings at rest."""
+"""Static loads [N, N*m] of a weighing, averaged from recordings at rest, with their errors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PITCH_STEADY: Final = np.radians(0.02)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadPoints:
-    """Static readings of several components: n points, c components.
+    """Static loads [N, N*m] at given attitudes: n points, c components.
 
     Attributes
     ----------

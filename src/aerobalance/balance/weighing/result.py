@@ -197,7 +197,7 @@ class Weighing:
         return self.model.gravity
 
     def loads(self, *, pitch: ArrayLike, roll: ArrayLike = 0.0, offsets: bool = True) -> Array:
-        """Loads that the weight gives at rest: what to take off a later run.
+        """Return the loads [N, N*m] of the weight at rest: the tare of a later run.
 
         Parameters
         ----------
