@@ -17,7 +17,7 @@ from aerobalance.recording.channel import Channel
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor, band_noise
 from aerobalance.simulation.published import CABLE_CUT, TABLE_1, TABLE_2
-from aerobalance.validation.baselines import RIVALS, THIS, TUNED
+from aerobalance.validation.baselines import BASELINES, THIS, TUNED
 
 T128 = CABLE_CUT.dynamics
 
@@ -75,7 +75,7 @@ def test_table_with_truth(here, capsys):
     assert code == 0, err
     account = json.loads(out)
     rows = {(row["name"], row["setting"]): row for row in account["rivals"]}
-    assert [name for name, setting in rows if setting == "customary"] == list(RIVALS)
+    assert [name for name, setting in rows if setting == "customary"] == list(BASELINES)
     assert {name for name, setting in rows if setting == "tuned on the truth"} == set(TUNED)
     own = rows[THIS, "customary"]
     assert own["plateau"] < 1.0  # total variation and a parametric step reach 0.2 to 0.8 N at 10 N of noise
@@ -145,7 +145,7 @@ def test_page_stands_alone(here, capsys, truth):
     assert "<svg" in page
     assert not re.search(r"https?://|<script|url\((?!#)|src=", page)
     assert "$\\mathdefault" not in page
-    for name in RIVALS:
+    for name in BASELINES:
         assert name in page
     assert page.count("SHA-256") == (3 if truth else 2)
     assert "written: page.html" in out
@@ -211,7 +211,7 @@ def test_tables_have_printed_and_measured_rows_and_repeat_themselves_with_a_seed
     momentary = {
         (row["method"], row["setting"]): row["percent"]["step"] for row in account["table_2"]["measured_of_half_range"]
     }
-    assert {name for name, _ in mean} == set(RIVALS)
+    assert {name for name, _ in mean} == set(BASELINES)
     # the paper's own rows, 0.2 % of the step and 3 % of half range, at its own noise
     assert mean[THIS, "customary"] < 0.2, account["seed"]
     assert momentary[THIS, "customary"] < 3.0, account["seed"]

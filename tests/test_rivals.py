@@ -12,12 +12,12 @@ from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor, band_noise
 from aerobalance.validation.baselines import (
+    BASELINES,
     LOW_PASS_ORDER,
     NOTCH_QUALITY,
-    RIVALS,
     THIS,
     TUNED,
-    Settings,
+    BaselineSettings,
     accelerometer_correction,
     band_limited,
     central_differences,
@@ -75,9 +75,9 @@ def amplitude_of(values, frequency):
 
 def test_raw_reading_is_the_reading_less_the_weight(rng):
     load, pitch = rng.normal(size=200), rng.normal(size=200) * 0.1
-    got = raw_reading(recording(load, pitch=pitch), T128, Settings()).values
+    got = raw_reading(recording(load, pitch=pitch), T128, BaselineSettings()).values
     assert got == pytest.approx(load - T128.mass * STANDARD_GRAVITY * np.sin(pitch), abs=1e-9)
-    assert (raw_reading(recording(load), T128, Settings()).values == load).all()
+    assert (raw_reading(recording(load), T128, BaselineSettings()).values == load).all()
 
 
 @pytest.mark.parametrize("ratio", [0.3, 0.8, 1.0, 1.5])
@@ -85,7 +85,7 @@ def test_low_pass_attenuates_as_the_square_of_a_butterworth(ratio):
     corner = 40.0
     frequency = ratio * corner
     load, _ = steady(frequency)
-    got = low_pass(recording(load), T128, Settings(tuning=corner)).values
+    got = low_pass(recording(load), T128, BaselineSettings(tuning=corner)).values
     # forward and backward; the bilinear transform warps frequencies as the tangent
     warped = np.tan(np.pi * frequency / RATE) / np.tan(np.pi * corner / RATE)
     gain = 1 / (1 + warped ** (2 * LOW_PASS_ORDER))
@@ -95,12 +95,12 @@ def test_low_pass_attenuates_as_the_square_of_a_butterworth(ratio):
 
 def test_low_pass_is_customarily_at_a_third_of_the_natural_frequency():
     load, _ = steady(5.0)
-    assert low_pass(recording(load), T128, Settings()).tuning == pytest.approx(T128.natural_frequency / 3)
+    assert low_pass(recording(load), T128, BaselineSettings()).tuning == pytest.approx(T128.natural_frequency / 3)
 
 
 def test_notch_takes_the_natural_frequency_out_and_leaves_slow_loads():
     f0 = T128.natural_frequency
-    at, slow = (notch(recording(steady(f)[0]), T128, Settings()) for f in (f0, f0 / 50))
+    at, slow = (notch(recording(steady(f)[0]), T128, BaselineSettings()) for f in (f0, f0 / 50))
     # a notch's transient decays at its half width, pi f0 / Q = 104 /s; forward and backward, after 0.4 s: 1e-18
     assert amplitude_of(inner(at.values), f0) < 1e-9 * amplitude_of(steady(f0)[0], f0)
     off = (1 / 50) / (1 - 1 / 50**2) / NOTCH_QUALITY  # |H|^2 of a notch: 1 / (1 + off^2), to first order in f0 / rate
@@ -110,8 +110,8 @@ def test_notch_takes_the_natural_frequency_out_and_leaves_slow_loads():
 @pytest.mark.parametrize("frequency", [11.3, 60.0, T128.natural_frequency, 90.0])
 def test_correction_factor_is_exact_for_a_steady_sine(frequency):
     load, force = steady(frequency)
-    factor = correction_factor(recording(load), T128, Settings(tuning=frequency)).values
-    shifted = factor_and_phase(recording(load), T128, Settings(tuning=frequency)).values
+    factor = correction_factor(recording(load), T128, BaselineSettings(tuning=frequency)).values
+    shifted = factor_and_phase(recording(load), T128, BaselineSettings(tuning=frequency)).values
     # the record's mean is over no whole number of periods: (1/|G| - 1) times that is an offset, at most
     rest = abs(np.mean(load) - 30) * abs(1 / abs(T128.response(frequency)) - 1)
     assert amplitude_of(factor, frequency) == pytest.approx(100.0, rel=1e-9)
@@ -142,7 +142,7 @@ def test_accelerometer_correction_is_exact_for_kinematic_signals(coupling, rng):
         "live_acceleration": Channel("live_acceleration", reading, "m/s^2", coupling=coupling),
     }
     record = Recording.from_columns(record.time, channels)
-    got = accelerometer_correction(record, undamped, Settings()).values
+    got = accelerometer_correction(record, undamped, BaselineSettings()).values
     assert got == pytest.approx(force, abs=1e-9 * np.abs(force).max())
 
 
@@ -153,7 +153,7 @@ def test_accelerometer_correction_lacks_only_the_damper_on_the_rig(rng):
         sensors={name: Sensor() for name in ("AF", "live_acceleration", "pitch")},
     )
     run = rig.run(4.0, rng)
-    got = accelerometer_correction(run.recording, rig.dynamics, Settings()).values
+    got = accelerometer_correction(run.recording, rig.dynamics, BaselineSettings()).values
     damper = rig.dynamics.damping / rig.dynamics.stiffness * np.gradient(run.load, 1 / RATE)
     assert np.std(got - run.applied) > 0.5 * np.std(damper)
     # what differences of the load over two samples miss at f0: 1 - sinc(2 f0 / rate) = 1.1 % of the damper's force
@@ -244,7 +244,7 @@ def smooth(generator, sensors=None, **more):
 def test_inverses_are_at_home_under_a_broadband_load(rng):
     run = smooth(rng)
     errors = {
-        rival.__name__: np.std(inner(rival(run.recording, T128, Settings()).values - run.applied))
+        rival.__name__: np.std(inner(rival(run.recording, T128, BaselineSettings()).values - run.applied))
         for rival in (raw_reading, low_pass, fir_deconvolution, band_limited, central_differences)
     }
     # noise gain of the inverse to twice f0 is 0.5, of central differences 35 (METHOD of the paper's section 5)
@@ -276,7 +276,7 @@ def test_gravity_and_ground_motion_are_taken_off(rng):
         pitch=lambda t: 0.1 * np.sin(2 * np.pi * 0.3 * t),
     )
     for rival in (fir_deconvolution, central_differences, band_limited):
-        error = inner(rival(run.recording, T128, Settings()).values - run.applied)
+        error = inner(rival(run.recording, T128, BaselineSettings()).values - run.applied)
         assert np.std(error) < 0.3 * 177.87, rival.__name__  # the ground's motion alone is 178 N rms
 
 
@@ -288,7 +288,7 @@ def test_missing_channels_are_named():
     assert "live_acceleration" in found["accelerometer correction"].lacking
     assert np.isnan(found["accelerometer correction"].values).all()
     assert [name for name, row in found.items() if not row.ran] == ["accelerometer correction"]
-    assert list(found) == list(RIVALS)
+    assert list(found) == list(BASELINES)
 
 
 def test_gaps_are_bridged(rng):

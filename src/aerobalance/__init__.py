@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from aerobalance.uncertainty.budget import budget
     from aerobalance.uncertainty.monte_carlo import monte_carlo
     from aerobalance.uncertainty.planning import plan
+    from aerobalance.validation.compare import compare
 
 __version__ = VERSION
 
@@ -43,6 +44,7 @@ _PLACES: Final = {
     "estimate_force": "aerobalance.estimation.force",
     "budget": "aerobalance.uncertainty.budget",
     "monte_carlo": "aerobalance.uncertainty.monte_carlo",
+    "compare": "aerobalance.validation.compare",
     "LiveForce": "aerobalance.estimation.live.live_force",
 }
 """Public names in the order of a test, and where they are: they are imported when they are first used."""
@@ -54,6 +56,7 @@ __all__ = [
     "Zero",
     "budget",
     "calibrate",
+    "compare",
     "estimate_force",
     "identify",
     "monte_carlo",

@@ -10,7 +10,7 @@ import pytest
 from aerobalance.recording.channel import Array
 from aerobalance.simulation import CableCut, Sensor, band_noise
 from aerobalance.simulation.published import CABLE_CUT
-from aerobalance.validation.baselines import RIVALS, THIS, TUNED, Settings, estimates
+from aerobalance.validation.baselines import BASELINES, THIS, TUNED, BaselineSettings, estimates
 from aerobalance.validation.scores import Truth
 from seeds import new_seed
 
@@ -53,7 +53,7 @@ def scores(home: str) -> dict[str, float]:
     run = CableCut(cable_force=0.0, applied=load(rng), sensors=sensors).run(4.0, rng)
     truth = Truth.of(run.applied, rate=run.recording.rate, natural_frequency=T128.natural_frequency)
     found: dict[str, float] = {}
-    for row in estimates(run.recording, T128, settings=Settings(), truth=truth):
+    for row in estimates(run.recording, T128, settings=BaselineSettings(), truth=truth):
         if row.ran:
             found[row.name] = min(truth.score(row.values).rms, found.get(row.name, np.inf))
     print({name: f"{value:.3g}" for name, value in found.items()})  # noqa: T201
@@ -62,7 +62,7 @@ def scores(home: str) -> dict[str, float]:
 
 def test_every_rival_that_can_be_tuned_has_a_home_ground() -> None:
     assert set(HOME) == {*TUNED, "central differences"}
-    assert set(HOME) < set(RIVALS)
+    assert set(HOME) < set(BASELINES)
 
 
 @pytest.mark.parametrize("home", [name for name in HOME if name != "accelerometer correction"])

@@ -45,7 +45,7 @@ FEWEST_PERIODS: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class BaselineSettings:
     """What a rival may be told.
 
     Attributes
@@ -64,7 +64,7 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RivalEstimate:
+class BaselineEstimate:
     """The force as one rival has it.
 
     Attributes
@@ -99,27 +99,27 @@ class RivalEstimate:
         return not self.lacking
 
 
-Estimator = Callable[[Recording, Dynamics, Settings], RivalEstimate]
+Estimator = Callable[[Recording, Dynamics, BaselineSettings], BaselineEstimate]
 
 ZERO_PHASE: Final = "no delay; the record is continued by odd reflection at its ends"
 
 
-def raw_reading(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+def raw_reading(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
     """Take the load felt for the force, less the weight where the pitch is known."""
     load = recording.channel(dynamics.component).values
     weight = _weight(recording, dynamics, settings)
     words = "as read" if weight is None else "as read, less the weight"
-    return RivalEstimate("raw reading", load - (0.0 if weight is None else weight), words, "no delay")
+    return BaselineEstimate("raw reading", load - (0.0 if weight is None else weight), words, "no delay")
 
 
-def low_pass(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+def low_pass(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
     """Zero-phase Butterworth low-pass, customarily at a third of the natural frequency."""
     corner = _corner(recording, settings, dynamics.natural_frequency / 3)
     values = _smoothed(_reading(recording, dynamics, settings), corner, recording.rate)
-    return RivalEstimate("low-pass", values, f"{_butterworth(corner)}", ZERO_PHASE, tuning=corner)
+    return BaselineEstimate("low-pass", values, f"{_butterworth(corner)}", ZERO_PHASE, tuning=corner)
 
 
-def notch(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+def notch(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
     """Notch at every natural frequency and a low-pass, customarily at twice the first natural frequency."""
     f0, rate = dynamics.natural_frequency, recording.rate
     if f0 >= rate / 2:
@@ -132,10 +132,10 @@ def notch(recording: Recording, dynamics: Dynamics, settings: Settings) -> Rival
             values = filtfilt(*iirnotch(frequency, NOTCH_QUALITY, fs=rate), values)
             words += f"notch at {frequency:.4g} Hz, {frequency / NOTCH_QUALITY:.3g} Hz wide, "
     words += _butterworth(corner)
-    return RivalEstimate("notch and low-pass", _smoothed(values, corner, rate), words, ZERO_PHASE, tuning=corner)
+    return BaselineEstimate("notch and low-pass", _smoothed(values, corner, rate), words, ZERO_PHASE, tuning=corner)
 
 
-def accelerometer_correction(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+def accelerometer_correction(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
     """F = AF + M x2'' - M g sin(theta): the inertia of the live end by its own accelerometer, damping left out.
 
     A dc-coupled accelerometer reads x2'' - g sin(theta), so that the weight is in its reading already.
@@ -156,27 +156,27 @@ def accelerometer_correction(recording: Recording, dynamics: Dynamics, settings:
     elif channel.coupling != "dc":
         words += ", no pitch"
     if settings.tuning is None:
-        return RivalEstimate("accelerometer correction", values, f"{words}, no filter", delay)
+        return BaselineEstimate("accelerometer correction", values, f"{words}, no filter", delay)
     corner = _corner(recording, settings, settings.tuning)
-    return RivalEstimate(
+    return BaselineEstimate(
         "accelerometer correction", _smoothed(values, corner, recording.rate), f"{words}, {_butterworth(corner)}",
         f"{ZERO_PHASE}{_one_mode(dynamics, 'the live end moves as one mass')}", tuning=corner,
     )  # fmt: skip
 
 
-def correction_factor(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+def correction_factor(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
     """Divide what departs from the mean by |G(f)| at one frequency, customarily the record's strongest."""
     load, known = _load(recording, dynamics), _known(recording, dynamics, settings)
     frequency = dominant_frequency(load, recording.rate) if settings.tuning is None else settings.tuning
     gain = float(np.abs(dynamics.response(frequency)))
     mean = float(np.mean(load))
-    return RivalEstimate(
+    return BaselineEstimate(
         "correction factor", mean + (load - mean) / gain - known, f"1/|G| = {1 / gain:.4g} at {frequency:.5g} Hz",
         "the phase is left as it is", tuning=frequency,
     )  # fmt: skip
 
 
-def factor_and_phase(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+def factor_and_phase(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
     """Apply the correction factor, and undo the phase at the same frequency by a shift in time."""
     plain = correction_factor(recording, dynamics, settings)
     known = _known(recording, dynamics, settings)
@@ -190,7 +190,7 @@ def factor_and_phase(recording: Recording, dynamics: Dynamics, settings: Setting
     )
 
 
-def fir_deconvolution(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+def fir_deconvolution(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
     """Black-box inverse of a measured step or impulse response, and a low-pass, as PyDynamic does it."""
     rate = recording.rate
     frequency = fit_frequencies(rate)
@@ -202,7 +202,7 @@ def fir_deconvolution(recording: Recording, dynamics: Dynamics, settings: Settin
         raise FitError(f"{load.size} readings are too few for a filter of {ORDER + 1} coefficients")
     coefficients = _design(response, rate)
     corner = _corner(recording, settings, 2 * dynamics.natural_frequency)
-    return RivalEstimate(
+    return BaselineEstimate(
         "FIR deconvolution",
         _smoothed(undo(load, coefficients) - _known(recording, dynamics, settings), corner, rate),
         f"{ORDER + 1} coefficients from {response.source}, {_butterworth(corner)}",
@@ -223,32 +223,32 @@ def _design(response: MeasuredResponse, rate: float) -> Array:
     return fir_inverse(response, rate=rate)
 
 
-def central_differences(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+def central_differences(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
     """Eq. (17) of [Gorbushin2020]_ with the paper's derivatives."""
     whole = without_gaps(recording, dynamics.component)
     estimate = estimate_force(whole, dynamics, method="paper", gravity=settings.gravity).only
     left = _one_mode(dynamics, "M, b and k are those of the first")
-    return RivalEstimate(
+    return BaselineEstimate(
         "central differences", estimate.values, estimate.method, f"no delay; first and last sample poor{left}"
     )
 
 
-def band_limited(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+def band_limited(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
     """Eq. (17) of [Gorbushin2020]_ limited to a band, customarily twice the natural frequency."""
     bandwidth = _corner(recording, settings, 2 * dynamics.natural_frequency)
     estimate = estimate_force(
         without_gaps(recording, dynamics.component), dynamics, bandwidth=bandwidth, gravity=settings.gravity
     ).only
-    return RivalEstimate("band-limited inverse", estimate.values, estimate.method, ZERO_PHASE, tuning=bandwidth)
+    return BaselineEstimate("band-limited inverse", estimate.values, estimate.method, ZERO_PHASE, tuning=bandwidth)
 
 
-def this_estimator(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+def this_estimator(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
     """The program's own estimate."""
     estimate = estimate_force(recording, dynamics, gravity=settings.gravity).only
-    return RivalEstimate(THIS, estimate.values, estimate.method, "no delay; every sample has its uncertainty")
+    return BaselineEstimate(THIS, estimate.values, estimate.method, "no delay; every sample has its uncertainty")
 
 
-RIVALS: Final[Mapping[str, Estimator]] = {
+BASELINES: Final[Mapping[str, Estimator]] = {
     "raw reading": raw_reading,
     "low-pass": low_pass,
     "notch and low-pass": notch,
@@ -278,11 +278,11 @@ def estimates(
     recording: Recording,
     dynamics: Dynamics,
     *,
-    settings: Settings | None = None,
+    settings: BaselineSettings | None = None,
     truth: Truth | None = None,
-    rivals: Mapping[str, Estimator] = RIVALS,
+    rivals: Mapping[str, Estimator] = BASELINES,
     tuned: Sequence[str] = TUNED,
-) -> list[RivalEstimate]:
+) -> list[BaselineEstimate]:
     """Run every rival on one record; with a truth, those with a tuning number a second time at their best.
 
     Parameters
@@ -298,7 +298,7 @@ def estimates(
     rivals, tuned
         The rivals by name, and which of them have a tuning number.
     """
-    settings = replace(settings or Settings(), tuning=None)
+    settings = replace(settings or BaselineSettings(), tuning=None)
     recording = replace(corrected(recording), from_outputs=False)  # what is compared are values
     # what is compared are values: without a covariance no method is run again to learn its uncertainty
     dynamics = dynamics.with_parameters(dynamics.values)
@@ -314,18 +314,18 @@ def estimates(
 
 
 def _attempt(
-    name: str, rival: Estimator, recording: Recording, dynamics: Dynamics, settings: Settings
-) -> RivalEstimate:
+    name: str, rival: Estimator, recording: Recording, dynamics: Dynamics, settings: BaselineSettings
+) -> BaselineEstimate:
     try:
         return rival(recording, dynamics, settings)
     except (FitError, ValueError) as problem:  # what cannot be run is a row of the table, not the end of it
         nothing = np.full(recording.samples, np.nan)
-        return RivalEstimate(name, nothing, lacking=" ".join(str(problem).split()))
+        return BaselineEstimate(name, nothing, lacking=" ".join(str(problem).split()))
 
 
 def _at_its_best(
-    rival: Estimator, recording: Recording, dynamics: Dynamics, settings: Settings, *, truth: Truth
-) -> RivalEstimate:
+    rival: Estimator, recording: Recording, dynamics: Dynamics, settings: BaselineSettings, *, truth: Truth
+) -> BaselineEstimate:
     """Choose the tuning number on the truth: a search over decades, then within the best step."""
 
     def miss(exponent: float) -> float:
@@ -378,7 +378,7 @@ def _load(recording: Recording, dynamics: Dynamics) -> Array:
     return interpolate_gaps_linearly(recording.channel(dynamics.component).values)
 
 
-def _known(recording: Recording, dynamics: Dynamics, settings: Settings) -> Array:
+def _known(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> Array:
     """Force of the ground's motion and gravity at the load's instants, as in Eq. (17) of [Gorbushin2020]_."""
     return _known_force(recording, dynamics, settings.gravity)
 
@@ -393,12 +393,12 @@ def _known_force(recording: Recording, dynamics: Dynamics, gravity: float) -> Ar
     return force
 
 
-def _reading(recording: Recording, dynamics: Dynamics, settings: Settings) -> Array:
+def _reading(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> Array:
     """Load felt less the known force: what a filter makes of it is the slow part of the force applied."""
     return _load(recording, dynamics) - _known(recording, dynamics, settings)
 
 
-def _weight(recording: Recording, dynamics: Dynamics, settings: Settings) -> Array | None:
+def _weight(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> Array | None:
     """Weight along the component [N]; None where the pitch is not known."""
     if "pitch" not in recording:
         return None
@@ -416,7 +416,7 @@ def without_gaps(recording: Recording, component: str) -> Recording:
     return replace(recording, channels=channels)
 
 
-def _corner(recording: Recording, settings: Settings, customary: float) -> float:
+def _corner(recording: Recording, settings: BaselineSettings, customary: float) -> float:
     wanted = customary if settings.tuning is None else settings.tuning
     return float(min(wanted, HIGHEST_CORNER * recording.rate))
 

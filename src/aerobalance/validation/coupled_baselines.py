@@ -25,15 +25,15 @@ from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import columns_of
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
+from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.validation.baselines import (
     THIS,
     ZERO_PHASE,
+    BaselineEstimate,
+    BaselineSettings,
     Estimator,
-    RivalEstimate,
-    Settings,
     accelerometer_correction,
     band_limited,
     central_differences,
@@ -120,16 +120,18 @@ class _Component:
             THIS: self.estimator,
         }
 
-    def raw(self, recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+    def raw(self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
         """Take the load felt for the force, less the weight where the attitude and the mass are known."""
         load, whole, mass = self.filled[:, self.place], self.record.recording, self.record.dynamics.mass
         if mass is None or "pitch" not in whole:
-            return RivalEstimate("raw reading", load, "as read", "no delay")
+            return BaselineEstimate("raw reading", load, "as read", "no delay")
         angles = [np.nan_to_num(whole.channel(name).values) for name in ("pitch", "roll") if name in whole]
         weight = mass.weight(*angles, gravity=settings.gravity)[:, COMPONENTS.index(self.name)]
-        return RivalEstimate("raw reading", load - weight, "as read, less the weight", "no delay")
+        return BaselineEstimate("raw reading", load - weight, "as read, less the weight", "no delay")
 
-    def by_accelerometer(self, recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+    def by_accelerometer(
+        self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings
+    ) -> BaselineEstimate:
         """The inertia of the live end by its own accelerometer, which is that of a force."""
         mass = self.record.dynamics.mass
         if self.name in MOMENTS:
@@ -142,13 +144,13 @@ class _Component:
     def with_diagonal(self, rival: Estimator) -> Estimator:
         """A rival with the diagonals of the matrices."""
 
-        def run(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+        def run(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
             found = rival(recording, self.diagonal, settings)
             return replace(found, name=f"{found.name}, diagonal", note=f"{found.note}; {ONE_COMPONENT}")
 
         return run
 
-    def differences(self, recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+    def differences(self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
         """X + D X' + A X'' with three-point central differences of all readings."""
         coupled, n = self.record.dynamics, len(self.record.dynamics.components)
         felt, interval = self.filled - self.record.from_ground, self.record.interval
@@ -157,14 +159,14 @@ class _Component:
         acceleration[1:-1] = np.diff(felt, 2, axis=0) / interval**2
         D, A = coupled.damping[self.place, :n], coupled.inertia[self.place, :n]
         left = f", {coupled.internal} further mode(s) left out" if coupled.internal else ""
-        return RivalEstimate(
+        return BaselineEstimate(
             "central differences, coupled",
             felt[:, self.place] + rate @ D + acceleration @ A,
             f"X + D X' + A X'', three-point central differences{left}",
             "no delay; first and last sample poor",
         )
 
-    def limited(self, recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+    def limited(self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
         """The inverse by the matrices limited to a band, customarily twice the highest natural frequency."""
         customary = 2 * max(mode.natural_frequency for mode in self.record.dynamics.modes)
         wanted = customary if settings.tuning is None else settings.tuning
@@ -172,21 +174,25 @@ class _Component:
         job = self.record.job(self.name, self.filled)
         job = replace(job, recording=without_gaps(job.recording, self.name))
         found = estimated(job, method="smoother", bandwidth=bandwidth, hum="mains")
-        return RivalEstimate("band-limited inverse, coupled", found.values, found.method, ZERO_PHASE, tuning=bandwidth)
+        return BaselineEstimate(
+            "band-limited inverse, coupled", found.values, found.method, ZERO_PHASE, tuning=bandwidth
+        )
 
-    def smoothed_by_diagonal(self, recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+    def smoothed_by_diagonal(
+        self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings
+    ) -> BaselineEstimate:
         """The smoother with the diagonals of the matrices; what they leave ringing would be taken for steps."""
         job = Job.of(recording, self.diagonal, GroundMotion.of(recording, self.name))
         reading = job.reading()
         learned = fit_prior(reading, columns=columns_of([], reading))
         values = SmootherResult.of(reading, learned=learned, steps=()).force
         words = f"smoother: {learned.spectrum}; no steps looked for: what the diagonal leaves ringing looks like many"
-        return RivalEstimate(f"{THIS}, diagonal", values, words, f"no delay; {ONE_COMPONENT}")
+        return BaselineEstimate(f"{THIS}, diagonal", values, words, f"no delay; {ONE_COMPONENT}")
 
-    def estimator(self, recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+    def estimator(self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
         """The program's own estimate."""
         found = self.own[self.name]
-        return RivalEstimate(THIS, found.values, found.method, "no delay; every sample has its uncertainty")
+        return BaselineEstimate(THIS, found.values, found.method, "no delay; every sample has its uncertainty")
 
 
 def estimates_of_coupled(
@@ -194,9 +200,9 @@ def estimates_of_coupled(
     dynamics: CoupledDynamics,
     *,
     components: tuple[str, ...],
-    gravity: float = STANDARD_GRAVITY,
+    settings: BaselineSettings | None = None,
     truths: Mapping[str, Truth] | None = None,
-) -> dict[str, list[RivalEstimate]]:
+) -> dict[str, list[BaselineEstimate]]:
     """Run every rival on some components of one record; with truths, those with a tuning number also at their best.
 
     Parameters
@@ -207,8 +213,8 @@ def estimates_of_coupled(
         The coupled components.
     components
         Which of them are wanted.
-    gravity
-        Local acceleration of gravity [m/s^2].
+    settings
+        Gravity, and a measured response where there is one.
     truths
         What was applied, by component.
 
@@ -217,6 +223,7 @@ def estimates_of_coupled(
     FitError
         A component that the others ring with is not in the recording, or it is too short.
     """
+    settings = settings or BaselineSettings()
     # what is compared are values: without a covariance no method is run again to learn its uncertainty
     mass = dynamics.mass
     exact = replace(
@@ -224,7 +231,7 @@ def estimates_of_coupled(
         covariance=np.zeros_like(dynamics.covariance),
         mass=None if mass is None else replace(mass, covariance=np.zeros_like(mass.covariance)),
     )
-    own = estimate_force(replace(recording, from_outputs=False), exact, gravity=gravity)
+    own = estimate_force(replace(recording, from_outputs=False), exact, gravity=settings.gravity)
     record, filled = own.record, own.filled
     if not isinstance(record, CoupledRecord):
         raise TypeError("the dynamics are not coupled")
@@ -234,7 +241,7 @@ def estimates_of_coupled(
         found[name] = estimates(
             part.quiet,
             own_response(exact, name),
-            settings=Settings(gravity=gravity),
+            settings=settings,
             truth=(truths or {}).get(name),
             rivals=part.rivals(),
             tuned=TUNED,
@@ -277,7 +284,7 @@ def own_response(dynamics: CoupledDynamics, component: str) -> Dynamics:
 def _noted(rival: Estimator) -> Estimator:
     """A rival that says that it knows one component only."""
 
-    def run(recording: Recording, dynamics: Dynamics, settings: Settings) -> RivalEstimate:
+    def run(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
         found = rival(recording, dynamics, settings)
         return replace(found, note=f"{found.note}; {ONE_COMPONENT}")
 

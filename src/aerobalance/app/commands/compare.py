@@ -1,4 +1,4 @@
-"""The command compare: the rivals side by side on one record."""
+"""The command compare: the estimator and the baseline methods side by side on one record."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ from aerobalance.app.commands.loads import Source, loads_account
 from aerobalance.app.commands.shared import Account, check_out, doubts, known_component
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import dynamics_of
-from aerobalance.dynamics.single import Dynamics
 from aerobalance.io import read
-from aerobalance.io.dynamics_file import read_any_dynamics
+from aerobalance.io.dynamics_file import modes_payload, read_any_dynamics
 from aerobalance.io.kinds import PAGE
 from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.errors import FitError
-from aerobalance.recording.recording import Recording
-from aerobalance.validation.baselines import THIS, RivalEstimate, Settings, estimates
-from aerobalance.validation.fir_inverse import MeasuredResponse, response_of_record
-from aerobalance.validation.scores import EDGE_TIME, END_SHARE, Truth, truth_on_clock
+from aerobalance.validation.baselines import THIS, BaselineEstimate
+from aerobalance.validation.compare import Comparison
+from aerobalance.validation.compare import compare as compare_methods
+from aerobalance.validation.scores import EDGE_TIME, END_SHARE, Truth
 
 MEASURES: Final = ("rms", "plateau", "edge", "mean", "largest")
 """What a deviation is judged by."""
@@ -47,10 +46,10 @@ def compare(
     channel_map: Path | None = None,
     out: Path | None = None,
 ) -> Account:
-    """Every rival on one record: a table, a page, and errors where the truth is given.
+    """Every method on one record: a table, a page, and errors where the truth is given.
 
-    With `files` the record holds gauge outputs, and so does `step`. Where the components ring together all of them
-    are compared unless one is named; else it is AF unless another is named.
+    With `files` the record holds gauge outputs, and so does `step`. All components that are coupled are compared
+    unless one is named; else it is AF unless another is named.
     """
     if component is not None:
         known_component(component)
@@ -59,60 +58,39 @@ def compare(
     inputs = [path, dynamics, *source.paths, *(file for file in (truth, step) if file is not None)]
     check_out(out, *inputs, kind=PAGE)
     if isinstance(known, CoupledDynamics):
-        from aerobalance.app.commands.compare_coupled import compare_coupled  # noqa: PLC0415 - it takes parts of this
-
-        if step is not None:
-            raise ValueError("--step is for components each for itself: a step of one rings in all that are coupled")
-        return compare_coupled(
-            path,
-            known,
-            source=source,
-            inputs=inputs,
-            truth=truth,
-            component=component,
-            half_range=_by_component(half_range),
-            out=out,
-        )
-    component = component or "AF"
-    if component not in known:
-        raise FitError(f"{dynamics} has no {component}; it has {', '.join(known)}")
-    return _compare_one(
-        path,
-        known[component],
-        source=source,
-        inputs=inputs,
-        truth=truth,
-        step=step,
-        half_range=half_range.get(component) if isinstance(half_range, Mapping) else half_range,
-        out=out,
-    )
-
-
-def _compare_one(
-    path: Path,
-    balance: Dynamics,
-    *,
-    source: Source,
-    inputs: Sequence[Path],
-    truth: Path | None,
-    step: Path | None,
-    half_range: float | None,
-    out: Path | None,
-) -> Account:
-    """Every rival on one component that rings for itself."""
-    component = balance.component
+        names = known.components if component is None else (component,)
+    else:
+        names = (component or "AF",)
+        if names[0] not in known:
+            raise FitError(f"{dynamics} has no {names[0]}; it has {', '.join(known)}")
+    ranges = _half_ranges(half_range, names, coupled=isinstance(known, CoupledDynamics))
     with doubts() as collected:
-        recording, reduced = source.with_loads(path)
-        recording.channel(component)
-        applied = None
-        if truth is not None:
-            values = truth_on_clock(recording, read(truth), component)
-            applied = Truth.of(values, rate=recording.rate, natural_frequency=balance.natural_frequency)
-        response = None if step is None else _response(source.with_loads(step)[0], recording, balance)
-        settings = Settings(gravity=source.gravity, response=response)
-        found = estimates(recording, balance, settings=settings, truth=applied)
-    account: Account = {
-        "file": path.name,
+        found = compare_methods(
+            source.read(path),
+            known,
+            truth=None if truth is None else read(truth),
+            components=names,
+            step=None if step is None else source.read(step),
+            gravity=gravity,
+        )
+    account = _coupled_account(found, ranges) if isinstance(known, CoupledDynamics) else _account(found, ranges)
+    account = {"file": path.name, **account}
+    if found.loads is not None:
+        account["loads"] = loads_account(found.loads)
+    account["warnings"] = collected
+    if out is not None:
+        from aerobalance.app.reports.compare_report import write_comparison  # noqa: PLC0415 - plotting is slow
+
+        write_comparison(out, account, found, inputs=inputs)
+        account["written"] = out.name
+    return {**account, "summary": coupled_summary(account) if "components" in account else summary(account)}
+
+
+def _account(found: Comparison, half_ranges: Mapping[str, float]) -> Account:
+    """Plain data on one component that rings for itself."""
+    (component,) = found
+    balance = found.responses[component]
+    return {
         "component": component,
         "unit": si_unit(component),
         "natural_frequency": {"value": balance.natural_frequency, "unit": "Hz"},
@@ -120,32 +98,44 @@ def _compare_one(
             {"natural_frequency": mode.natural_frequency, "damping_ratio": mode.damping_ratio, "share": mode.share}
             for mode in balance.further_modes
         ],
-        **standings(found, applied, half_range=half_range, unit=si_unit(component)),
-        **({} if reduced is None else {"loads": loads_account(reduced)}),
-        "warnings": collected,
+        **standings(
+            found[component],
+            found.truths.get(component),
+            half_range=half_ranges.get(component),
+            unit=si_unit(component),
+        ),
     }
-    if out is not None:
-        from aerobalance.app.reports.compare_report import write_comparison  # noqa: PLC0415 - plotting is slow
-
-        write_comparison(out, account, found, recording=recording, dynamics=balance, truth=applied, inputs=inputs)
-        account["written"] = out.name
-    return {**account, "summary": summary(account)}
 
 
-def _by_component(half_range: float | Mapping[str, float] | None) -> Mapping[str, float]:
-    if half_range is None or isinstance(half_range, Mapping):
-        return half_range or {}
-    raise ValueError("--half-range of components that ring together is given by component: NF=2000")
+def _coupled_account(found: Comparison, half_ranges: Mapping[str, float]) -> Account:
+    """Plain data on coupled components."""
+    if not isinstance(found.dynamics, CoupledDynamics):
+        raise TypeError("the dynamics are not coupled")
+    account: Account = {
+        "modes": modes_payload(found.dynamics),
+        "components": {
+            name: {
+                "unit": si_unit(name),
+                **standings(rows, found.truths.get(name), half_range=half_ranges.get(name), unit=si_unit(name)),
+            }
+            for name, rows in found.items()
+        },
+    }
+    return {**account, "table": table_of(account), "table_holds": words_for_table(account)}
 
 
-def _response(step: Recording, recording: Recording, balance: Dynamics) -> MeasuredResponse:
-    return response_of_record(
-        step, balance.component, natural_frequency=balance.natural_frequency, rate=recording.rate
-    )
+def _half_ranges(
+    given: float | Mapping[str, float] | None, names: Sequence[str], *, coupled: bool
+) -> Mapping[str, float]:
+    if given is None or isinstance(given, Mapping):
+        return given or {}
+    if coupled:
+        raise ValueError("--half-range of components that ring together is given by component: NF=2000")
+    return dict.fromkeys(names, given)
 
 
 def standings(
-    found: Sequence[RivalEstimate], truth: Truth | None, *, half_range: float | None, unit: str = "N"
+    found: Sequence[BaselineEstimate], truth: Truth | None, *, half_range: float | None, unit: str = "N"
 ) -> Account:
     """Rows of the table and what they come to.
 
@@ -178,7 +168,7 @@ def standings(
     }
 
 
-def _plain(row: RivalEstimate) -> Account:
+def _plain(row: BaselineEstimate) -> Account:
     return {
         "name": row.name,
         "setting": "tuned on the truth" if row.oracle else "customary",
@@ -189,7 +179,7 @@ def _plain(row: RivalEstimate) -> Account:
     }
 
 
-def _with_truth(row: RivalEstimate, truth: Truth, *, half_range: float) -> Account:
+def _with_truth(row: BaselineEstimate, truth: Truth, *, half_range: float) -> Account:
     if not row.ran:
         return _plain(row)
     score = truth.score(row.values)
@@ -201,7 +191,7 @@ def _with_truth(row: RivalEstimate, truth: Truth, *, half_range: float) -> Accou
     }
 
 
-def _without_truth(row: RivalEstimate, found: Sequence[RivalEstimate]) -> Account:
+def _without_truth(row: BaselineEstimate, found: Sequence[BaselineEstimate]) -> Account:
     if not row.ran:
         return _plain(row)
     own = next(item for item in found if item.name == THIS)
@@ -296,3 +286,62 @@ def _cells(row: Account, judged: bool) -> list[float]:
 
 def _cell(value: float) -> str:
     return f"{value:.3g}" if np.isfinite(value) else "-"
+
+
+def table_of(account: Account) -> list[Account]:
+    """One row per rival and setting, one number per component; what could not be run has a reason instead."""
+    parts: Mapping[str, Account] = account["components"]
+    order = dict.fromkeys((row["name"], row["setting"]) for part in parts.values() for row in part["rivals"])
+    table = []
+    for name, setting in order:
+        numbers: dict[str, float] = {}
+        reasons: dict[str, list[str]] = {}
+        for component, part in parts.items():
+            for row in part["rivals"]:
+                if (row["name"], row["setting"]) != (name, setting):
+                    continue
+                if row["lacking"] is None:
+                    numbers[component] = _judged_by(row)
+                else:
+                    reasons.setdefault(row["lacking"], []).append(component)
+        table.append({"name": name, "setting": setting, "numbers": numbers, "not_run": reasons})
+    return table
+
+
+def _judged_by(row: Account) -> float:
+    """What a row of one component puts into the table of all."""
+    if "rms" not in row:
+        return float(row["apart_from_this_estimator_rms"])
+    share = float(row["percent_of_half_range"]["rms"])
+    return share if np.isfinite(share) else float(row["rms"])
+
+
+def words_for_table(account: Account) -> str:
+    """What the numbers of the table are."""
+    parts = list(account["components"].values())
+    if parts[0]["half_range"] is None:
+        return f"no truth given; rms difference from {THIS}, each in its own unit"
+    if all(part["half_range"]["value"] > 0 for part in parts):
+        said = ", ".join(dict.fromkeys(part["half_range"]["from"] for part in parts))
+        return f"rms deviation from the truth in percent of half range ({said}), {100 * END_SHARE:g} % at each end out"
+    return f"rms deviation from the truth, each in its own unit, {100 * END_SHARE:g} % at each end out"
+
+
+def coupled_summary(account: Account) -> str:
+    """Lay the comparison of coupled components out as a table for people."""
+    names = list(account["components"])
+    rows = account["table"]
+    keys = [f"{row['name']}{' *' if row['setting'] != 'customary' else ''}" for row in rows]
+    width = max(len(key) for key in keys)
+    modes = ", ".join(f"{mode['natural_frequency']:.4g}" for mode in account["modes"])
+    lines = [f"{account['file']}: components that ring together, modes at {modes} Hz", account["table_holds"]]
+    lines += ["*: its one tuning number chosen on the truth, which no user has", ""]
+    lines += [" ".join([" " * width, *(f"{name:>9}" for name in names)])]
+    for key, row in zip(keys, rows, strict=True):
+        cells = (f"{row['numbers'][name]:.3g}" if name in row["numbers"] else "-" for name in names)
+        lines.append(" ".join([f"{key:<{width}}", *(f"{cell:>9}" for cell in cells)]))
+    lines += [""]
+    for row in rows:
+        lines += [f"{row['name']}, not run on {', '.join(some)}: {why}" for why, some in row["not_run"].items()]
+    lines += [f"{name}, {text}" for name, part in account["components"].items() for text in part["verdict"][:1]]
+    return "\n".join(lines).rstrip() + "\n"

@@ -30,7 +30,7 @@ from aerobalance.simulation.published import (
     VIBRATION_RIG,
     PublishedBalance,
 )
-from aerobalance.validation.baselines import RivalEstimate, Settings, estimates
+from aerobalance.validation.baselines import BaselineEstimate, BaselineSettings, estimates
 from aerobalance.validation.fir_inverse import MeasuredResponse, response_of_record
 from aerobalance.validation.scores import Truth
 
@@ -198,12 +198,12 @@ def _judged(experiment: Experiment, dynamics: Dynamics, response: MeasuredRespon
     """All rivals on one experiment."""
     recording = experiment.simulation.recording
     truth = Truth.of(experiment.simulation.applied, rate=recording.rate, natural_frequency=dynamics.natural_frequency)
-    found = estimates(recording, dynamics, settings=Settings(response=response), truth=truth)
+    found = estimates(recording, dynamics, settings=BaselineSettings(response=response), truth=truth)
     rows = [_row(row, experiment, truth) for row in found]
     return {"name": experiment.name, "kind": experiment.kind, "rivals": rows, "verdict": verdict(rows)}
 
 
-def _row(row: RivalEstimate, experiment: Experiment, truth: Truth) -> Account:
+def _row(row: BaselineEstimate, experiment: Experiment, truth: Truth) -> Account:
     facts = {
         "name": row.name,
         "setting": "tuned on the truth" if row.oracle else "customary",

@@ -15,7 +15,8 @@ from aerobalance.io.artefacts import provenance
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording
-from aerobalance.validation.baselines import THIS, RivalEstimate
+from aerobalance.validation.baselines import THIS, BaselineEstimate
+from aerobalance.validation.compare import Comparison
 from aerobalance.validation.scores import END_SHARE, Truth
 
 WINDOW: Final = 1.0
@@ -28,16 +29,7 @@ SHOWN: Final = 2
 """Rivals in the figure beside the raw reading and this estimator."""
 
 
-def write_comparison(
-    path: Path,
-    account: dict[str, Any],
-    found: Sequence[RivalEstimate],
-    *,
-    recording: Recording,
-    dynamics: Dynamics,
-    truth: Truth | None,
-    inputs: Sequence[Path],
-) -> None:
+def write_comparison(path: Path, account: dict[str, Any], found: Comparison, *, inputs: Sequence[Path]) -> None:
     """Write the comparison as one HTML file that needs nothing else, whole or not at all.
 
     Parameters
@@ -47,56 +39,33 @@ def write_comparison(
     account
         What `aerobalance.app.commands.compare` found.
     found
-        The rivals' estimates.
-    recording, dynamics
-        What they were worked out from.
-    truth
-        What was applied, where it is known.
+        The estimates of all methods, with what they were worked out from.
     inputs
         Files named with their SHA-256.
     """
-    window = shown_part(recording, dynamics, found, truth)
+    name = next(iter(found))
+    recording, response, truth = found.recording, found.responses[name], found.truths.get(name)
+    window = shown_part(recording, response, found[name], truth)
     content = {
         "found": account,
         "this": THIS,
-        "judged": truth is not None,
-        "figure": comparison_figure(found, recording=recording, dynamics=dynamics, truth=truth, window=window),
+        "judged": bool(found.truths),
         "window": [float(recording.time[window.start]), float(recording.time[window.stop - 1])],
-        "drawn": [row.name for row in best(found, truth)],
         "origin": provenance(inputs),
     }
+    if "components" in account:
+        content["figure"] = components_figure(found, recording=recording, truths=found.truths, window=window)
+        write_page(path, "compare_coupled.html.j2", content)
+        return
+    content["figure"] = comparison_figure(
+        found[name], recording=recording, dynamics=response, truth=truth, window=window
+    )
+    content["drawn"] = [row.name for row in best(found[name], truth)]
     write_page(path, "compare.html.j2", content)
 
 
-def write_coupled_comparison(
-    path: Path,
-    account: dict[str, Any],
-    found: Mapping[str, Sequence[RivalEstimate]],
-    *,
-    recording: Recording,
-    balances: Mapping[str, Dynamics],
-    truths: Mapping[str, Truth],
-    inputs: Sequence[Path],
-) -> None:
-    """Write the comparison of components that ring together; the arguments are those of `write_comparison`.
-
-    Estimates, truths and what each component shows under its own load (`balances`) are by component.
-    """
-    name = next(iter(found))
-    window = shown_part(recording, balances[name], found[name], truths.get(name))
-    content = {
-        "found": account,
-        "this": THIS,
-        "judged": bool(truths),
-        "figure": components_figure(found, recording=recording, truths=truths, window=window),
-        "window": [float(recording.time[window.start]), float(recording.time[window.stop - 1])],
-        "origin": provenance(inputs),
-    }
-    write_page(path, "compare_coupled.html.j2", content)
-
-
 def components_figure(
-    found: Mapping[str, Sequence[RivalEstimate]],
+    found: Mapping[str, Sequence[BaselineEstimate]],
     *,
     recording: Recording,
     truths: Mapping[str, Truth],
@@ -126,20 +95,22 @@ def components_figure(
     return inline(figure, "rivals", "The forces and moments by the rivals and by this estimator")
 
 
-def best(found: Sequence[RivalEstimate], truth: Truth | None) -> list[RivalEstimate]:
+def best(found: Sequence[BaselineEstimate], truth: Truth | None) -> list[BaselineEstimate]:
     """Choose the rivals to draw: the nearest to the truth, or without one the low-pass and the central differences."""
     others = [row for row in found if row.ran and row.name not in (THIS, "raw reading")]
     if truth is None:
         order = ["band-limited inverse", "low-pass"]
         return [row for name in order for row in others if row.name == name][:SHOWN]
-    chosen: list[RivalEstimate] = []
+    chosen: list[BaselineEstimate] = []
     for row in sorted(others, key=lambda item: truth.score(item.values).rms):
         if row.name not in [item.name for item in chosen]:
             chosen.append(row)
     return chosen[:SHOWN]
 
 
-def shown_part(recording: Recording, dynamics: Dynamics, found: Sequence[RivalEstimate], truth: Truth | None) -> slice:
+def shown_part(
+    recording: Recording, dynamics: Dynamics, found: Sequence[BaselineEstimate], truth: Truth | None
+) -> slice:
     """Samples around the largest change of the force within a tenth of a natural period."""
     own = next(row for row in found if row.name == THIS)
     force = truth.values if truth is not None else own.values
@@ -154,7 +125,7 @@ def shown_part(recording: Recording, dynamics: Dynamics, found: Sequence[RivalEs
 
 
 def comparison_figure(
-    found: Sequence[RivalEstimate],
+    found: Sequence[BaselineEstimate],
     *,
     recording: Recording,
     dynamics: Dynamics,
@@ -166,7 +137,7 @@ def comparison_figure(
     figure, (top, bottom) = empty_figure(colours, (7.6, 6.0), rows=2, heights=(1.4, 1), share=True)
     time = recording.time[window]
     paints = iter((colours.third, colours.fourth))
-    lines: list[tuple[RivalEstimate, str, float]] = []
+    lines: list[tuple[BaselineEstimate, str, float]] = []
     lines += [(row, colours.first, 0.8) for row in found if row.name == "raw reading" and row.ran]
     lines += [(row, next(paints), 1.0) for row in best(found, truth)]
     lines += [(row, colours.second, 1.6) for row in found if row.name == THIS and row.ran]

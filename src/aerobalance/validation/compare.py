@@ -1,0 +1,155 @@
+"""The estimator and the baseline methods side by side on one record, of one component or of several."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from aerobalance.balance.calibration.fit import Calibration
+from aerobalance.balance.loads import Loads
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.zeros import Zero
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.errors import FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.validation.baselines import BaselineEstimate, BaselineSettings, estimates
+from aerobalance.validation.coupled_baselines import estimates_of_coupled, own_response
+from aerobalance.validation.fir_inverse import MeasuredResponse, response_of_record
+from aerobalance.validation.scores import Truth, truth_on_clock
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison(Mapping[str, Sequence[BaselineEstimate]]):
+    """Estimates of all methods, by component; the program's own is the last of each.
+
+    Attributes
+    ----------
+    estimates
+        What each method gives, by component. With a truth, a method with a tuning number stands twice: with its
+        customary setting, and with that of the least rms deviation from the truth.
+    recording
+        The balance loads that they were worked out from.
+    dynamics
+        The dynamics.
+    responses
+        Response of each component to its own load: every mode with its share of a steady load.
+    truths
+        What was applied, by component, where it is known.
+    loads
+        The loads with their matrix, where they come from gauge outputs.
+    """
+
+    estimates: Mapping[str, Sequence[BaselineEstimate]]
+    recording: Recording
+    dynamics: IndependentDynamics | CoupledDynamics
+    responses: Mapping[str, Dynamics]
+    truths: Mapping[str, Truth]
+    loads: Loads | None = None
+
+    def __getitem__(self, component: str) -> Sequence[BaselineEstimate]:
+        return self.estimates[component]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.estimates)
+
+    def __len__(self) -> int:
+        return len(self.estimates)
+
+
+def compare(
+    run: Recording | Loads,
+    dynamics: AnyDynamics,
+    *,
+    truth: Recording | None = None,
+    components: Sequence[str] | None = None,
+    step: Recording | Loads | None = None,
+    balance: BalanceMatrix | Calibration | None = None,
+    zero: Zero | None = None,
+    gravity: float = STANDARD_GRAVITY,
+) -> Comparison:
+    """Forces [N, N*m] by the estimator and by every baseline method, from one record.
+
+    Parameters
+    ----------
+    run
+        Balance loads, and what else was recorded; or with `balance` gauge outputs.
+    dynamics
+        Dynamics of one component or of several, coupled or not.
+    truth
+        Force applied, where it is known, on the clock of the run.
+    components
+        Components that are compared; all that the dynamics and the run have where left out.
+    step
+        A record of a step of one component, from which the deconvolution takes its response; of loads or outputs as
+        `run` is. Only one component can be compared then.
+    balance, zero
+        Where gauge outputs are given: the balance matrix or its calibration, and the zero that they count from.
+    gravity
+        Local acceleration of gravity [m/s^2].
+
+    Raises
+    ------
+    FitError
+        The run or the dynamics lack a component, or the truth is not on the clock of the run.
+    ValueError
+        A step is given for several components.
+    """
+    model = dynamics_of(dynamics)
+
+    def made_ready(given: Recording | Loads) -> Recording | Loads:
+        if balance is None or isinstance(given, Loads):
+            return given
+        return reduce_outputs(given, balance, zero=zero, model=model, gravity=gravity)
+
+    ready = made_ready(run)
+    if isinstance(ready, Loads):
+        ready.check_ready()
+    recording = ready.recording if isinstance(ready, Loads) else ready
+    names = _names(recording, model, components)
+    if step is not None and len(names) > 1:
+        raise ValueError(f"--step is a step of one component: name that one of {', '.join(names)} with --component")
+    responses = {
+        name: own_response(model, name) if isinstance(model, CoupledDynamics) else model[name] for name in names
+    }
+    lowest = min(response.natural_frequency for response in responses.values())
+    truths = {}
+    if truth is not None:
+        for name in names:
+            values = truth_on_clock(recording, truth, name)
+            truths[name] = Truth.of(values, rate=recording.rate, natural_frequency=lowest)
+    response = None
+    if step is not None:
+        stepped = made_ready(step)
+        stepped = stepped.recording if isinstance(stepped, Loads) else stepped
+        response = _step_response(stepped, names[0], natural_frequency=lowest, rate=recording.rate)
+    settings = BaselineSettings(gravity=gravity, response=response)
+    found: dict[str, Sequence[BaselineEstimate]] = {}
+    if isinstance(model, CoupledDynamics):
+        found |= estimates_of_coupled(recording, model, components=names, settings=settings, truths=truths)
+    else:
+        found |= {name: estimates(recording, model[name], settings=settings, truth=truths.get(name)) for name in names}
+    return Comparison(found, recording, model, responses, truths, ready if isinstance(ready, Loads) else None)
+
+
+def _names(
+    recording: Recording, model: IndependentDynamics | CoupledDynamics, components: Sequence[str] | None
+) -> tuple[str, ...]:
+    """Components that are compared."""
+    lacking = [name for name in components or () if name not in model.components]
+    if lacking:
+        raise FitError(f"the dynamics have no {lacking[0]}; they have {', '.join(model.components)}")
+    names = tuple(model.components if components is None else components)
+    if isinstance(model, CoupledDynamics) and components is None:
+        return names
+    there = tuple(name for name in names if components is not None or name in recording)
+    for name in there or names:
+        recording.channel(name)  # whose error tells what the recording has
+    return there
+
+
+def _step_response(step: Recording, component: str, *, natural_frequency: float, rate: float) -> MeasuredResponse:
+    return response_of_record(step, component, natural_frequency=natural_frequency, rate=rate)
