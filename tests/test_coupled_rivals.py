@@ -118,7 +118,7 @@ def test_the_command_has_one_table(here: int) -> None:
     ("line", "code", "words"),
     [
         ("--half-range 5", 2, "NF=2000"),
-        ("--step run.csv", 2, "each for itself"),
+        ("--step run.csv", 2, "name that one of NF, PM"),
         ("--component AF", 1, "have no AF"),
     ],
 )
