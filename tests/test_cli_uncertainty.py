@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from aerobalance.app.cli import main
-from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.components import STANDARD_GRAVITY
+from helpers.cable_cut import T128
 
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 MAP = """\
 [file]
 time = "time [s]"

@@ -14,7 +14,8 @@ from aerobalance.estimation.spectra.noise_spectrum import Hump, NoiseSpectrum
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
-from helpers.coloured_noise import RATE, T128, WHITE, noise_of
+from helpers.cable_cut import T128
+from helpers.coloured_noise import RATE, WHITE, noise_of
 
 N = 8000
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from aerobalance.dynamics.single import PARAMETERS, Dynamics, Mode, extremum_ratio, stiffness_from_damped_frequency
+from helpers.cable_cut import T128
 
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RIG = Dynamics("AF", 0.68, 11.43e6, 371.98)
 HEAVY = Dynamics("AF", 2.0, 800.0, 160.0)  # damping ratio 2
 CRITICAL = Dynamics("AF", 2.0, 800.0, 80.0)  # damping ratio 1

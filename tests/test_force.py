@@ -15,8 +15,8 @@ from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
+from helpers.cable_cut import T128
 
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 HALF_RANGE = 2000.0
 FINE = 8

@@ -5,14 +5,13 @@ import warnings
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.spectra.line_noise import columns_of_lines, hum_lines, reading_of_lines
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
+from helpers.cable_cut import T128
 
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 NOISE = 2.0
 

@@ -15,9 +15,9 @@ from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
+from helpers.cable_cut import T128
 from seeds import trials
 
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 HEIGHT = 1020.0
 RELEASE = 0.50021

@@ -11,7 +11,8 @@ from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, ColoredNois
 from aerobalance.estimation.statespace.kalman import KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.errors import DataQualityWarning, FitError
-from helpers.coloured_noise import RATE, T128, WHITE, noise_of
+from helpers.cable_cut import T128
+from helpers.coloured_noise import RATE, WHITE, noise_of
 
 
 def known(corner: float = 10.0, exponent: float = 1.0, *, humps: tuple[Hump, ...] = ()) -> NoiseSpectrum:

@@ -19,9 +19,9 @@ from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Array
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.uncertainty.planning import plan
+from helpers.cable_cut import T128
 from helpers.coupled_pair import NOISE, SIZE, pair
 
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 NAMES = ("NF", "PM")
 READINGS = dict(zip(NAMES, NOISE.tolist(), strict=True))

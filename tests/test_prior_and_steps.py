@@ -5,7 +5,6 @@ import pytest
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 from scipy.stats import multivariate_normal
 
-from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import (
     Observation,
@@ -22,8 +21,8 @@ from aerobalance.estimation.steps import Step, find_steps, shape_of
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
+from helpers.cable_cut import T128
 
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 STEP = 1020.0
 

@@ -39,8 +39,8 @@ from aerobalance.validation.fir_inverse import (
     undo,
 )
 from aerobalance.validation.scores import Truth, find_jumps, truth_on_clock
+from helpers.cable_cut import T128
 
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.analog_filter import AntiAlias
@@ -16,8 +15,8 @@ from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import LEAST_GAIN, corrected
+from helpers.cable_cut import T128
 
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 FREQUENCY = 40.0  # no mains hum
 TIME = np.arange(4001) / RATE  # 100 whole periods, so that the record goes on as a sine at both ends

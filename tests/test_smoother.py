@@ -5,12 +5,12 @@ import pytest
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.single import Mode
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE, KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from helpers.butterworth import butterworth
+from helpers.cable_cut import T128
 
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 INTERVAL = 1 / 1600
 ORDERS = (1, 2, 4, 8)
 

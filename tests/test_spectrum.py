@@ -8,8 +8,8 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, Periodogram, Spectrum, leaked
 from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE, _cheapest
 from aerobalance.estimation.spectra.whittle import fit_spectrum
+from helpers.cable_cut import T128
 
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 STIFF = Dynamics("AF", 1e-6, 3.093e7, 1e-3)  # follows any force at once: |G| = 1
 

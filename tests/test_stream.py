@@ -17,8 +17,8 @@ from aerobalance.motion.single_axis import GroundMotion, load_from_ground
 from aerobalance.recording.errors import FitError
 from aerobalance.simulation import CableCut, Sensor
 from helpers.butterworth import butterworth
+from helpers.cable_cut import T128
 
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 TWO_MODES = Dynamics("AF", 177.87, 3.093e7, 828.21, further_modes=(Mode(165.0, 0.01, 0.05),))
 RATE = 1600.0
 NOISE = 2.0

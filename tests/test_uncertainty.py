@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.force_smoother import LinearSmoother, SmootherResult
@@ -21,9 +20,9 @@ from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import advice, component_budget, scalars, spectrum
 from aerobalance.uncertainty.monte_carlo import monte_carlo
 from aerobalance.uncertainty.sampling import drawn_dynamics, drawn_numbers
+from helpers.cable_cut import T128
 
 RATE = 1600.0
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 UNSURE = replace(T128, covariance=np.diag((np.array([2e-4, 2e-4, 5e-2, 0]) * T128.values) ** 2))
 
 

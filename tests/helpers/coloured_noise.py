@@ -2,9 +2,6 @@
 
 import numpy as np
 
-from aerobalance.dynamics.single import Dynamics
-
-T128 = Dynamics("AF", 177.87, 3.093e7, 828.21)
 RATE = 1600.0
 WHITE = 4.0 / RATE
 
