@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aerobalance.estimation.live.alignment import Aligner
-from aerobalance.estimation.live.modes import REACH
-from aerobalance.recording.resampling import SHARPNESS
+from aerobalance.recording.resampling import REACH, SHARPNESS
 
 
 def pushed(aligner, rows, cuts):

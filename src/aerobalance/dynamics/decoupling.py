@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.condensation import Condensed, modes_of, partial_fractions, spectral_factor
 from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.driven_modes import DrivenModes
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import FINE, upsample_compensated
@@ -58,16 +59,14 @@ class Fractions:
         return cls(direct, tuple(modes), values.T, rates.T)
 
     def through(self, series: Array, *, interval: float) -> Array:
-        """What becomes of series of shape (samples, c), held before the first sample; shape (samples,)."""
+        """What becomes of series of shape (samples, c), at rest before (`DrivenModes`); shape (samples,)."""
         found = series @ self.direct
         if not self.modes:
             return np.asarray(found)
-        driving = series @ np.vstack([self.by_value, self.by_rate]).T
-        fine, step = upsample_compensated(driving), interval / FINE
-        for place, mode in enumerate(self.modes):
-            value, rate = fine[:, place], fine[:, len(self.modes) + place]
-            found = found + mode.driven(value, interval=step)[0][::FINE] + mode.driven(rate, interval=step)[1][::FINE]
-        return np.asarray(found)
+        first = series[0]
+        driving = np.stack([(series - first) @ by.T for by in (self.by_value, self.by_rate)], axis=1)
+        responses = DrivenModes(self.modes, interval=interval).whole(driving)
+        return np.asarray(found + (self.by_value @ first).sum() + responses.sum(axis=1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +143,7 @@ class LoneComponent:
     def reading(self, loads: Array, *, interval: float) -> Array:
         """What that balance reads when the coupled one reads these loads, shape (samples,).
 
-        Before its first sample every load is taken as held; another past of it is a free oscillation of z.
+        Before its first sample the loads are as in `DrivenModes`; another past of them is a free oscillation of z.
 
         Parameters
         ----------

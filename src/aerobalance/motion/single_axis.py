@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.signal import resample_poly
 
+from aerobalance.dynamics.driven_modes import DrivenModes
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import (
@@ -23,11 +22,8 @@ from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.gravity import Gravity
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import SHARPNESS, interpolate_gaps_linearly
+from aerobalance.recording.resampling import interpolate_gaps_linearly
 from aerobalance.recording.sensors import corrected, divided, high_pass
-
-FINE: Final = 8
-"""Steps into which a sampling interval is divided where a known motion drives the balance between samples."""
 
 AT_REST: Final = 1.25
 """Variance of an acceleration over that of its own noise, below which the ground end is at rest."""
@@ -267,8 +263,8 @@ def without_gaps(channel: Channel) -> Array:
 def load_from_ground(motion: GroundMotion, dynamics: Dynamics, *, rate: float, load_delay: float = 0.0) -> Array:
     """Load that the ground's motion alone makes the balance feel, at the load's sampling instants, shape (n,) [N].
 
-    The motion is interpolated band-limited to a clock `FINE` times as fast, so that its path between samples is right
-    and the delay between the channels need not be whole samples.
+    Between samples the motion is band-limited (`aerobalance.dynamics.driven_modes`); the delay between the channels
+    need not be whole samples.
 
     Parameters
     ----------
@@ -284,12 +280,7 @@ def load_from_ground(motion: GroundMotion, dynamics: Dynamics, *, rate: float, l
     net = motion.force(dynamics.mass)
     if not net.any():
         return np.zeros_like(net)
+    shares = np.array([[mode.share, mode.rate_share] for mode in dynamics.modes]).T
     lag = dynamics.delay + load_delay - motion.delay
-    fine = net[0] + resample_poly(net - net[0], FINE, 1, window=("kaiser", SHARPNESS), padtype="line")
-    if lag:
-        clock = np.arange(fine.size) / (FINE * rate)
-        inside = np.clip(clock - lag, clock[0], clock[-1])
-        fine = CubicSpline(clock, fine)(inside)
-    # straight lines lose (w h)^2 / 12 of a sine: a twelfth of the second difference gives it back
-    fine[1:-1] -= np.diff(fine, 2) / 12
-    return dynamics.load_felt(fine, interval=1 / (FINE * rate))[::FINE]
+    modes = DrivenModes(dynamics.modes, interval=1 / rate, delays=(lag,))
+    return np.asarray(net[0] + modes.whole((net - net[0])[:, None, None] * shares).sum(axis=1))

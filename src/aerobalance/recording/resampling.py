@@ -23,6 +23,9 @@ It leaves errors below 3e-6 up to 0.3 of the sampling rate. A component may feel
 be found in another.
 """
 
+REACH: Final = 10
+"""Samples on either side that an interpolated value is made from."""
+
 EDGE: Final = 12
 """Samples at either end of a record that the window of the band-limited interpolation reaches beyond."""
 
@@ -193,3 +196,15 @@ def _runs(gap: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """First sample of every gap and the first one after it."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], gap, [False]])))
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
+
+
+def interpolation(shift: float) -> tuple[Array, int]:
+    """Weights of samples in values on the fine clock, shape (FINE, taps), and the distance of the first [samples]."""
+    place = np.arange(FINE) / FINE - shift
+    first = int(np.floor(place[0])) - REACH + 1
+    last = int(np.floor(place[-1])) + REACH
+    distance = np.arange(first, last + 1) - place[:, None]
+    inside = np.abs(distance) < REACH
+    window = np.i0(SHARPNESS * np.sqrt(np.where(inside, 1 - (distance / REACH) ** 2, 0.0))) * inside
+    weights = np.sinc(distance) * window
+    return np.ascontiguousarray(weights / weights.sum(axis=1, keepdims=True)), first

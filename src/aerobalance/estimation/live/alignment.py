@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.estimation.live.modes import interpolation
 from aerobalance.recording.channel import Array
+from aerobalance.recording.resampling import interpolation
 
 SAME: Final = 9
 """Decimal places of a sampling interval beyond which a lag is rounding."""
@@ -18,7 +18,7 @@ class Aligner:
     """Readings of channels at the instants of one of them; what comes out does not depend on how they came cut.
 
     Lags of whole samples are taken out exactly. For the rest readings are interpolated band-limited, so that a missing
-    one leaves `aerobalance.estimation.live.modes.REACH` samples on either side missing. What came before the first
+    one leaves `aerobalance.recording.resampling.REACH` samples on either side missing. What came before the first
     sample is as the first.
 
     Parameters

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.decoupling import LoneComponent
-from aerobalance.estimation.live.modes import REACH, LiveModes
+from aerobalance.dynamics.driven_modes import DrivenModes
 from aerobalance.recording.channel import Array
-from aerobalance.recording.resampling import hold_over_gaps
+from aerobalance.recording.resampling import REACH, hold_over_gaps
 
 MARGIN: Final = REACH
 """Samples on either side of a gap whose lone readings count as missing: the interpolation there reaches into it."""
@@ -51,7 +51,7 @@ class LiveApart:
         self._by_rate = np.vstack([part.by_rate for part in parts])
         modes = [mode for part in parts for mode in part.modes]
         self._shares = np.array([[mode.share, mode.rate_share] for mode in modes])
-        self._modes = LiveModes(modes, interval=interval, delays=(0.0, delay))
+        self._modes = DrivenModes(modes, interval=interval, delays=(0.0, delay))
         self.ahead = max(self._modes.ahead, MARGIN)
         self._start: tuple[Array, Array] | None = None
         self._early = [np.zeros((0, n)), np.zeros((0, n))]

@@ -1,15 +1,15 @@
 """Readings as they come in, less the load that the ground end's motion makes the balance feel.
 
 That load is the same as that of `aerobalance.motion.single_axis.load_from_ground`, Eq. (8) of [Gorbushin2020]_ for a
-motion that is interpolated band-limited (`aerobalance.estimation.live.modes`).
+motion that is interpolated band-limited (`aerobalance.dynamics.driven_modes`).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from aerobalance.dynamics.driven_modes import DrivenModes
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.live.modes import LiveModes
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.gravity import gravity_share
@@ -30,7 +30,7 @@ class LiveGround:
     """
 
     def __init__(self, dynamics: Dynamics, *, interval: float, delay: float = 0.0) -> None:
-        self._modes = LiveModes(dynamics.modes, interval=interval, delays=(dynamics.delay + delay,))
+        self._modes = DrivenModes(dynamics.modes, interval=interval, delays=(dynamics.delay + delay,))
         self._shares = np.array([[mode.share, mode.rate_share] for mode in dynamics.modes]).T
         self._mass = dynamics.mass
         self._start: float | None = None

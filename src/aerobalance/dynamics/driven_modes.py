@@ -1,19 +1,22 @@
-r"""Modes of a balance driven by series as they come in, from sample to sample.
+r"""Response of modes to sampled series, block by block or for a whole record at once: the same samples either way.
 
 A mode 1 / (1 + d s + a s^2) is driven by u + s v. Between samples u and v are interpolated band-limited to a clock
-`FINE` times as fast, and straight there, as `aerobalance.recording.resampling.upsample_compensated` does it; the
-response at the samples is then exactly
+`FINE` times as fast, and straight there (`aerobalance.recording.resampling.upsample_compensated`); the response at
+the samples is then exactly
 
     y_k = tr y_(k-1) - det y_(k-2) + sum over t of g_t u_(k+t) + h_t v_(k+t),
 
 with trace and determinant of the transition of the mode's state over a sampling interval: with the weights g and h
 known, no fine clock is left.
+
+The sum reaches beyond both ends of a record. There the series go on turned about their end sample (odd reflection):
+held in place of that, they would have a kink, which rings in what follows. Another past is a free oscillation of the
+modes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 from scipy.linalg import expm
@@ -21,14 +24,11 @@ from scipy.signal import lfilter
 
 from aerobalance.dynamics.single import Mode
 from aerobalance.recording.channel import Array
-from aerobalance.recording.resampling import FINE, SHARPNESS
-
-REACH: Final = 10
-"""Samples on either side that an interpolated value is made from."""
+from aerobalance.recording.resampling import FINE, interpolation
 
 
-class LiveModes:
-    """Responses of modes, chunk by chunk.
+class DrivenModes:
+    """Responses of modes, block by block.
 
     Parameters
     ----------
@@ -41,6 +41,8 @@ class LiveModes:
 
     Attributes
     ----------
+    kinds
+        Series that drive every mode: u and v of every delay.
     ahead
         Samples after a sample that the responses at it wait for.
     """
@@ -59,18 +61,46 @@ class LiveModes:
                 self._weights[begin : begin + taps.shape[0], 2 * number : 2 * number + 2, place] = taps
         self.ahead: int = last - 1
         self._state = np.zeros((len(modes), 2))
-        # what came before the first sample is zero
-        self._driving = np.zeros((-self._first, self.kinds, len(modes)))
+        self._driving = np.zeros((0, self.kinds, len(modes)))
+        self._begun = False
 
     def push(self, driving: Array) -> Array:
-        """Take u and v of every delay, shape (k, `kinds`, m), zero before the first; the responses known by them.
+        """Return the responses that have become known by more of u and v, shape (k', m).
 
-        Returns
-        -------
-        responses
-            Shape (k', m).
+        Parameters
+        ----------
+        driving
+            u and v of every delay, shape (k, `kinds`, m), less their first sample.
         """
         self._driving = np.concatenate([self._driving, driving])
+        if not self._begun and self._driving.shape[0] > -self._first:
+            self._begin()
+        if not self._begun:
+            return np.zeros((0, self._weights.shape[2]))
+        return self._respond()
+
+    def finish(self) -> Array:
+        """Return the responses that wait for what comes after the last sample, shape (k', m)."""
+        if not self._driving.shape[0]:
+            return np.zeros((0, self._weights.shape[2]))
+        if not self._begun:
+            self._begin()
+        end = np.arange(self._driving.shape[0] - 2, self._driving.shape[0] - 2 - self.ahead, -1)
+        after = 2 * self._driving[-1:] - self._driving[np.maximum(end, 0)]
+        self._driving = np.concatenate([self._driving, after])
+        return self._respond()
+
+    def whole(self, driving: Array) -> Array:
+        """Return the responses to all of u and v, both of shape (k, ...), as `push` and `finish` give them."""
+        return np.concatenate([self.push(driving), self.finish()])
+
+    def _begin(self) -> None:
+        """Put what came before the first sample in front."""
+        mirrored = np.minimum(np.arange(-self._first, 0, -1), self._driving.shape[0] - 1)
+        self._driving = np.concatenate([2 * self._driving[:1] - self._driving[mirrored], self._driving])
+        self._begun = True
+
+    def _respond(self) -> Array:
         count = max(self._driving.shape[0] + self._first - self.ahead, 0)
         push = np.zeros((count, self._weights.shape[2]))
         if not count:
@@ -84,11 +114,6 @@ class LiveModes:
             push[:, place], self._state[place] = lfilter([1.0], pole, push[:, place], zi=self._state[place])
         self._driving = self._driving[count:]
         return push
-
-    def finish(self) -> Array:
-        """The responses that wait for what comes after: the series go on turned about their last sample."""
-        end = np.arange(self._driving.shape[0] - 2, self._driving.shape[0] - 2 - self.ahead, -1)
-        return self.push(2 * self._driving[-1:] - self._driving[np.maximum(end, 0)])
 
 
 def _taps(mode: Mode, *, interval: float, delay: float) -> tuple[Array, int, Array]:
@@ -150,15 +175,3 @@ def _between(shift: float) -> tuple[Array, int]:
     bent = dense[points] - (dense[points + 1] - 2 * dense[points] + dense[points - 1]) / 12
     used = np.flatnonzero(np.abs(bent).max(axis=0) > 0)
     return bent[:, used[0] : used[-1] + 1], first - 2 + int(used[0])
-
-
-def interpolation(shift: float) -> tuple[Array, int]:
-    """Weights (FINE, taps) of the samples in the values on the fine clock, and the first tap's distance in samples."""
-    place = np.arange(FINE) / FINE - shift
-    first = int(np.floor(place[0])) - REACH + 1
-    last = int(np.floor(place[-1])) + REACH
-    distance = np.arange(first, last + 1) - place[:, None]
-    inside = np.abs(distance) < REACH
-    window = np.i0(SHARPNESS * np.sqrt(np.where(inside, 1 - (distance / REACH) ** 2, 0.0))) * inside
-    weights = np.sinc(distance) * window
-    return np.ascontiguousarray(weights / weights.sum(axis=1, keepdims=True)), first
