@@ -40,6 +40,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
+import tomli_w
 from pydantic import BaseModel, Field, SerializeAsAny, ValidationError, model_validator
 
 from aerobalance.acquisition.fields import Above, FileName, Name, NotBelow, Number, Table, Text
@@ -50,7 +51,7 @@ from aerobalance.io.channel_settings import ChannelSettings
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.messages import first_fault
 from aerobalance.io.safe_write import replacing
-from aerobalance.io.toml_text import read_toml, toml_in, toml_text
+from aerobalance.io.toml_file import read_toml, toml_in
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError, ReadError
 from aerobalance.recording.units import conversion_for
@@ -292,7 +293,7 @@ def _fault(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
 
 def setup_text(setup: Setup) -> str:
     """Write a set-up as TOML: what was set, in the order of the fields. `parse_setup` gives the same set-up again."""
-    return toml_text(setup.model_dump(exclude_none=True, exclude_unset=True) | _kind(setup))
+    return tomli_w.dumps(setup.model_dump(exclude_none=True, exclude_unset=True) | _kind(setup))
 
 
 def save_setup(path: Path | str, setup: Setup) -> None:

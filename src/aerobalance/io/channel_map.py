@@ -16,7 +16,7 @@ from aerobalance.io.messages import first_fault
 from aerobalance.io.table import Column, check_time, on_clock
 from aerobalance.io.text_cells import SEPARATORS
 from aerobalance.io.text_layout import Layout
-from aerobalance.io.toml_text import read_toml
+from aerobalance.io.toml_file import read_toml
 from aerobalance.recording.analog_filter import HIGHEST_ORDER, AntiAlias, Kind
 from aerobalance.recording.channel import (
     Array,

@@ -15,7 +15,7 @@ from aerobalance.io.table import Table, table_from
 from aerobalance.io.text_clock import ALIKE
 from aerobalance.io.text_layout import Layout, TextLayout
 from aerobalance.io.text_table import describe_text, guess_encoding, read_text_columns, read_text_table
-from aerobalance.io.toml_text import quoted
+from aerobalance.io.toml_file import quoted
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError, warn_quality
 from aerobalance.recording.units import expected_unit

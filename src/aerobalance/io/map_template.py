@@ -11,7 +11,7 @@ from aerobalance.io.channel_names import Proposal, proposals
 from aerobalance.io.columns import Heading
 from aerobalance.io.text_clock import is_time_name, is_time_unit
 from aerobalance.io.text_layout import TextLayout, separator_word
-from aerobalance.io.toml_text import quoted
+from aerobalance.io.toml_file import quoted
 from aerobalance.recording.channel import QUANTITIES
 from aerobalance.recording.units import readable
 

@@ -16,7 +16,7 @@ from aerobalance.io.artefacts import Finite, NotNegative
 from aerobalance.io.messages import first_fault
 from aerobalance.io.opening import opened_file
 from aerobalance.io.rigid_mass_part import RigidMassPart, rigid_mass_from
-from aerobalance.io.toml_text import read_toml
+from aerobalance.io.toml_file import read_toml
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import ReadError, warn_quality
