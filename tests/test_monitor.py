@@ -20,7 +20,7 @@ from aerobalance.acquisition.feed import Hello
 from aerobalance.acquisition.setup import setup_from, stored_channels
 from aerobalance.acquisition.simulated import rig_dynamics
 from aerobalance.acquisition.source import Block, SourceChannel
-from aerobalance.app.monitor.access import Door, is_loopback
+from aerobalance.app.monitor.access import AccessPolicy, is_loopback
 from aerobalance.app.monitor.board import Board, plain
 from aerobalance.app.monitor.command import Reach, monitor
 from aerobalance.app.monitor.folder import Folder
@@ -429,9 +429,9 @@ def test_other_addresses_need_a_token() -> None:
     assert all(is_loopback(host) for host in ("127.0.0.1", "::1", "localhost", "127.3.2.1"))
     assert not any(is_loopback(host) for host in ("0.0.0.0", "10.1.2.3", "example.org", "::"))
     with pytest.raises(ValueError, match="--token"):
-        Door("0.0.0.0", 80)
+        AccessPolicy("0.0.0.0", 80)
     with pytest.raises(ValueError, match="at least 16"):
-        Door("0.0.0.0", 80, token="short")
+        AccessPolicy("0.0.0.0", 80, token="short")
 
 
 @pytest.mark.parametrize(
@@ -443,7 +443,7 @@ def test_other_addresses_need_a_token() -> None:
     ],
 )  # fmt: skip
 def test_hosts(host, allowed) -> None:
-    assert Door("127.0.0.1", 8765).host_allowed(host) is allowed
+    assert AccessPolicy("127.0.0.1", 8765).host_allowed(host) is allowed
 
 
 def test_wrong_calls(tmp_path) -> None:
@@ -519,8 +519,8 @@ def test_files_outside(running, path) -> None:
 def test_token() -> None:
     from starlette.testclient import TestClient
 
-    door = Door("127.0.0.1", 8765, token="a-secret-of-some-length")
-    page = Page(Beginning(rig_setup("cable_cut"), Folder(STATIC), None), door=door)
+    policy = AccessPolicy("127.0.0.1", 8765, token="a-secret-of-some-length")
+    page = Page(Beginning(rig_setup("cable_cut"), Folder(STATIC), None), policy=policy)
     client = TestClient(page.app, base_url=BASE, headers={"origin": BASE}, follow_redirects=False)
     assert client.get("/").status_code == 401
     assert client.get("/?token=wrong").status_code == 401
@@ -529,7 +529,7 @@ def test_token() -> None:
         pass
     answer = client.get("/?token=a-secret-of-some-length")
     assert answer.status_code == 303
-    assert "HttpOnly" in answer.headers["set-cookie"] and "SameSite=Strict" in answer.headers["set-cookie"]
+    assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(answer.headers["set-cookie"].split("; "))
     assert client.get("/").status_code == 200  # the client keeps the cookie
     client.cookies.clear()
     client.cookies.set("aerobalance_8765", "a-secret-of-some-length")  # the token itself is none

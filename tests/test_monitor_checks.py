@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from aerobalance.acquisition.guards import ContactCircuit
-from aerobalance.acquisition.rig_values import HALF_RANGES
 from aerobalance.acquisition.source import Block
+from aerobalance.acquisition.source_settings import HALF_RANGES
 from aerobalance.app.monitor.board import Board
 from aerobalance.app.monitor.form import form_of
 from aerobalance.app.monitor.messages import News, Watching

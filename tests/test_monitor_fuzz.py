@@ -12,7 +12,8 @@ import pytest
 from aerobalance.acquisition.feed import Hello
 from aerobalance.acquisition.intake import Intake
 from aerobalance.acquisition.planned import plan_of
-from aerobalance.acquisition.setup import open_source, parse_setup, setup_from, setup_text, stored_channels
+from aerobalance.acquisition.setup import parse_setup, setup_from, setup_text, stored_channels
+from aerobalance.acquisition.sources import open_source
 from aerobalance.app.monitor.form import form_of
 from aerobalance.app.monitor.panels import panel_of
 from aerobalance.app.monitor.setups import rig_setup

@@ -4,8 +4,9 @@ import sys
 
 import pytest
 
-from aerobalance.acquisition.setup import open_source, parse_setup, setup_text, stored_channels
+from aerobalance.acquisition.setup import parse_setup, setup_text, stored_channels
 from aerobalance.acquisition.source import SourceChannel
+from aerobalance.acquisition.sources import open_source
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance
 from aerobalance.recording.errors import FitError, ReadError

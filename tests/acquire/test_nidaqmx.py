@@ -13,11 +13,11 @@ from nidaqmx.constants import AccelUnits, BridgeConfiguration, BridgeUnits, Exci
 
 from aerobalance.acquisition import nidaqmx
 from aerobalance.acquisition.continuity import Continuity
-from aerobalance.acquisition.kinds import NiInput
 from aerobalance.acquisition.nidaqmx import NidaqmxSource, skews
 from aerobalance.acquisition.session import Session
 from aerobalance.acquisition.setup import parse_setup
 from aerobalance.acquisition.source import SourceEndedError
+from aerobalance.acquisition.source_settings import NiInput
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.recording.errors import FitError
 from helpers.at_work import end_by_sigterm, follow, lost_by_a_kill

@@ -31,7 +31,7 @@ SERVER = """
 import sys, time
 import numpy as np
 from aerobalance.acquisition.opendaq_server import PublishedDevice
-from aerobalance.acquisition.pacing import Pacing
+from aerobalance.acquisition.source import Pacing
 from aerobalance.acquisition.source import Block, SourceChannel
 
 class Counter:

@@ -12,7 +12,6 @@ from aerobalance.acquisition.planned import plan_of
 from aerobalance.acquisition.setup import (
     Setup,
     load_setup,
-    open_source,
     parse_setup,
     save_setup,
     setup_from,
@@ -20,6 +19,7 @@ from aerobalance.acquisition.setup import (
     stored_channels,
 )
 from aerobalance.acquisition.source import SourceChannel
+from aerobalance.acquisition.sources import open_source
 from aerobalance.recording.errors import FitError, ReadError
 
 FULL = '''

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from aerobalance.acquisition.spawning import start
+from aerobalance.acquisition.session import start_on_one_thread
 
 NAME = "OPENBLAS_NUM_THREADS"
 
@@ -22,7 +22,7 @@ def test_one_thread_unless_said_otherwise(given, found, monkeypatch) -> None:
     spawn = multiprocessing.get_context("spawn")
     here, there = spawn.Pipe()
     process = spawn.Process(target=tell, args=(there,))
-    start(process)
+    start_on_one_thread(process)
     assert here.recv() == found
     process.join(30)
     assert os.environ.get(NAME) == given

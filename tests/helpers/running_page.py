@@ -7,7 +7,7 @@ import time
 from starlette.testclient import TestClient
 
 from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
-from aerobalance.app.monitor.access import Door
+from aerobalance.app.monitor.access import AccessPolicy
 from aerobalance.app.monitor.folder import Folder
 from aerobalance.app.monitor.server import Page
 from aerobalance.app.monitor.setups import rig_setup
@@ -21,11 +21,11 @@ LIVE = "ws://127.0.0.1:8765/live"
 class Running:
     """A page in this process, with the processes behind it."""
 
-    def __init__(self, folder, rig="cable_cut", **door):
+    def __init__(self, folder, rig="cable_cut", **policy):
         self.folder = folder
         setup = rig_setup(rig)
         setup = setup.model_copy(update={"source": setup.source.model_copy(update={"seed": new_seed()})})
-        self.page = Page(Beginning(setup, Folder(folder), None), door=Door("127.0.0.1", 8765, **door))
+        self.page = Page(Beginning(setup, Folder(folder), None), policy=AccessPolicy("127.0.0.1", 8765, **policy))
         self.client = TestClient(self.page.app, base_url=BASE, headers={"origin": BASE})
 
     def __enter__(self):

@@ -285,7 +285,8 @@ class _Server:
 def run_source(setup: str, folder: str, address: Address, control: Connection[Any, Any]) -> None:
     """Run the source of a set-up until it ends, is told to stop, or its starter is gone: the body of a process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the whole group; the starter decides what it means
-    from aerobalance.acquisition.setup import open_source, parse_setup  # noqa: PLC0415 - a recorder needs none of it
+    from aerobalance.acquisition.setup import parse_setup  # noqa: PLC0415 - a recorder needs none of it
+    from aerobalance.acquisition.sources import open_source  # noqa: PLC0415
 
     place = Path(address.socket).parent
     stay(place)

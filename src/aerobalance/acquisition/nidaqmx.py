@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 
 from aerobalance.acquisition.device import QUIET, Device, extra_library
-from aerobalance.acquisition.kinds import NiInput
 from aerobalance.acquisition.source import Block, SourceChannel, SourceEndedError
+from aerobalance.acquisition.source_settings import NiInput
 from aerobalance.recording.errors import FitError
 
 BUFFER: Final = 5.0

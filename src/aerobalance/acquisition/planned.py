@@ -17,8 +17,8 @@ from aerobalance.acquisition.guards import (
     loads_of,
 )
 from aerobalance.acquisition.intake import AtLevel, AtOnce, AtTime, OnCall, Plan, Trigger, channel_columns
-from aerobalance.acquisition.rig_values import HALF_RANGES
-from aerobalance.acquisition.setup import Setup, Simulated
+from aerobalance.acquisition.setup import Setup
+from aerobalance.acquisition.source_settings import HALF_RANGES, Simulated
 from aerobalance.balance.load_envelope import LoadEnvelope
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.recording.components import COMPONENTS, si_unit

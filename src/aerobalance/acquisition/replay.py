@@ -10,8 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from aerobalance.acquisition.pacing import Pacing
-from aerobalance.acquisition.source import Block, SourceChannel, SourceEndedError, Uncontrolled
+from aerobalance.acquisition.source import Block, Pacing, SourceChannel, SourceEndedError, Uncontrolled
 from aerobalance.io import load_channel_map, read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import can_read, read_blocks

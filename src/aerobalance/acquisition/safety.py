@@ -6,16 +6,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from aerobalance.acquisition.fields import Above, Name, NotBelow, Number, Table
 from aerobalance.acquisition.fouling import HOLD
 from aerobalance.acquisition.pretest_checks import RETURN_TOLERANCE, SHUNT_TOLERANCE, shunt_output
+from aerobalance.acquisition.source_settings import Above, Name, SetupTable
 from aerobalance.balance.load_envelope import Station
+from aerobalance.io.channel_settings import NotBelow, Number
 from aerobalance.recording.components import COMPONENTS
 
 Action = Literal["mark", "stop"]
 
 
-class SetLimit(Table):
+class SetLimit(SetupTable):
     """Table ``[limits.NAME]``: what a channel must not leave, in its unit."""
 
     low: Number | None = None
@@ -31,7 +32,7 @@ class SetLimit(Table):
         return self
 
 
-class SetEnvelope(Table):
+class SetEnvelope(SetupTable):
     """Table ``[envelope]``: the loads that the balance may bear together.
 
     The largest load of each component alone is that of its ``[limits.NAME]``, or else half of its range; a component
@@ -43,7 +44,7 @@ class SetEnvelope(Table):
     action: Action = "mark"
 
 
-class SetStation(Table):
+class SetStation(SetupTable):
     """Table ``[stations.NAME]``: a load at one place of the balance, made up of several components, and its limit.
 
     ``NF`` to ``AF`` are what 1 N or 1 N*m of each adds to it.
@@ -68,7 +69,7 @@ class SetStation(Table):
         return Station(name, self.limit, {item: share for item in COMPONENTS if (share := getattr(self, item))})
 
 
-class SetShunt(Table):
+class SetShunt(SetupTable):
     """Table ``[shunt.NAME]``: what the shunt resistor changes a channel by.
 
     Either ``change``, in the channel's unit, as it was when the balance was calibrated, or the ``resistance`` of the
@@ -95,7 +96,7 @@ class SetShunt(Table):
         return None if self.resistance is None else shunt_output(self.bridge, shunt_resistance=self.resistance)
 
 
-class SetFouling(Table):
+class SetFouling(SetupTable):
     """Table ``[fouling]``: the contact circuit between model and support, and what a load must return to.
 
     The circuit is closed from `level` on, in the channel's unit, ``above`` or ``below``. ``tolerance`` is the largest

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import secrets
 import shutil
+import threading
 import time
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
@@ -18,7 +19,6 @@ from aerobalance.acquisition.planned import plan_of
 from aerobalance.acquisition.recorder import Job, Progress, Tell, run_recorder
 from aerobalance.acquisition.scratch import make_folder, remove
 from aerobalance.acquisition.setup import Setup, setup_text, stored_channels
-from aerobalance.acquisition.spawning import start
 from aerobalance.io.hdf5_closing import close_broken_off
 from aerobalance.io.hdf5_layout import Provenance
 from aerobalance.io.held_file import recover_all, refuse_held
@@ -29,6 +29,24 @@ _ENDING: Final = 1.5
 _CLOSING: Final = 10.0
 _KILLED: Final = 0.2
 _SPAWN: Final = multiprocessing.get_context("spawn")
+_THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_LOCK: Final = threading.Lock()
+
+
+def start_on_one_thread(process: SpawnProcess) -> None:
+    """Start a process beside a clock; its linear algebra has one thread, unless the environment says otherwise.
+
+    It would have one for every core. Those wait in a busy loop for the next product, whatever priority the process has
+    given itself, and take from source and recorder what these need on time.
+    """
+    with _LOCK:  # a process is given the environment of the moment
+        made = [name for name in _THREADS if name not in os.environ]
+        os.environ.update(dict.fromkeys(made, "1"))
+        try:
+            process.start()
+        finally:
+            for name in made:
+                del os.environ[name]
 
 
 class Recorder:
@@ -45,7 +63,7 @@ class Recorder:
     def __init__(self, job: Job, address: Address) -> None:
         self._control, other = _SPAWN.Pipe()
         self.process: SpawnProcess = _SPAWN.Process(target=run_recorder, args=(job, address, other), daemon=True)
-        start(self.process)
+        start_on_one_thread(self.process)
         other.close()
         self.progress = Progress("starting", "the recorder is starting", job.path)
         self.heard = False
@@ -133,7 +151,7 @@ class Session:
         self._control, other = _SPAWN.Pipe()
         arguments = (setup_text(setup), str(folder), self.address, other)
         self.process: SpawnProcess = _SPAWN.Process(target=run_source, args=arguments, daemon=True)
-        start(self.process)
+        start_on_one_thread(self.process)
         other.close()
         self.said: list[Said] = []
         self._alive = True
@@ -212,7 +230,7 @@ class Session:
         matrix = None
         if setup.files.balance is not None:
             # Compiled loops come with it: only what has a balance waits for them.
-            from aerobalance.io.matrix_file import read_matrix  # noqa: PLC0415
+            from aerobalance.io.balance_file import read_matrix  # noqa: PLC0415
 
             matrix = read_matrix(self._files / setup.files.balance)
         plan = plan_of(setup, channels, self.hello.rate, balance=matrix)

@@ -43,11 +43,19 @@ from typing import Annotated, Any, Final, Literal
 import tomli_w
 from pydantic import BaseModel, Field, SerializeAsAny, ValidationError, model_validator
 
-from aerobalance.acquisition.fields import Above, FileName, Name, NotBelow, Number, Table, Text
-from aerobalance.acquisition.kinds import Nidaqmx, Opendaq, SourceSettings
 from aerobalance.acquisition.safety import SetEnvelope, SetFouling, SetLimit, SetShunt, SetStation
-from aerobalance.acquisition.source import Chosen, Source, SourceChannel
-from aerobalance.io.channel_settings import ChannelSettings
+from aerobalance.acquisition.source import SourceChannel
+from aerobalance.acquisition.source_settings import (
+    SOURCES,
+    Above,
+    FileName,
+    Name,
+    SetupTable,
+    Simulated,
+    SourceSettings,
+    Text,
+)
+from aerobalance.io.channel_settings import ChannelSettings, NotBelow, Number
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.messages import first_fault
 from aerobalance.io.safe_write import replacing
@@ -60,7 +68,7 @@ LATEST: Final = 1.0
 """Longest delay of a channel [s]; the live force waits for it."""
 
 
-class Files(Table):
+class Files(SetupTable):
     """Table ``[files]``: what turns the channels into loads and forces."""
 
     balance: FileName | None = None
@@ -68,67 +76,10 @@ class Files(Table):
     mass: FileName | None = None
 
 
-class Simulated(SourceSettings):
-    """``kind = "simulated"``: see `aerobalance.acquisition.simulated.RigSettings`."""
-
-    kind: Literal["simulated"] = "simulated"
-    rig: Literal["vibration", "cable_cut", "six"] = "vibration"
-    rate: Annotated[float, Field(ge=10, le=1e6)] | None = None
-    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
-    speed: Annotated[float, Field(gt=0)] = 1.0
-    block: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.02
-    frequency: Above = 100.0
-    amplitude: NotBelow = 10.0
-    cable_force: Annotated[float, Field(ge=-1e5, le=1e5)] | None = None
-    cut_at: NotBelow | None = None
-    noise: NotBelow = 1.0
-    circuit: Literal["none", "fouling"] = "none"
-    balance: FileName | None = None
-
-    def open(self, folder: Path, *, inputs: Sequence[str]) -> Source:
-        """Make the rig."""
-        from aerobalance.acquisition.simulated import RigSettings, SimulatedSource  # noqa: PLC0415 - see `Replay.open`
-        from aerobalance.io.matrix_file import read_matrix  # noqa: PLC0415
-
-        del inputs
-        matrix = None if self.balance is None else read_matrix(folder / self.balance)
-        return SimulatedSource(RigSettings(**self.model_dump(exclude={"kind", "balance"}), balance=matrix))
-
-
-class Replay(SourceSettings):
-    """``kind = "replay"``: a recording, played again."""
-
-    kind: Literal["replay"] = "replay"
-    file: FileName
-    map: FileName | None = None
-    speed: Annotated[float, Field(gt=0)] = 1.0
-    block: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.02
-    loop: bool = False
-
-    def open(self, folder: Path, *, inputs: Sequence[str]) -> Source:
-        """Open the recording."""
-        # Only the process of the source needs it, and it takes a second.
-        from aerobalance.acquisition.replay import ReplaySource  # noqa: PLC0415
-
-        del inputs
-        channel_map = None if self.map is None else folder / self.map
-        return ReplaySource(
-            folder / self.file, channel_map=channel_map, speed=self.speed, block=self.block, loop=self.loop
-        )
-
-
-SOURCES: Final[dict[str, type[SourceSettings]]] = {
-    "simulated": Simulated,
-    "replay": Replay,
-    "opendaq": Opendaq,
-    "nidaqmx": Nidaqmx,
-}
-"""The kinds of source; listing one here is all it takes."""
-
 TriggerKind = Literal["none", "time", "level", "call"]
 
 
-class Record(Table):
+class Record(SetupTable):
     """Table ``[record]``: when a record begins, how long it is, and what it leaves free on the disk."""
 
     seconds: Annotated[float, Field(gt=0, le=1e7)] | None = None
@@ -154,7 +105,7 @@ class Record(Table):
         return self
 
 
-class _Input(Table):
+class _Input(SetupTable):
     """What comes first in the table of a channel."""
 
     input: Annotated[str, Field(min_length=1, max_length=100)] | None = None
@@ -171,7 +122,7 @@ class SetChannel(ChannelSettings, _Input):
     half_range: Above | None = None
 
 
-class Setup(Table):
+class Setup(SetupTable):
     """A test set-up."""
 
     name: Annotated[str, Field(max_length=200)] = ""
@@ -310,21 +261,6 @@ def save_setup(path: Path | str, setup: Setup) -> None:
 
 def _kind(setup: Setup) -> dict[str, Any]:
     return {"source": setup.source.model_dump(exclude_none=True, exclude_unset=True) | {"kind": setup.source.kind}}
-
-
-def open_source(setup: Setup, folder: Path) -> Source:
-    """Make the source of a set-up, with the channels that the set-up lists.
-
-    Raises
-    ------
-    FitError
-        The source lacks a channel.
-    ReadError, ValueError
-        The source cannot be made as set.
-    """
-    inputs = [channel.input or name for name, channel in setup.channels.items()]
-    source = setup.source.open(folder, inputs=inputs)
-    return Chosen(source, inputs) if inputs else source
 
 
 def stored_channels(setup: Setup, given: Sequence[SourceChannel]) -> tuple[StoredChannel, ...]:

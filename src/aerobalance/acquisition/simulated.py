@@ -11,10 +11,9 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.acquisition.pacing import Pacing
-from aerobalance.acquisition.rig_values import CLOSED, HALF_RANGES, SHUNT_SHARE, TOUCH_SHARE, RigName
 from aerobalance.acquisition.six_rig import GROUND_CHANNELS, GROUND_NOISE, LARGEST_SHAKE, SixMotion, six_dynamics
-from aerobalance.acquisition.source import Block, SourceChannel, SourceEndedError
+from aerobalance.acquisition.source import Block, Pacing, SourceChannel, SourceEndedError
+from aerobalance.acquisition.source_settings import CLOSED, HALF_RANGES, SHUNT_SHARE, TOUCH_SHARE, RigName
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics

@@ -10,10 +10,10 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
 from aerobalance.io import load_channel_map
 from aerobalance.io import read as read_recording
+from aerobalance.io.balance_file import is_matrix, read_matrix
 from aerobalance.io.dynamics_file import read_any_dynamics
 from aerobalance.io.kinds import kind_of
 from aerobalance.io.mass_file import read_weighing
-from aerobalance.io.matrix_file import is_matrix, read_matrix
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected

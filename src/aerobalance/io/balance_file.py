@@ -14,6 +14,8 @@ from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
 from aerobalance.balance.terms import by_label
 from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative, Positive
+from aerobalance.io.balfit_matrix import is_balfit_matrix, read_balfit_matrix
+from aerobalance.io.opening import opened_file
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
 
@@ -337,3 +339,25 @@ def _array(rows: Any, default: Array | None = None) -> Array:
         return np.array(rows, dtype=np.float64)
     except ValueError:
         raise ValueError("the rows of a table have different lengths") from None
+
+
+def is_matrix(path: Path) -> bool:
+    """Say whether a file holds a balance matrix, in balance.json or in the text layout of BALFIT."""
+    head = _head(path)
+    return is_balfit_matrix(head) or (head.lstrip("\ufeff \r\n").startswith("{") and '"balance"' in head)
+
+
+def read_matrix(path: Path) -> BalanceMatrix:
+    """Read a matrix from balance.json or from the text layout of BALFIT.
+
+    Raises
+    ------
+    ReadError
+        The file cannot be read as either.
+    """
+    return read_balfit_matrix(path) if is_balfit_matrix(_head(path)) else read_balance(path)
+
+
+def _head(path: Path) -> str:
+    with opened_file(path) as file:
+        return file.read(4096).decode("latin-1").replace("\x00", "")

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
-from aerobalance.io.contact_events import contact_doubt
 from aerobalance.io.hdf5_contents import Contents, contents, contents_of, opened
 from aerobalance.io.hdf5_guard import LIBVER, GuardedFile
 from aerobalance.io.hdf5_layout import (
@@ -49,6 +48,7 @@ CONVERTED: Final = "converted"
 
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _ROWS: Final = 8192
+_CONTACTS: Final = 5  # contacts that are listed
 
 
 def can_read(head: bytes, path: Path) -> bool:
@@ -131,7 +131,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
         ticks, readings, stamps = _samples(path, file, found, labels, doubts)
     if found.state != "ended":
         doubts.append(_not_ended(found))
-    touched = contact_doubt(found.events, rate=found.rate, origin=found.origin)
+    touched = _contact_doubt(found.events, rate=found.rate, origin=found.origin)
     for text in (*doubts, *([touched] if touched else [])):
         warn_quality(f"{path.name}: {text}")
     columns = [_column(found.channels[i], readings[:, k], i + found.timed) for k, i in enumerate(labels)]
@@ -316,3 +316,29 @@ def _spread(column: RawColumn, ticks: NDArray[np.int64]) -> RawColumn:
     values = np.full(int(ticks[-1]) + 1, np.nan)
     values[ticks] = column.values
     return replace(column, values=values)
+
+
+def _contact_doubt(events: NDArray[np.void], *, rate: float, origin: int) -> str | None:
+    """Say when model and support touched; None where they did not.
+
+    Parameters
+    ----------
+    events
+        Table of the events: tick, kind and more.
+    rate
+        Ticks a second.
+    origin
+        Tick at which time is zero.
+    """
+    spans: list[list[str]] = []
+    for tick, kind in zip(events["tick"], events["kind"], strict=True):
+        name = bytes(kind).rstrip(b"\0")
+        if name == b"contact":
+            spans.append([f"{(int(tick) - origin) / rate:.4g}", "the end"])
+        elif name == b"contact over" and spans:
+            spans[-1][1] = f"{(int(tick) - origin) / rate:.4g} s"
+    if not spans:
+        return None
+    listed = ", ".join(f"{begin} s to {end}" for begin, end in spans[:_CONTACTS])
+    more = f" and {len(spans) - _CONTACTS} more" if len(spans) > _CONTACTS else ""
+    return f"model and support touched ({listed}{more}): the loads read then carry the force of the contact"

@@ -22,10 +22,9 @@ from aerobalance.balance.matrix import BalanceMatrix, Way
 from aerobalance.balance.terms import Model
 from aerobalance.io import load_channel_map
 from aerobalance.io.artefacts import provenance, write_json
-from aerobalance.io.balance_file import calibration_payload, write_balance
+from aerobalance.io.balance_file import calibration_payload, read_matrix, write_balance
 from aerobalance.io.balfit_matrix import is_balfit_matrix
 from aerobalance.io.kinds import PAGE
-from aerobalance.io.matrix_file import read_matrix
 from aerobalance.io.schedule import read_schedule
 from aerobalance.io.sheet_cells import is_workbook
 from aerobalance.io.text_table import read_text

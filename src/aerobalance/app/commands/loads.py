@@ -16,10 +16,9 @@ from aerobalance.balance.matrix import TOLERANCE
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.io import check_output, write_loads
-from aerobalance.io.balance_file import write_balance
+from aerobalance.io.balance_file import read_matrix, write_balance
 from aerobalance.io.balfit_matrix import write_balfit_matrix
 from aerobalance.io.kinds import TABLE
-from aerobalance.io.matrix_file import read_matrix
 from aerobalance.recording.recording import Recording
 
 

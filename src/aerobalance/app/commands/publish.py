@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from aerobalance.acquisition.opendaq_server import PORT, PublishedDevice
-from aerobalance.acquisition.setup import open_source
 from aerobalance.acquisition.source import SourceEndedError
+from aerobalance.acquisition.sources import open_source
 from aerobalance.app.commands.record import Wishes, wished
 
 _TICK = 0.1

@@ -13,7 +13,8 @@ from typing import Any
 
 from aerobalance.acquisition.recorder import Progress
 from aerobalance.acquisition.session import Recorder, Session
-from aerobalance.acquisition.setup import SOURCES, Setup, load_setup, setup_from
+from aerobalance.acquisition.setup import Setup, load_setup, setup_from
+from aerobalance.acquisition.source_settings import SOURCES
 from aerobalance.app.commands.shared import Account
 from aerobalance.io.hdf5_closing import close_all_broken_off, closed_text
 from aerobalance.io.held_file import recover_all

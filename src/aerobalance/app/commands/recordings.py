@@ -11,8 +11,8 @@ from aerobalance.app.commands.answers import short
 from aerobalance.app.commands.loads import convert_matrix
 from aerobalance.app.commands.shared import Account, check_out, doubts, raw_recording, table_text
 from aerobalance.io import as_it_went_in, check_output, column_names, hdf5_file, template, write_recording
+from aerobalance.io.balance_file import is_matrix
 from aerobalance.io.kinds import CONVERTED
-from aerobalance.io.matrix_file import is_matrix
 from aerobalance.io.safe_write import replacing
 from aerobalance.recording.channel import Channel, SensorSpec
 from aerobalance.recording.errors import warn_quality

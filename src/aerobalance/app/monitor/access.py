@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
 from ipaddress import ip_address
-from typing import Any, Final
-from urllib.parse import parse_qs
+from typing import Final
 
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.datastructures import MutableHeaders
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocketClose
 
 from aerobalance.app.monitor.logins import SHORTEST_TOKEN, VARIABLE, Logins, check_token
 
@@ -26,6 +27,17 @@ REPORT_POLICY: Final = (
 """What a report may do: show itself. Its styles are within it, and it runs no script."""
 
 
+HEADERS: Final = {
+    "content-security-policy": POLICY,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+"""What every answer says to browsers, where it does not say otherwise itself."""
+
+
 def is_loopback(host: str) -> bool:
     """Say whether an address is that of this computer alone."""
     if host == "localhost":
@@ -37,7 +49,7 @@ def is_loopback(host: str) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Door:
+class AccessPolicy:
     """Where the server listens, and what it asks for.
 
     Attributes
@@ -99,64 +111,66 @@ def _is_address(name: str) -> bool:
     return True
 
 
-class Guard:
+class AccessControl:
     """Lets requests through to the page, or not.
 
     Parameters
     ----------
     app
         The page.
-    door
+    policy
         What is asked for.
     """
 
-    def __init__(self, app: ASGIApp, door: Door) -> None:
-        self._app, self._door = app, door
-        self.logins = Logins(door.token, door.port)
+    def __init__(self, app: ASGIApp, policy: AccessPolicy) -> None:
+        self._app, self._policy = app, policy
+        self.logins = Logins(policy.token, policy.port)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Check a request and pass it on."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
-        status, text = self._check(scope, headers)
-        if status == 0:
-            await self._app(scope, receive, _with_headers(send))
-        elif scope["type"] == "websocket":
-            await receive()
-            await send({"type": "websocket.close", "code": 1008, "reason": text})
+        status, text = self._check(HTTPConnection(scope))
+        answer: ASGIApp = self._app
+        if status and scope["type"] == "websocket":
+            answer = WebSocketClose(1008, text)
         elif status == 303:
-            cookie = f"{self.logins.name}={self.logins.cookie}; HttpOnly; SameSite=Strict; Path=/"
-            cookie += "; Secure" if self._door.secure else ""
-            await _answer(send, 303, "", [(b"location", b"/"), (b"set-cookie", cookie.encode())])
-        else:
-            await _answer(send, status, text)
+            answer = self._let_in()
+        elif status:
+            answer = PlainTextResponse(text, status)
+        await answer(scope, receive, _with_headers(send))
 
-    def _check(self, scope: Scope, headers: dict[str, str]) -> tuple[int, str]:
+    def _let_in(self) -> Response:
+        answer = RedirectResponse("/", 303)
+        logins, secure = self.logins, self._policy.secure
+        answer.set_cookie(logins.name, logins.cookie, httponly=True, samesite="strict", secure=secure)
+        return answer
+
+    def _check(self, request: HTTPConnection) -> tuple[int, str]:
         """Status and reason of a refusal; status 0 for none."""
-        door, host, origin = self._door, headers.get("host", ""), headers.get("origin")
-        if not door.host_allowed(host):
+        policy, headers = self._policy, request.headers
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if not policy.host_allowed(host):
             return 400, "this server is not reached under that name"
-        safe = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
-        if not safe and (origin is None or not door.origin_allowed(origin, host)):
+        safe = request.scope["type"] == "http" and request.scope["method"] in ("GET", "HEAD")
+        if not safe and (origin is None or not policy.origin_allowed(origin, host)):
             return 403, "this is not asked by the page of this server"
         if (
             safe
             and headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none")
-            and (scope["path"] != "/")
+            and (request.scope["path"] != "/")
         ):
             return 403, "this is not asked by the page of this server"
-        return self._check_token(scope, headers, asked=safe)
+        return self._check_token(request, asked=safe)
 
-    def _check_token(self, scope: Scope, headers: dict[str, str], *, asked: bool) -> tuple[int, str]:
+    def _check_token(self, request: HTTPConnection, *, asked: bool) -> tuple[int, str]:
         """Status and reason of a refusal of who does not know the token; 303 for who has just shown it."""
         logins = self.logins
         if not logins.asked:
             return 0, ""
-        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
-        token, once = (query.get(name, [""])[0] for name in ("token", "once"))
-        address = (scope.get("client") or ("",))[0]
+        token, once = (request.query_params.get(name, "") for name in ("token", "once"))
+        address = request.client.host if request.client else ""
         if asked and once and logins.redeem(once):
             return 303, ""
         if asked and token:
@@ -165,42 +179,19 @@ class Guard:
                 return 429, f"too many wrong tokens came from {address}; wait {wait:.0f} s"
             if logins.right(token, address):
                 return 303, ""
-        if not logins.known(_cookie(headers.get("cookie", ""), logins.name)):
+        if not logins.known(request.cookies.get(logins.name, "")):
             return 401, "open the page once with its token: http(s)://HOST:PORT/?token=SECRET"
         return 0, ""
-
-
-def _cookie(header: str, name: str) -> str:
-    try:
-        found = SimpleCookie(header).get(name)
-    except CookieError:
-        return ""
-    return "" if found is None else found.value
 
 
 def _with_headers(send: Send) -> Send:
     """Add what every answer says to browsers."""
 
-    async def sending(message: MutableMapping[str, Any]) -> None:
+    async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
-            given = {name.lower() for name, _ in message["headers"]}
-            more = [
-                (b"content-security-policy", POLICY.encode()),
-                (b"x-content-type-options", b"nosniff"),
-                (b"referrer-policy", b"no-referrer"),
-                (b"cross-origin-opener-policy", b"same-origin"),
-                (b"cross-origin-resource-policy", b"same-origin"),
-                (b"cache-control", b"no-store"),
-            ]
-            message["headers"] = [*message["headers"], *(item for item in more if item[0] not in given)]
+            headers = MutableHeaders(scope=message)
+            for name, value in HEADERS.items():
+                headers.setdefault(name, value)
         await send(message)
 
     return sending
-
-
-async def _answer(send: Send, status: int, text: str, headers: list[tuple[bytes, bytes]] | None = None) -> None:
-    body = text.encode()
-    send = _with_headers(send)
-    start = [(b"content-type", b"text/plain; charset=utf-8"), (b"content-length", str(len(body)).encode())]
-    await send({"type": "http.response.start", "status": status, "headers": [*start, *(headers or [])]})
-    await send({"type": "http.response.body", "body": body})

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from aerobalance.acquisition.setup import load_setup
-from aerobalance.app.monitor.access import Door, is_loopback
+from aerobalance.app.monitor.access import AccessPolicy, is_loopback
 from aerobalance.app.monitor.folder import Folder
 from aerobalance.app.monitor.setups import check_files, rig_setup
 from aerobalance.io.hdf5_closing import close_all_broken_off, closed_text
@@ -96,7 +96,7 @@ def monitor(
         warn(closed_text(name))
     port = reach.port or _free_port(reach.host)
     secure = reach.certificate is not None
-    door = Door(reach.host, port, token=reach.token, secure=secure)
+    policy = AccessPolicy(reach.host, port, token=reach.token, secure=secure)
     _check_free(reach.host, port)
     if not is_loopback(reach.host) and not secure:
         warn(
@@ -110,23 +110,23 @@ def monitor(
     certificate = None if reach.certificate is None or reach.key is None else (reach.certificate, reach.key)
     if certificate is not None:
         check_certificate(*certificate)
-    page = Page(Beginning(chosen, Folder(place), setup), door=door)
-    address = _address(door, reach.host)
+    page = Page(Beginning(chosen, Folder(place), setup), policy=policy)
+    address = _address(policy, reach.host)
 
     def ready() -> None:
         say(f"the page is at {address}; Ctrl-C ends it")
         if browser:
-            own = _address(door, "127.0.0.1") if reach.host == "0.0.0.0" else address
+            own = _address(policy, "127.0.0.1") if reach.host == "0.0.0.0" else address
             mine = f"{own}?once={page.app.logins.once()}" if page.app.logins.asked else own
             threading.Thread(target=webbrowser.open, args=(mine,), daemon=True).start()
 
-    serve(page, door, certificate=certificate, ready=ready, last=last)
+    serve(page, policy, certificate=certificate, ready=ready, last=last)
 
 
-def _address(door: Door, host: str) -> str:
+def _address(policy: AccessPolicy, host: str) -> str:
     """Address of the page for a browser."""
     name = host if ":" not in host else "localhost" if is_loopback(host) or host == "::" else f"[{host}]"
-    return f"{'https' if door.secure else 'http'}://{name}:{door.port}/"
+    return f"{'https' if policy.secure else 'http'}://{name}:{policy.port}/"
 
 
 def _check_free(host: str, port: int) -> None:

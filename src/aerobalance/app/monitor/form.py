@@ -9,7 +9,8 @@ from pydantic import BaseModel
 
 from aerobalance.acquisition.feed import Hello
 from aerobalance.acquisition.safety import SetEnvelope, SetFouling, SetLimit, SetShunt, SetStation
-from aerobalance.acquisition.setup import SOURCES, Files, Record, SetChannel, Setup, setup_text
+from aerobalance.acquisition.setup import Files, Record, SetChannel, Setup, setup_text
+from aerobalance.acquisition.source_settings import SOURCES
 from aerobalance.recording.channel import QUANTITIES
 from aerobalance.recording.components import COMPONENTS
 

@@ -8,13 +8,14 @@ from pathlib import Path
 from aerobalance.acquisition.feed import Hello
 from aerobalance.acquisition.intake import channel_columns
 from aerobalance.acquisition.planned import contact_circuit, ranges_of
-from aerobalance.acquisition.setup import Setup, Simulated, stored_channels
+from aerobalance.acquisition.setup import Setup, stored_channels
 from aerobalance.acquisition.simulated import rig_dynamics
+from aerobalance.acquisition.source_settings import Simulated
 from aerobalance.app.monitor.view import Panel
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.io.balance_file import read_matrix
 from aerobalance.io.dynamics_file import read_any_dynamics
-from aerobalance.io.matrix_file import read_matrix
 from aerobalance.recording.errors import FitError
 
 

@@ -22,9 +22,9 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
-from aerobalance.acquisition.rig_values import RigName
 from aerobalance.acquisition.setup import setup_from
-from aerobalance.app.monitor.access import REPORT_POLICY, Door, Guard
+from aerobalance.acquisition.source_settings import RigName
+from aerobalance.app.monitor.access import REPORT_POLICY, AccessControl, AccessPolicy
 from aerobalance.app.monitor.board import Board, plain
 from aerobalance.app.monitor.checks import Kind
 from aerobalance.app.monitor.folder import RECORDINGS
@@ -121,11 +121,11 @@ class Page:
     ----------
     begin
         What it begins with.
-    door
+    policy
         Who may use it.
     """
 
-    def __init__(self, begin: Beginning, *, door: Door) -> None:
+    def __init__(self, begin: Beginning, *, policy: AccessPolicy) -> None:
         self.board = Board()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._version = 0
@@ -136,7 +136,7 @@ class Page:
         self.station: Station
         self.ending = asyncio.Event()
         self._hands = ThreadPoolExecutor(2)
-        self.app = Guard(
+        self.app = AccessControl(
             Starlette(
                 routes=[
                     Route("/", self._index),
@@ -152,7 +152,7 @@ class Page:
                 ],
                 lifespan=self._lifespan,
             ),
-            door,
+            policy,
         )
         self._actions: Mapping[str, tuple[type[_Body], Callable[[Any], Any]]] = {
             "record": (_Record, self._record),

@@ -19,7 +19,7 @@ from typing import Any, Final
 import uvicorn
 
 from aerobalance.acquisition.scratch import remove_own
-from aerobalance.app.monitor.access import Door
+from aerobalance.app.monitor.access import AccessPolicy
 from aerobalance.app.monitor.crowd import LARGEST_HEAD, TIMES, Crowd, Patient
 from aerobalance.app.monitor.server import Page
 
@@ -58,14 +58,14 @@ class _Server(uvicorn.Server):
             self._ready()
 
 
-def _config(page: Page, door: Door, certificate: tuple[Path, Path] | None) -> uvicorn.Config:
+def _config(page: Page, policy: AccessPolicy, certificate: tuple[Path, Path] | None) -> uvicorn.Config:
     settings: dict[str, Any] = {"timeout_graceful_shutdown": _GRACE}
     if certificate is not None:
         settings |= {"ssl_certfile": str(certificate[0]), "ssl_keyfile": str(certificate[1])}
     return uvicorn.Config(
         page.app,
-        host=door.host,
-        port=door.port,
+        host=policy.host,
+        port=policy.port,
         log_level="critical",
         access_log=False,
         server_header=False,
@@ -83,7 +83,12 @@ def _config(page: Page, door: Door, certificate: tuple[Path, Path] | None) -> uv
 
 
 def serve(
-    page: Page, door: Door, *, certificate: tuple[Path, Path] | None, ready: Callable[[], None], last: bool = False
+    page: Page,
+    policy: AccessPolicy,
+    *,
+    certificate: tuple[Path, Path] | None,
+    ready: Callable[[], None],
+    last: bool = False,
 ) -> None:
     """Serve until SIGTERM or Ctrl-C; all processes have ended when this returns, within `ENDING`.
 
@@ -94,7 +99,7 @@ def serve(
     ----------
     page
         What is served.
-    door
+    policy
         Where.
     certificate
         Certificate and key for TLS, or None.
@@ -103,7 +108,7 @@ def serve(
     last
         Whether the program has nothing else to do: it then ends here, without waiting for the interpreter to tidy up.
     """
-    server = _Server(_config(page, door, certificate), ready)
+    server = _Server(_config(page, policy, certificate), ready)
     closing = threading.Thread(target=page.close, daemon=True)
     timer = threading.Timer(ENDING, _leave)
     timer.daemon = True

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from aerobalance.acquisition.rig_values import CLOSED, HALF_RANGES, LARGEST_SHARE, SHUNT_SHARE, RigName
-from aerobalance.acquisition.setup import Record, SetChannel, Setup, Simulated, load_setup, setup_from, stored_channels
+from aerobalance.acquisition.setup import Record, SetChannel, Setup, load_setup, setup_from, stored_channels
 from aerobalance.acquisition.source import SourceChannel
+from aerobalance.acquisition.source_settings import CLOSED, HALF_RANGES, LARGEST_SHARE, SHUNT_SHARE, RigName, Simulated
 from aerobalance.app.monitor.folder import Folder
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.units import conversion_for

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from aerobalance.acquisition.setup import Simulated
+from aerobalance.acquisition.source_settings import Simulated
 
 if TYPE_CHECKING:
     from aerobalance.app.monitor.station import Station

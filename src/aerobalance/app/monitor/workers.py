@@ -12,7 +12,7 @@ from multiprocessing.context import SpawnProcess
 from multiprocessing.reduction import send_handle
 from typing import TYPE_CHECKING, Any, Final
 
-from aerobalance.acquisition.spawning import start
+from aerobalance.acquisition.session import start_on_one_thread
 from aerobalance.app.monitor.jobs import Outcome, Task
 from aerobalance.app.monitor.messages import Answer, Learner, LearnerWanted, Trouble
 
@@ -62,7 +62,7 @@ class Engine:
     def _start(self) -> None:
         self._control, other = _SPAWN.Pipe()
         self.process: SpawnProcess = _SPAWN.Process(target=_engine, args=(other,), daemon=True)
-        start(self.process)
+        start_on_one_thread(self.process)
         other.close()
         threading.Thread(target=self._listen, args=(self._control,), daemon=True).start()
 
@@ -89,7 +89,7 @@ class Engine:
             self._heard(Trouble(-1, f"{text}; it is started again, and the force goes on meanwhile"))
         pipe, taught = _SPAWN.Pipe()
         learner = _SPAWN.Process(target=_learner, args=(taught,), daemon=True)
-        start(learner)
+        start_on_one_thread(learner)
         self.learner = learner
         taught.close()
         with self._sending, contextlib.suppress(OSError):
@@ -183,7 +183,7 @@ class Jobs:
         if self._pipe is None or self.process is None or not self.process.is_alive():
             self._pipe, other = _SPAWN.Pipe()
             self.process = _SPAWN.Process(target=_jobs, args=(other,), daemon=True)
-            start(self.process)
+            start_on_one_thread(self.process)
             other.close()
         return self._pipe
 

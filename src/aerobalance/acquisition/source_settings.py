@@ -1,33 +1,83 @@
-"""Tables ``[source]`` of devices: what they are, and how each of their inputs is wired."""
+"""Tables ``[source]`` of a test set-up, one class for each kind of source, and the fields that tables are made of.
+
+Nothing here takes long to load: `aerobalance.acquisition.sources` opens what the tables describe.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from aerobalance.acquisition.fields import Above, Name, NotBelow, Number, Table
-from aerobalance.acquisition.source import Source
+from aerobalance.io.channel_settings import NotBelow, Number, Strict
+from aerobalance.io.text_cells import LARGEST
+from aerobalance.recording.components import COMPONENTS
+
+Above = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
+Text = Annotated[str, Field(max_length=10_000)]
+Name = Annotated[str, Field(min_length=1, max_length=60)]
+FileName = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
-class SourceSettings(Table):
+class SetupTable(Strict):
+    """A table of a set-up."""
+
+
+RigName = Literal["vibration", "cable_cut", "six"]
+
+HALF_RANGES: Final[dict[RigName, dict[str, float]]] = {
+    "vibration": {"AF": 100.0},
+    "cable_cut": {"AF": 2000.0},
+    "six": dict.fromkeys(COMPONENTS, 2000.0),
+}
+"""Half of the range of each component [N, N*m]: AF as printed, the others assumed."""
+
+SHUNT_SHARE: Final = 0.4
+"""What the shunt of the simulated bridges changes their loads by, over half of the range."""
+
+TOUCH_SHARE: Final = 0.05
+"""Force between model and support while they touch, over half of the range."""
+
+CLOSED: Final = 5.0
+"""Voltage of the contact circuit where it is closed [V]."""
+
+LARGEST_SHARE: Final = 2.0
+"""Largest load of each component alone, over half of the range, of the rig with six; assumed."""
+
+
+class SourceSettings(SetupTable):
     """Table ``[source]``: what gives the samples; each kind has a class of its own."""
 
     kind: str
 
-    def open(self, folder: Path, *, inputs: Sequence[str]) -> Source:
-        """Make the source.
 
-        Parameters
-        ----------
-        folder
-            Where files are looked for.
-        inputs
-            The channels that are wanted, by their names at the source; none for all. A source may give others too.
-        """
-        raise NotImplementedError
+class Simulated(SourceSettings):
+    """``kind = "simulated"``: see `aerobalance.acquisition.simulated.RigSettings`."""
+
+    kind: Literal["simulated"] = "simulated"
+    rig: RigName = "vibration"
+    rate: Annotated[float, Field(ge=10, le=1e6)] | None = None
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
+    speed: Annotated[float, Field(gt=0)] = 1.0
+    block: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.02
+    frequency: Above = 100.0
+    amplitude: NotBelow = 10.0
+    cable_force: Annotated[float, Field(ge=-1e5, le=1e5)] | None = None
+    cut_at: NotBelow | None = None
+    noise: NotBelow = 1.0
+    circuit: Literal["none", "fouling"] = "none"
+    balance: FileName | None = None
+
+
+class Replay(SourceSettings):
+    """``kind = "replay"``: a recording, played again."""
+
+    kind: Literal["replay"] = "replay"
+    file: FileName
+    map: FileName | None = None
+    speed: Annotated[float, Field(gt=0)] = 1.0
+    block: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.02
+    loop: bool = False
 
 
 class Opendaq(SourceSettings):
@@ -37,15 +87,8 @@ class Opendaq(SourceSettings):
     address: Annotated[str, Field(pattern=r"^(daq\.(nd|ns|lt|opcua)|daqref)://[!-~]{1,200}$")]
     block: Annotated[float, Field(ge=1e-3, le=0.2)] = 0.02
 
-    def open(self, folder: Path, *, inputs: Sequence[str]) -> Source:
-        """Connect to the device."""
-        from aerobalance.acquisition.opendaq import OpendaqSource  # noqa: PLC0415 - only the process of the source needs it
 
-        del folder
-        return OpendaqSource(self.address, names=tuple(dict.fromkeys(inputs)) or None, block=self.block)
-
-
-class NiInput(Table):
+class NiInput(SetupTable):
     """Table ``[source.inputs.NAME]``: an analog input of an NI-DAQmx device.
 
     `low` and `high` are the range in the unit of what is measured: mV/V for a bridge, V, or m/s^2. The excitation of a
@@ -107,9 +150,11 @@ class Nidaqmx(SourceSettings):
             )
         return self
 
-    def open(self, folder: Path, *, inputs: Sequence[str]) -> Source:
-        """Set the task up."""
-        from aerobalance.acquisition.nidaqmx import NidaqmxSource  # noqa: PLC0415 - only the process of the source needs it
 
-        del folder, inputs  # all are read, as the order in which a device takes them makes their delays
-        return NidaqmxSource(self.inputs, rate=self.rate, server=self.server, skew=self.skew, block=self.block)
+SOURCES: Final[dict[str, type[SourceSettings]]] = {
+    "simulated": Simulated,
+    "replay": Replay,
+    "opendaq": Opendaq,
+    "nidaqmx": Nidaqmx,
+}
+"""The kinds of source; listing one here is all it takes."""
