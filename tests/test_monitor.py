@@ -16,21 +16,22 @@ import numpy as np
 import pytest
 from starlette.websockets import WebSocketDisconnect
 
-from aerobalance.acquisition.feed import Hello
+from aerobalance.acquisition.feed import SourceInfo
 from aerobalance.acquisition.setup import setup_from, stored_channels
 from aerobalance.acquisition.simulated import rig_dynamics
 from aerobalance.acquisition.source import Block, SourceChannel
 from aerobalance.app.monitor.access import AccessPolicy, is_loopback
-from aerobalance.app.monitor.board import Board, plain
 from aerobalance.app.monitor.command import Reach, monitor
+from aerobalance.app.monitor.display import DisplayState, plain
 from aerobalance.app.monitor.folder import Folder
 from aerobalance.app.monitor.form import LABELS, form_of
 from aerobalance.app.monitor.jobs import Task, outcome_of
+from aerobalance.app.monitor.log import Log
 from aerobalance.app.monitor.messages import News, Watching
 from aerobalance.app.monitor.panels import panel_of
 from aerobalance.app.monitor.server import STATIC, Page
+from aerobalance.app.monitor.session import Beginning
 from aerobalance.app.monitor.setups import rig_setup, setup_of_record
-from aerobalance.app.monitor.station import Beginning
 from aerobalance.app.monitor.tasks import Tasks
 from aerobalance.app.monitor.view import Panel, View
 from aerobalance.app.monitor.viewer import UNSHOWN
@@ -308,7 +309,7 @@ def parsed(frame):
 
 def test_a_slow_viewer_loses_no_peak(seed) -> None:
     source = source_of("vibration", seed=seed)
-    view, board = view_of(source), Board()
+    view, board = view_of(source), DisplayState()
     names = view.panel.names
     board.begin(Watching(1, names, ("",) * 4, source.rate, view.width, ("AF",), {}, {}, {}, {}))
     quick, slow, taken = [0, 0], [0, 0], []
@@ -335,7 +336,7 @@ def test_a_slow_viewer_loses_no_peak(seed) -> None:
 @pytest.mark.parametrize("wild", [math.inf, 1e308, 1e160])
 def test_samples_beyond_all_measure_count_as_missing(wild) -> None:
     source = source_of("six", seed=6)
-    hello = Hello(tuple(source.channels), source.rate, True, "a source", ())
+    hello = SourceInfo(tuple(source.channels), source.rate, True, "a source", ())
     setup = setup_from({"source": {"kind": "simulated", "rig": "six"}})
     view = View(panel_of(setup, hello, Path(), {}))
     plain = View(panel_of(setup, hello, Path(), {}))
@@ -361,7 +362,7 @@ def test_plain_data_has_no_nan() -> None:
 
 
 def hello_of(*channels):
-    return Hello(tuple(SourceChannel(*channel) for channel in channels), 1000.0, True, "a source", ())
+    return SourceInfo(tuple(SourceChannel(*channel) for channel in channels), 1000.0, True, "a source", ())
 
 
 def test_ranges_limits_and_zeros_are_in_the_units_of_the_channels(tmp_path) -> None:
@@ -415,8 +416,8 @@ def test_dynamics_by_a_link_out_of_the_folder(tmp_path) -> None:
     (tmp_path / "outside.json").write_text("{}")
     (tmp_path / "in" / "run-dynamics.json").symlink_to(tmp_path / "outside.json")
     folder = Folder(tmp_path / "in")
-    station = SimpleNamespace(folder=folder, setup=rig_setup("cable_cut"), recording=False, progress=None)
-    tasks = Tasks(station)
+    source, records = SimpleNamespace(setup=rig_setup("cable_cut")), SimpleNamespace(under_way=False)
+    tasks = Tasks(folder, source, records, Log(lambda: None, lambda *_: None))
     try:
         with pytest.raises(ValueError, match=r"run-dynamics\.json is not below the project folder"):
             tasks.run("force", ["run.h5"], {})
@@ -707,26 +708,26 @@ def test_fuzzed_requests_and_frames(running, rng) -> None:
 
 
 def test_what_is_killed_is_told(running) -> None:
-    station = running.page.station
+    session = running.page.session
     learner = running.wait(lambda state: state["processes"].get("learner"))["processes"]["learner"]
-    station.engine.learner.kill()
+    session.source.engine.learner.kill()
     running.wait(lambda state: state["processes"].get("learner", learner) != learner)
     running.wait(lambda state: any("process that learns" in item["text"] for item in state["messages"]))
-    station.engine.process.kill()
+    session.source.engine.process.kill()
     running.wait(lambda state: any("started again" in item["text"] for item in state["messages"]))
     running.wait(lambda state: state["source"]["state"] == "running")
     # the charts go on in a new process
-    begun = running.page.board.data_version
-    running.wait(lambda _: running.page.board.data_version > begun + 5)
+    begun = running.page.display.data_version
+    running.wait(lambda _: running.page.display.data_version > begun + 5)
     assert running.post("record", name="killed").status_code == 200
     running.wait(lambda state: state["record"].get("blocks", 0) >= 2)
-    station.recorder.process.kill()
+    session.records.recorder.process.kill()
     state = running.wait(lambda state: state["record"]["state"] == "ended")
     assert "without a word" in state["record"]["reason"]
     assert any(item["kind"] == "error" and "killed" in item["text"] for item in state["messages"])
     assert contents(running.folder / "killed.h5").blocks.size >= 2
     assert "recorder" not in running.client.get("/api/state").json()["processes"]
-    station.session.process.kill()
+    session.source.session.process.kill()
     state = running.wait(lambda state: state["source"]["state"] == "ended")
     assert "without a word" in state["source"]["text"]
     assert running.post("control", name="cut").status_code == 409

@@ -13,7 +13,7 @@ import pytest
 from aerobalance.acquisition.guards import ContactCircuit
 from aerobalance.acquisition.source import Block
 from aerobalance.acquisition.source_settings import HALF_RANGES
-from aerobalance.app.monitor.board import Board
+from aerobalance.app.monitor.display import DisplayState
 from aerobalance.app.monitor.form import form_of
 from aerobalance.app.monitor.messages import News, Watching
 from aerobalance.app.monitor.setups import rig_setup
@@ -48,7 +48,7 @@ def test_combined_loads_are_the_worst_of_all_samples(rng) -> None:
 
 def test_contact_is_marked_where_it_is() -> None:
     circuit = ContactCircuit(2, "fouling", "V", 2.5, True, 20)
-    view, board = View(Panel(CHANNELS, 1000.0, True, {}, {}, {}, circuit=circuit)), Board()
+    view, board = View(Panel(CHANNELS, 1000.0, True, {}, {}, {}, circuit=circuit)), DisplayState()
     board.begin(Watching(1, view.panel.names, ("",) * 3, 1000.0, 1, (), {}, {}, {}, {}))
     volts = np.zeros(1500)
     volts[300:420] = volts[430:500] = volts[1400:] = 5.0  # bounces once

@@ -9,7 +9,7 @@ import warnings
 import numpy as np
 import pytest
 
-from aerobalance.acquisition.feed import Hello
+from aerobalance.acquisition.feed import SourceInfo
 from aerobalance.acquisition.intake import Intake
 from aerobalance.acquisition.planned import plan_of
 from aerobalance.acquisition.setup import parse_setup, setup_from, setup_text, stored_channels
@@ -221,7 +221,7 @@ def run_through(setup, folder):
 
 
 def _hello(source):
-    return Hello(tuple(source.channels), source.rate, source.clocked, source.description, tuple(source.controls))
+    return SourceInfo(tuple(source.channels), source.rate, source.clocked, source.description, tuple(source.controls))
 
 
 def try_setups(chance, folder, count):

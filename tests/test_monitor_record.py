@@ -25,19 +25,17 @@ def ended(running):
 
 def test_a_record_begins_at_the_press_and_says_at_once_that_it_starts(running) -> None:
     """The cable-cut rig gives 1600 samples a second in blocks of 20 ms; a viewer of its own tells when each came."""
-    feed = running.page.station.session.view()
+    feed = running.page.session.source.session.view()
     feed.take()
     states = []
-    said, running.page.station.changed = (
-        running.page.station.changed,
-        lambda: states.append(running.page.station.progress and running.page.station.progress.state),
-    )
+    log, records = running.page.session.log, running.page.session.records
+    said, log.changed = log.changed, lambda: states.append(records.progress and records.progress.state)
     pressed = time.time()
     steady = time.monotonic()
     try:
         assert running.post("record", name="pressed", seconds=0.5, pressed=1e3 * pressed).status_code == 200
     finally:
-        running.page.station.changed = said
+        log.changed = said
     assert states[0] == "starting"
     ended(running)
     blocks = [feed.take()]
@@ -53,11 +51,11 @@ def test_a_record_begins_at_the_press_and_says_at_once_that_it_starts(running) -
 
 
 def test_a_stop_while_the_recorder_starts_leaves_what_was_sampled_until_then(running) -> None:
-    station = running.page.station
-    station.running()
+    source = running.page.session.source
+    source.running()
     time.sleep(2.0)
     began = time.monotonic() - 2.0  # two seconds ago, which the source has kept
-    recorder = station.session.record(running.folder / "early.h5", setup=station.setup, asked=began)
+    recorder = source.running().record(running.folder / "early.h5", setup=source.setup, asked=began)
     progress = recorder.stop("enough", timeout=10.0)
     took = time.monotonic() - began
     assert progress.reason == "enough" and not progress.gaps
@@ -108,7 +106,7 @@ def test_names_that_are_still_refused(tmp_path, name) -> None:
 def test_zeros_are_told_with_their_unit(running) -> None:
     running.post("zero")
     running.wait(lambda state: state["zeros"])
-    text = running.page.board.marks[-1]["text"]
+    text = running.page.display.marks[-1]["text"]
     assert text.startswith("zero: AF -10") and text.endswith(" N")
     running.post("clear_zero")
 
@@ -141,15 +139,15 @@ def test_a_replay_shorter_than_a_second_is_shown_whole(tmp_path, loop) -> None:
         source = {"kind": "replay", "file": "short.csv", "loop": loop}
         assert running.post("setup", setup={"source": source}).status_code == 200
         if loop:
-            running.wait(lambda _: running.page.board.tick >= 3 * 640)
-            again = [mark["tick"] for mark in running.page.board.marks if "begins again" in mark["text"]]
+            running.wait(lambda _: running.page.display.tick >= 3 * 640)
+            again = [mark["tick"] for mark in running.page.display.marks if "begins again" in mark["text"]]
             assert again[:2] == [640, 1280]
             assert running.client.get("/api/state").json()["source"]["state"] == "running"
             return
-        running.wait(lambda state: state["source"]["state"] == "ended" and running.page.board.tick == 640)
-        shown = running.page.board.strips[0].since(0, 0)
+        running.wait(lambda state: state["source"]["state"] == "ended" and running.page.display.tick == 640)
+        shown = running.page.display.strips[0].since(0, 0)
         assert shown.first == 0
         np.testing.assert_allclose(shown.least[:, 0], load, atol=1e-4)
-        assert not any("cannot be watched" in item["text"] for item in running.page.station.messages)
+        assert not any("cannot be watched" in item["text"] for item in running.page.session.log.messages)
         # 0.4 s are two spans of 0.2 s: the page has had numbers
-        assert running.page.board.numbers["readings"]["AF"]["largest"] == pytest.approx(100, abs=1)
+        assert running.page.display.numbers["readings"]["AF"]["largest"] == pytest.approx(100, abs=1)

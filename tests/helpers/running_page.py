@@ -10,8 +10,8 @@ from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
 from aerobalance.app.monitor.access import AccessPolicy
 from aerobalance.app.monitor.folder import Folder
 from aerobalance.app.monitor.server import Page
+from aerobalance.app.monitor.session import Beginning
 from aerobalance.app.monitor.setups import rig_setup
-from aerobalance.app.monitor.station import Beginning
 from seeds import new_seed
 
 BASE = "http://127.0.0.1:8765"

@@ -40,7 +40,7 @@ _TICK: Final = 0.1
 _STOPPED: Final = "stopped"
 
 
-class Hello(NamedTuple):
+class SourceInfo(NamedTuple):
     """What a source says of itself.
 
     Attributes
@@ -64,7 +64,7 @@ class Hello(NamedTuple):
     controls: tuple[str, ...]
 
 
-class Said(NamedTuple):
+class SourceMessage(NamedTuple):
     """A message of the source's process: ``done``, ``refused``, ``lost``, ``ended`` or ``failed``, and its text."""
 
     kind: str
@@ -199,7 +199,7 @@ class Feed:
     def __init__(self, address: Address, *, viewer: bool, recent: bool = False) -> None:
         self.connection = Client(address.socket, authkey=address.key)
         self.connection.send((viewer, recent))
-        self.hello: Hello = self.connection.recv()
+        self.info: SourceInfo = self.connection.recv()
 
     def take(self) -> Block | str:
         """Return the next block, or the reason for which there will be no more.
@@ -225,7 +225,7 @@ class _Server:
     def __init__(self, source: Source, address: Address) -> None:
         self.source = source
         self.outlets: list[_Outlet] = []
-        self.hello = Hello(
+        self.info = SourceInfo(
             tuple(source.channels), source.rate, source.clocked, source.description, tuple(source.controls)
         )
         self._recent: deque[Block] = deque()
@@ -239,7 +239,7 @@ class _Server:
             try:
                 connection = self._listener.accept()
                 viewer, recent = connection.recv()
-                connection.send(self.hello)
+                connection.send(self.info)
                 self._add(_Outlet(connection, viewer=bool(viewer)), recent=bool(recent))
             except (OSError, EOFError, AuthenticationError):
                 if self._closed:
@@ -260,7 +260,7 @@ class _Server:
         while self._recent_bytes > RECENT_BYTES or block.received > self._recent[0].received + RECENT:
             self._recent_bytes -= self._recent.popleft().samples.nbytes
 
-    def give(self, block: Block, say: Callable[[Said], None]) -> None:
+    def give(self, block: Block, say: Callable[[SourceMessage], None]) -> None:
         """Give a block to all; let go of those that are gone."""
         with self._changing:
             self._keep(block)
@@ -269,7 +269,7 @@ class _Server:
             outlet.give(block, patient=self.source.patient)
             if outlet.sender.broken:
                 self.outlets = [other for other in self.outlets if other is not outlet]
-                say(Said("lost", "a viewer" if outlet.viewer else "a recorder"))
+                say(SourceMessage("lost", "a viewer" if outlet.viewer else "a recorder"))
 
     def finish(self, reason: str, *, hurry: bool) -> None:
         """Tell all receivers that there is no more."""
@@ -299,17 +299,17 @@ def run_source(setup: str, folder: str, address: Address, control: Connection[An
         control.send(problem if isinstance(problem, FitError | ReadError | ValueError) else FitError(str(problem)))
         return
 
-    def say(said: Said) -> None:
+    def say(said: SourceMessage) -> None:
         with contextlib.suppress(OSError):
             control.send(said)
 
     try:
-        control.send(server.hello)
+        control.send(server.info)
     except OSError:  # the starter is gone already
         return
     reason = _serve(source, server, control, stopped, say)
     server.finish(reason, hurry=bool(stopped) or reason == _STOPPED)
-    say(Said("ended", reason))
+    say(SourceMessage("ended", reason))
     # Where the starter was killed, nobody else removes the folder of the socket.
     remove(place)
     # Last, as the library of a device may end the process when its device is let go of.
@@ -318,7 +318,11 @@ def run_source(setup: str, folder: str, address: Address, control: Connection[An
 
 
 def _serve(
-    source: Source, server: _Server, control: Connection[Any, Any], stopped: list[str], say: Callable[[Said], None]
+    source: Source,
+    server: _Server,
+    control: Connection[Any, Any],
+    stopped: list[str],
+    say: Callable[[SourceMessage], None],
 ) -> str:
     """Give blocks until the end; return its reason."""
     running = False
@@ -347,8 +351,8 @@ def _serve(
     return stopped[0]
 
 
-def _set(source: Source, order: Order) -> Said:
+def _set(source: Source, order: Order) -> SourceMessage:
     try:
-        return Said("done", source.control(order.name, order.value))
+        return SourceMessage("done", source.control(order.name, order.value))
     except ValueError as problem:
-        return Said("refused", str(problem))
+        return SourceMessage("refused", str(problem))

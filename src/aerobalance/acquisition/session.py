@@ -14,7 +14,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any, Final
 
-from aerobalance.acquisition.feed import Address, Feed, Hello, Order, Said, run_source
+from aerobalance.acquisition.feed import Address, Feed, Order, SourceInfo, SourceMessage, run_source
 from aerobalance.acquisition.planned import plan_of
 from aerobalance.acquisition.recorder import Job, Progress, Tell, run_recorder
 from aerobalance.acquisition.scratch import make_folder, remove
@@ -153,11 +153,11 @@ class Session:
         self.process: SpawnProcess = _SPAWN.Process(target=run_source, args=arguments, daemon=True)
         start_on_one_thread(self.process)
         other.close()
-        self.said: list[Said] = []
+        self.said: list[SourceMessage] = []
         self._alive = True
         try:
             late = FitError(f"the source did not start within {_STARTING:g} s")
-            answer: Hello | Exception = self._control.recv() if self._control.poll(_STARTING) else late
+            answer: SourceInfo | Exception = self._control.recv() if self._control.poll(_STARTING) else late
         except EOFError:
             answer = FitError("the process of the source ended while it was starting")
         except BaseException:
@@ -166,7 +166,7 @@ class Session:
         if isinstance(answer, Exception):
             self.close()
             raise answer
-        self.hello = answer
+        self.info = answer
 
     def __enter__(self) -> Session:
         return self
@@ -182,9 +182,9 @@ class Session:
         """Set a control of the source; the answer comes with `news`."""
         self._order(Order("control", name, value))
 
-    def news(self, timeout: float = 0.0) -> list[Said]:
+    def news(self, timeout: float = 0.0) -> list[SourceMessage]:
         """Return what the source's process has said since, after waiting up to `timeout` [s]."""
-        found: list[Said] = []
+        found: list[SourceMessage] = []
         try:
             while self._alive and self._control.poll(timeout):
                 found.append(self._control.recv())
@@ -192,7 +192,9 @@ class Session:
         except (EOFError, OSError):
             self._alive = False
             if not any(said.kind == "ended" for said in (*self.said, *found)):
-                found.append(Said("ended", "the process of the source is gone without a word (killed, or crashed)"))
+                found.append(
+                    SourceMessage("ended", "the process of the source is gone without a word (killed, or crashed)")
+                )
         self.said += found
         return found
 
@@ -226,14 +228,14 @@ class Session:
             The file is there already, is being written, or the disk has no room for the record.
         """
         setup = setup or self.setup
-        channels = stored_channels(setup, self.hello.channels)
+        channels = stored_channels(setup, self.info.channels)
         matrix = None
         if setup.files.balance is not None:
             # Compiled loops come with it: only what has a balance waits for them.
             from aerobalance.io.balance_file import read_matrix  # noqa: PLC0415
 
             matrix = read_matrix(self._files / setup.files.balance)
-        plan = plan_of(setup, channels, self.hello.rate, balance=matrix)
+        plan = plan_of(setup, channels, self.info.rate, balance=matrix)
         _check_name(path, replace=replace)
         keep_free = round(setup.record.keep_free * 1e6)
         # without an end, a second is the least that is worth beginning
@@ -248,8 +250,8 @@ class Session:
         if replace:
             refuse_held(path)
             path.unlink(missing_ok=True)
-        provenance = Provenance(self.hello.description, setup_text(setup), setup.name)
-        return Recorder(Job(str(path), plan, self.hello.clocked, provenance, keep_free, asked), self.address)
+        provenance = Provenance(self.info.description, setup_text(setup), setup.name)
+        return Recorder(Job(str(path), plan, self.info.clocked, provenance, keep_free, asked), self.address)
 
     def close(self, *, timeout: float = _ENDING) -> None:
         """End the source's process and remove its socket."""

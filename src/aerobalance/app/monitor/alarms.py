@@ -30,7 +30,7 @@ class _Found(NamedTuple):
 
 
 class Alarms:
-    """The alarms of a station.
+    """The alarms of a session.
 
     Parameters
     ----------

@@ -7,19 +7,19 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from aerobalance.acquisition.pretest_checks import Change, Checked, check_return, check_shunt, mean_change
 from aerobalance.acquisition.setup import stored_channels
+from aerobalance.app.monitor.live_source import LiveSource
+from aerobalance.app.monitor.log import Log
 from aerobalance.app.monitor.messages import Means, TakeMeans
+from aerobalance.app.monitor.records import Records
 from aerobalance.recording.components import COMPONENTS, is_gauge, si_unit
 from aerobalance.recording.errors import FitError, ReadError
 from aerobalance.recording.units import conversion_for
-
-if TYPE_CHECKING:
-    from aerobalance.app.monitor.station import Station
 
 Kind = Literal["shunt", "return"]
 
@@ -45,23 +45,26 @@ class Checks:
 
     Parameters
     ----------
-    station
-        Whose source is checked.
+    source
+        What is checked.
+    records
+        Where results are noted.
+    log
+        What the operator is told.
     """
 
-    def __init__(self, station: Station) -> None:
-        self._station = station
+    def __init__(self, source: LiveSource, records: Records, log: Log) -> None:
+        self._source, self._records, self._log = source, records, log
         self._answers: queue.SimpleQueue[Means] = queue.SimpleQueue()
         self._switchings: queue.SimpleQueue[float] = queue.SimpleQueue()
         self._before: tuple[Kind, int, dict[str, tuple[float, ...]]] | None = None
         self._contacts = 0
         self.busy = False
         self.shown: dict[str, Any] = {}
-        self.notes: list[str] = []
 
     def forget(self) -> None:
         """Begin anew: another source has been opened."""
-        self._before, self.shown, self.notes = None, {}, []
+        self._before, self.shown = None, {}
 
     def heard(self, means: Means) -> None:
         """Take the means that were asked for."""
@@ -84,12 +87,12 @@ class Checks:
         ValueError
             It cannot be done now; the message says why.
         """
-        session = self._station.running()
+        session = self._source.running()
         if self.busy:
             raise ValueError("a check is under way already")
-        if kind == "shunt" and not self._station.setup.shunt:
+        if kind == "shunt" and not self._source.setup.shunt:
             raise ValueError("the set-up does not say what the shunt should change: fill in its table Shunt")
-        switches = kind == "shunt" and "shunt" in session.hello.controls
+        switches = kind == "shunt" and "shunt" in session.info.controls
         self._show(kind, "the readings are taken", busy=True)
         threading.Thread(
             target=self._run, args=(kind, self._switched if switches else self._by_hand), daemon=True
@@ -98,7 +101,7 @@ class Checks:
     def give_up(self) -> None:
         """Leave a check that waits for its second step."""
         self._before, self.shown = None, {}
-        self._station.changed()
+        self._log.changed()
 
     def _run(self, kind: Kind, steps: Callable[[Kind], None]) -> None:
         try:
@@ -106,10 +109,10 @@ class Checks:
         except (FitError, ReadError, ValueError) as problem:
             self._before = None
             self._show(kind, f"ended early: {problem}")
-            self._station.say(f"{_NAMES[kind]}: {problem}", kind="error")
+            self._log.say(f"{_NAMES[kind]}: {problem}", kind="error")
 
     def _by_hand(self, kind: Kind) -> None:
-        number = self._station.source.number
+        number = self._source.state.number
         if self._before is None or self._before[:2] != (kind, number):
             self._contacts = 0
             self._before = (kind, number, self._means())
@@ -123,11 +126,11 @@ class Checks:
         while not self._switchings.empty():
             self._switchings.get_nowait()
         before = self._means()
-        self._station.control("shunt", 1.0)
+        self._source.control("shunt", 1.0)
         try:
             after = self._means(self._switched_at())
         finally:
-            self._station.control("shunt", 0.0)
+            self._source.control("shunt", 0.0)
         self._judge(kind, before, after)
 
     def _switched_at(self) -> float:
@@ -142,7 +145,7 @@ class Checks:
         since = SETTLED + (time.monotonic() if since is None else since)
         limit = time.monotonic() + PATIENCE
         while time.monotonic() < limit:
-            self._station.engine.order(TakeMeans())
+            self._source.engine.order(TakeMeans())
             with contextlib.suppress(queue.Empty):
                 found = self._answers.get(timeout=1.0)
                 if found.since >= since and min(map(len, found.spans.values()), default=0) >= LEAST:
@@ -163,22 +166,22 @@ class Checks:
             raise ValueError("none of the channels read now can be checked; see Shunt and half ranges in the set-up")
         worst = next((one for one in ("failed", "undecided") if any(row["verdict"] == one for row in rows)), "passed")
         text = f"{_NAMES[kind]} {_MARKS[worst]}"
-        if kind == "return" and self._station.setup.fouling.channel is not None:
+        if kind == "return" and self._source.setup.fouling.channel is not None:
             touched = f"closed {self._contacts} time(s)" if self._contacts else "did not close"
             text += f"; the contact circuit {touched} meanwhile"
-        self._station.note(text)
+        self._records.note(text)
         for row in rows:
             note = f"{_NAMES[kind]} {row['verdict']}: {_words(row)}"
-            self.notes.append(note)
-            self._station.note(note, shown=False)
+            self._records.opening_notes.append(note)
+            self._records.note(note, shown=False)
         # shown after it is noted: who stops the record as soon as the result is there has the notes in it
         self._show(kind, text, rows=rows, verdict=worst)
         bad = [_words(row) for row in rows if row["verdict"] != "passed"]
-        self._station.say("; ".join([text, *bad]), kind="error" if bad else "done")
+        self._log.say("; ".join([text, *bad]), kind="error" if bad else "done")
 
     def _shunts(self, changes: Mapping[str, Change]) -> list[dict[str, Any]]:
-        setup, rows = self._station.setup, []
-        units = {item.name: item.unit for item in stored_channels(setup, self._station.running().hello.channels)}
+        setup, rows = self._source.setup, []
+        units = {item.name: item.unit for item in stored_channels(setup, self._source.running().info.channels)}
         for name, shunt in setup.shunt.items():
             if name not in changes:
                 continue
@@ -199,9 +202,9 @@ class Checks:
         return rows
 
     def _returns(self, changes: Mapping[str, Change]) -> list[dict[str, Any]]:
-        watching = self._station.watching
+        watching = self._source.watching
         half_ranges = {} if watching is None else watching.half_ranges
-        tolerance = self._station.setup.fouling.tolerance
+        tolerance = self._source.setup.fouling.tolerance
         return [
             _row(
                 check_return(name, change, half_range=half_ranges[name], tolerance=tolerance),
@@ -214,7 +217,7 @@ class Checks:
     def _show(self, kind: Kind, text: str, *, busy: bool = False, **more: Any) -> None:
         self.busy = busy
         self.shown = {"kind": kind, "text": text, "busy": busy, "waiting": False, "rows": [], **more}
-        self._station.changed()
+        self._log.changed()
 
 
 def _row(checked: Checked, unit: str) -> dict[str, Any]:

@@ -105,7 +105,7 @@ def monitor(
         )
     from aerobalance.app.monitor.server import Page  # noqa: PLC0415 - the call is checked before it is loaded
     from aerobalance.app.monitor.serving import check_certificate, serve  # noqa: PLC0415
-    from aerobalance.app.monitor.station import Beginning  # noqa: PLC0415
+    from aerobalance.app.monitor.session import Beginning  # noqa: PLC0415
 
     certificate = None if reach.certificate is None or reach.key is None else (reach.certificate, reach.key)
     if certificate is not None:

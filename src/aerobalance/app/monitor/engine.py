@@ -104,7 +104,7 @@ class _Engine:
         try:
             self._feed = Feed(order.address, viewer=True)
             setup = parse_setup(order.setup)
-            panel = panel_of(setup, self._feed.hello, Path(order.folder), order.zeros)
+            panel = panel_of(setup, self._feed.info, Path(order.folder), order.zeros)
             self._view = View(panel)
         except (FitError, ReadError, ValueError, OSError, EOFError) as problem:
             self._leave()

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel
 
-from aerobalance.acquisition.feed import Hello
+from aerobalance.acquisition.feed import SourceInfo
 from aerobalance.acquisition.safety import SetEnvelope, SetFouling, SetLimit, SetShunt, SetStation
 from aerobalance.acquisition.setup import Files, Record, SetChannel, Setup, setup_text
 from aerobalance.acquisition.source_settings import SOURCES
@@ -105,14 +105,14 @@ HINTS: Final[Mapping[str, str]] = {
 """Hints that are others for one kind of source."""
 
 
-def form_of(setup: Setup, hello: Hello | None) -> dict[str, Any]:
+def form_of(setup: Setup, info: SourceInfo | None) -> dict[str, Any]:
     """Describe the form and what is in it, as plain data.
 
     Parameters
     ----------
     setup
         The set-up that is edited.
-    hello
+    info
         What the source says of itself; None where there is none.
     """
     sources = {kind: _fields(model, "source", leave_out=("kind",), kind=kind) for kind, model in SOURCES.items()}
@@ -133,7 +133,7 @@ def form_of(setup: Setup, hello: Hello | None) -> dict[str, Any]:
             "stations": _fields(SetStation, "stations"),
             "shunt": _fields(SetShunt, "shunt"),
         },
-        "inputs": [] if hello is None else [{"name": item.name, "unit": item.unit} for item in hello.channels],
+        "inputs": [] if info is None else [{"name": item.name, "unit": item.unit} for item in info.channels],
         "quantities": [{"name": name, "unit": unit} for name, unit in QUANTITIES.items()],
     }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from aerobalance.acquisition.feed import Hello
+from aerobalance.acquisition.feed import SourceInfo
 from aerobalance.acquisition.intake import channel_columns
 from aerobalance.acquisition.planned import contact_circuit, ranges_of
 from aerobalance.acquisition.setup import Setup, stored_channels
@@ -19,14 +19,14 @@ from aerobalance.io.dynamics_file import read_any_dynamics
 from aerobalance.recording.errors import FitError
 
 
-def panel_of(setup: Setup, hello: Hello, folder: Path, zeros: Mapping[str, float]) -> Panel:
+def panel_of(setup: Setup, info: SourceInfo, folder: Path, zeros: Mapping[str, float]) -> Panel:
     """Say what is watched.
 
     Parameters
     ----------
     setup
         The test set-up.
-    hello
+    info
         What the source says of itself.
     folder
         Where the set-up's files are.
@@ -38,22 +38,22 @@ def panel_of(setup: Setup, hello: Hello, folder: Path, zeros: Mapping[str, float
     FitError, ReadError
         A channel has no such unit, the load envelope lacks something, or a file cannot be read.
     """
-    channels = stored_channels(setup, hello.channels)
+    channels = stored_channels(setup, info.channels)
     dynamics = dynamics_of(setup, folder)
     balance = None if setup.files.balance is None else read_matrix(folder / setup.files.balance)
     ranges = ranges_of(setup, channels, balance)
     units = {channel.name: channel.unit for channel in channels}
     panel = Panel(
         channels=channels,
-        rate=hello.rate,
-        clocked=hello.clocked,
+        rate=info.rate,
+        clocked=info.clocked,
         dynamics=dynamics,
         half_ranges=ranges.half,
         limits=ranges.limits,
         zeros=dict(zeros),
         balance=balance,
         envelope=ranges.envelope,
-        circuit=contact_circuit(setup, channel_columns(channels), units, hello.rate),
+        circuit=contact_circuit(setup, channel_columns(channels), units, info.rate),
     )
     if isinstance(dynamics, CoupledDynamics) and not panel.components:
         lacking = [name for name in dynamics.components if name not in panel.names]

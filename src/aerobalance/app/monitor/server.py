@@ -25,14 +25,14 @@ from starlette.websockets import WebSocket
 from aerobalance.acquisition.setup import setup_from
 from aerobalance.acquisition.source_settings import RigName
 from aerobalance.app.monitor.access import REPORT_POLICY, AccessControl, AccessPolicy
-from aerobalance.app.monitor.board import Board, plain
 from aerobalance.app.monitor.checks import Kind
+from aerobalance.app.monitor.display import DisplayState, plain
 from aerobalance.app.monitor.folder import RECORDINGS
 from aerobalance.app.monitor.form import form_of
 from aerobalance.app.monitor.messages import News, Watching
+from aerobalance.app.monitor.session import Beginning, MonitorSession
 from aerobalance.app.monitor.setups import check_files, rig_setup
 from aerobalance.app.monitor.state import state_of
-from aerobalance.app.monitor.station import Beginning, Station
 from aerobalance.app.monitor.tasks import TOGETHER
 from aerobalance.app.monitor.viewer import Viewer
 from aerobalance.io.held_file import is_held
@@ -115,7 +115,7 @@ class _Stop(_Body):
 
 
 class Page:
-    """The page's server without its network: the board, the station, and the application.
+    """The page's server without its network: what is shown, the session, and the application.
 
     Parameters
     ----------
@@ -126,14 +126,14 @@ class Page:
     """
 
     def __init__(self, begin: Beginning, *, policy: AccessPolicy) -> None:
-        self.board = Board()
+        self.display = DisplayState()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._version = 0
         self._state_text = ""
         self._state_of = -1
         self._viewers = 0
         self._begin = begin
-        self.station: Station
+        self.session: MonitorSession
         self.ending = asyncio.Event()
         self._hands = ThreadPoolExecutor(2)
         self.app = AccessControl(
@@ -156,23 +156,23 @@ class Page:
         )
         self._actions: Mapping[str, tuple[type[_Body], Callable[[Any], Any]]] = {
             "record": (_Record, self._record),
-            "stop": (_Stop, lambda _: self.station.stop()),
-            "trigger": (_Empty, lambda _: self.station.call()),
-            "mark": (_Mark, lambda it: self.station.mark(it.text)),
-            "zero": (_Empty, lambda _: self.station.zero()),
-            "acknowledge": (_Empty, lambda _: self.station.acknowledge()),
-            "clear_zero": (_Empty, lambda _: self.station.clear_zero()),
-            "test": (_Check, lambda it: self.station.checks.press(it.kind)),
-            "give_up": (_Empty, lambda _: self.station.checks.give_up()),
-            "control": (_Control, lambda it: self.station.control(it.name, it.value)),
+            "stop": (_Stop, lambda _: self.session.records.stop()),
+            "trigger": (_Empty, lambda _: self.session.records.call()),
+            "mark": (_Mark, lambda it: self.session.records.note(it.text or "mark")),
+            "zero": (_Empty, lambda _: self.session.zero()),
+            "acknowledge": (_Empty, lambda _: self.session.alarms.acknowledge()),
+            "clear_zero": (_Empty, lambda _: self.session.clear_zero()),
+            "test": (_Check, lambda it: self.session.checks.press(it.kind)),
+            "give_up": (_Empty, lambda _: self.session.checks.give_up()),
+            "control": (_Control, lambda it: self.session.source.control(it.name, it.value)),
             "job": (_Job, self._job),
-            "use": (_Use, lambda it: self.station.use_dynamics(it.recording)),
-            "cancel": (_Empty, lambda _: self.station.tasks.cancel()),
+            "use": (_Use, lambda it: self.session.use_dynamics(it.recording)),
+            "cancel": (_Empty, lambda _: self.session.tasks.cancel()),
             "setup": (_Apply, self._apply),
-            "check": (_Apply, lambda it: check_files(setup_from(it.setup), self.station.folder)),
+            "check": (_Apply, lambda it: check_files(setup_from(it.setup), self.session.folder)),
             "rig": (_Rig, self._rig),
-            "sweep": (_Empty, lambda _: self.station.begin_sweep()),
-            "restart": (_Empty, lambda _: self.station.open()),
+            "sweep": (_Empty, lambda _: self.session.begin_sweep()),
+            "restart": (_Empty, lambda _: self.session.open()),
         }
 
     # ---- life
@@ -180,23 +180,22 @@ class Page:
     @contextlib.asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
         self._loop = asyncio.get_running_loop()
-        self.station = Station(self._begin, heard=self._heard, changed=self._changed)
-        self.station.marker = self._marked
-        opening = threading.Thread(target=self.station.open, daemon=True)
+        self.session = MonitorSession(self._begin, heard=self._heard, changed=self._changed, mark=self._marked)
+        opening = threading.Thread(target=self.session.open, daemon=True)
         opening.start()
         try:
             yield
         finally:
             self.ending.set()
-            await self.board.tell()
-            await asyncio.to_thread(self.station.close)
+            await self.display.tell()
+            await asyncio.to_thread(self.session.close)
             self._hands.shutdown(wait=False)
 
     def close(self) -> None:
         """End what is behind the page, where it has begun."""
-        station = getattr(self, "station", None)
-        if station is not None:
-            station.close()
+        session = getattr(self, "session", None)
+        if session is not None:
+            session.close()
 
     def _call(self, what: Callable[[], None]) -> None:
         """Have something done in the server's loop, from any thread."""
@@ -209,13 +208,13 @@ class Page:
 
     def _show(self, answer: Watching | News) -> None:
         if isinstance(answer, Watching):
-            self.board.begin(answer)
+            self.display.begin(answer)
         else:
-            self.board.take(answer)
+            self.display.take(answer)
         self._wake()
 
     def _marked(self, text: str, kind: str) -> None:
-        self._call(lambda: self.board.mark(text, kind=kind))
+        self._call(lambda: self.display.mark(text, kind=kind))
 
     def _changed(self) -> None:
         def change() -> None:
@@ -226,13 +225,13 @@ class Page:
 
     def _wake(self) -> None:
         if self._loop is not None:
-            self._loop.create_task(self.board.tell())
+            self._loop.create_task(self.display.tell())
 
     def _state(self) -> tuple[int, str]:
         """Version of the state and its text, drawn up once for all viewers."""
         if self._state_of != self._version:
             self._state_of = self._version
-            self._state_text = json.dumps(plain({"type": "state", **state_of(self.station)}), separators=(",", ":"))
+            self._state_text = json.dumps(plain({"type": "state", **state_of(self.session)}), separators=(",", ":"))
         return self._version, self._state_text
 
     # ---- pages and files
@@ -241,27 +240,28 @@ class Page:
         return FileResponse(STATIC / "index.html", media_type="text/html; charset=utf-8")
 
     async def _get_state(self, _: Request) -> Response:
-        state = await asyncio.to_thread(state_of, self.station)
-        more = {"numbers": self.board.numbers, "viewers": self._viewers, "processes": self.station.processes()}
+        state = await asyncio.to_thread(state_of, self.session)
+        more = {"numbers": self.display.numbers, "viewers": self._viewers, "processes": self.session.processes()}
         return JSONResponse(plain(state | more))
 
     async def _get_recordings(self, _: Request) -> Response:
         try:
-            return JSONResponse(plain(await asyncio.to_thread(self.station.recordings)))
+            return JSONResponse(plain(await asyncio.to_thread(self.session.folder.with_results)))
         except OSError as problem:
             return JSONResponse({"error": str(problem)}, 409)
 
     async def _get_setup(self, _: Request) -> Response:
-        hello = None if self.station.session is None else self.station.session.hello
-        return JSONResponse(plain(form_of(self.station.setup, hello)))
+        source = self.session.source
+        info = None if source.session is None else source.session.info
+        return JSONResponse(plain(form_of(source.setup, info)))
 
     async def _get_task(self, request: Request) -> Response:
-        task = self.station.tasks.listed.get(request.path_params["number"])
+        task = self.session.tasks.listed.get(request.path_params["number"])
         return JSONResponse(plain(task)) if task else JSONResponse({"error": "there is no such task"}, 404)
 
     async def _report(self, request: Request) -> Response:
         try:
-            path = self.station.folder.file(request.path_params["name"])
+            path = self.session.folder.file(request.path_params["name"])
         except ValueError as problem:
             return JSONResponse({"error": str(problem)}, 404)
         if path.suffix != ".html" or not path.is_file():
@@ -272,7 +272,7 @@ class Page:
 
     async def _file(self, request: Request) -> Response:
         try:
-            path = self.station.folder.file(request.path_params["name"])
+            path = self.session.folder.file(request.path_params["name"])
         except ValueError as problem:
             return JSONResponse({"error": str(problem)}, 404)
         if path.suffix.lower() not in (*RECORDINGS, ".json", ".toml", ".html") or not path.is_file():
@@ -298,17 +298,17 @@ class Page:
         return JSONResponse({"done": True, "number": found if isinstance(found, int) else None})
 
     def _record(self, wish: _Record) -> None:
-        self.station.record(wish.name, notes=wish.notes, seconds=wish.seconds, asked=wish.asked)
+        self.session.records.begin(wish.name, notes=wish.notes, seconds=wish.seconds, asked=wish.asked)
 
     def _job(self, wish: _Job) -> int:
         settings = {key: value for key in ("component", "mass", "dynamics") if (value := getattr(wish, key))}
-        return self.station.tasks.run(wish.verb, [wish.recording, *wish.others], settings)
+        return self.session.tasks.run(wish.verb, [wish.recording, *wish.others], settings)
 
     def _apply(self, wish: _Apply) -> None:
-        self.station.apply(setup_from(wish.setup), name=wish.name)
+        self.session.apply(setup_from(wish.setup), name=wish.name)
 
     def _rig(self, wish: _Rig) -> None:
-        self.station.apply(rig_setup(wish.rig), name=None)
+        self.session.apply(rig_setup(wish.rig), name=None)
 
     # ---- viewers
 
@@ -318,7 +318,7 @@ class Page:
             return
         await socket.accept()
         self._viewers += 1
-        serving = asyncio.create_task(Viewer(socket, self.board, self._state).serve())
+        serving = asyncio.create_task(Viewer(socket, self.display, self._state).serve())
         ending = asyncio.create_task(self.ending.wait())
         try:
             await asyncio.wait((serving, ending), return_when=asyncio.FIRST_COMPLETED)

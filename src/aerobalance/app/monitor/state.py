@@ -3,50 +3,51 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from aerobalance.acquisition.source_settings import Simulated
+from aerobalance.app.monitor.live_source import LiveSource
+from aerobalance.app.monitor.records import Records
+from aerobalance.app.monitor.session import MonitorSession
 
-if TYPE_CHECKING:
-    from aerobalance.app.monitor.station import Station
 
-
-def state_of(station: Station) -> dict[str, Any]:
-    """Draw up the state of a station."""
+def state_of(session: MonitorSession) -> dict[str, Any]:
+    """Draw up the state of a session."""
+    source, log, setup = session.source, session.log, session.source.setup
     return {
-        "source": _source(station),
-        "record": _record(station),
-        "zeros": dict(station.zeros),
-        "alarms": station.alarms.shown,
-        "messages": list(station.messages),
+        "source": _source(source),
+        "record": _record(session.records),
+        "zeros": dict(source.zeros),
+        "alarms": session.alarms.shown,
+        "messages": list(log.messages),
         "tasks": [
-            {key: value for key, value in task.items() if key != "account"} for task in station.tasks.listed.values()
+            {key: value for key, value in task.items() if key != "account"} for task in session.tasks.listed.values()
         ],
-        "recordings_version": station.listed_version,
+        "recordings_version": log.listed_version,
         "setup": {
-            "name": station.setup.name,
-            "file": None if station.setup_file is None else station.setup_file.name,
-            "dynamics": station.setup.files.dynamics,
-            "seconds": station.setup.record.seconds,
+            "name": setup.name,
+            "file": None if session.setup_file is None else session.setup_file.name,
+            "dynamics": setup.files.dynamics,
+            "seconds": setup.record.seconds,
         },
-        "sweep": station.sweep,
-        "check": station.checks.shown,
-        "folder": station.folder.path.name,
+        "sweep": None if session.sweep is None else session.sweep.shown,
+        "check": session.checks.shown,
+        "folder": session.folder.path.name,
     }
 
 
-def _source(station: Station) -> dict[str, Any]:
-    source, session = station.source, station.session
-    found: dict[str, Any] = {"state": source.state, "text": source.text, "number": source.number}
+def _source(source: LiveSource) -> dict[str, Any]:
+    stands, session, settings = source.state, source.session, source.setup.source
+    found: dict[str, Any] = {"state": stands.state, "text": stands.text, "number": stands.number}
     if session is not None:
-        found["controls"] = {name: station.controls.get(name) for name in session.hello.controls}
-    if isinstance(station.setup.source, Simulated):
-        found["rig"] = station.setup.source.rig
+        found["controls"] = {name: source.controls.get(name) for name in session.info.controls}
+    if isinstance(settings, Simulated):
+        found["rig"] = settings.rig
     return found
 
 
-def _record(station: Station) -> dict[str, Any]:
-    progress = station.progress
+def _record(records: Records) -> dict[str, Any]:
+    progress = records.progress
     if progress is None:
         return {"state": "none"}
     names = (

@@ -7,13 +7,14 @@ import time
 from collections.abc import Mapping
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from aerobalance.app.monitor.folder import Folder
 from aerobalance.app.monitor.jobs import Outcome, Task
+from aerobalance.app.monitor.live_source import LiveSource
+from aerobalance.app.monitor.log import Log
+from aerobalance.app.monitor.records import Records
 from aerobalance.app.monitor.workers import Jobs
-
-if TYPE_CHECKING:
-    from aerobalance.app.monitor.station import Station
 
 LISTED: Final = 20
 """Tasks that are listed."""
@@ -23,16 +24,22 @@ TOGETHER: Final = 20
 
 
 class Tasks:
-    """The tasks of a station.
+    """The tasks of a folder, by number.
 
     Parameters
     ----------
-    station
-        Whose recordings they are about.
+    folder
+        Where the recordings are.
+    source
+        Whose set-up says with which files they are worked on.
+    records
+        What is being recorded, which has to end first.
+    log
+        What the operator is told.
     """
 
-    def __init__(self, station: Station) -> None:
-        self._station = station
+    def __init__(self, folder: Folder, source: LiveSource, records: Records, log: Log) -> None:
+        self._folder, self._source, self._records, self._log = folder, source, records, log
         self._lock = threading.Lock()
         self._entries: dict[int, dict[str, Any]] = {}
         self._jobs = Jobs(self._heard)
@@ -58,28 +65,28 @@ class Tasks:
         """
         if not 1 <= len(recordings) <= (TOGETHER if verb == "together" else 1):
             raise ValueError(f"{verb} takes one recording, and together up to {TOGETHER}, not {len(recordings)}")
-        station = self._station
-        paths = [station.folder.recording(name) for name in recordings]
-        under_way = Path(station.progress.path) if station.recording and station.progress is not None else None
+        folder, records = self._folder, self._records
+        paths = [folder.recording(name) for name in recordings]
+        under_way = Path(records.progress.path) if records.under_way and records.progress is not None else None
         if under_way in paths and verb != "info":
             raise ValueError(f"{under_way.name} is still being written; stop the record first")
-        path, files = paths[0], station.setup.files
+        path, files = paths[0], self._source.setup.files
         chosen = dict(settings)
         if "dynamics" in chosen:
-            chosen["dynamics"] = str(station.folder.file(chosen["dynamics"]))
+            chosen["dynamics"] = str(folder.file(chosen["dynamics"]))
         elif verb == "force":
             chosen["dynamics"] = str(self._dynamics_for(path))
         if verb == "force" and files.balance is not None and path.suffix in (".h5", ".hdf5"):
-            chosen["balance"] = str(station.folder.named(files.balance))
+            chosen["balance"] = str(folder.named(files.balance))
         if verb == "together" and files.mass is not None:
-            chosen["mass"] = str(station.folder.named(files.mass))
+            chosen["mass"] = str(folder.named(files.mass))
         task = self._jobs.add(verb, [str(one) for one in paths], chosen)
         with self._lock:
             entry = {"number": task.number, "verb": verb, "recording": path.name, "state": "waiting"}
             self._entries[task.number] = entry
             for old in sorted(self._entries)[:-LISTED]:
                 del self._entries[old]
-        station.changed()
+        self._log.changed()
         return task.number
 
     def cancel(self) -> None:
@@ -92,13 +99,12 @@ class Tasks:
 
     def _dynamics_for(self, path: Path) -> Path:
         """The dynamics identified from the recording itself, or else those of the set-up."""
-        folder = self._station.folder
         own = path.with_name(f"{path.stem}-dynamics.json")
         if own.is_file():
-            return folder.named(own)
-        given = self._station.setup.files.dynamics
+            return self._folder.named(own)
+        given = self._source.setup.files.dynamics
         if given is not None:
-            return folder.named(given)
+            return self._folder.named(given)
         raise ValueError(f"identify {path.name} first, or name dynamics in the set-up: the force needs them")
 
     def _heard(self, task: Task, outcome: Outcome | None) -> None:
@@ -119,8 +125,8 @@ class Tasks:
                     "account": outcome.account,
                 }
         if outcome is not None:
-            self._station.listed_version += 1
+            self._log.list_anew()
             if not outcome.done:
                 name = Path(task.recordings[0]).name
-                self._station.say(f"{task.verb} of {name}: {outcome.text}", kind="error")
-        self._station.changed()
+                self._log.say(f"{task.verb} of {name}: {outcome.text}", kind="error")
+        self._log.changed()

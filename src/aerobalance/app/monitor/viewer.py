@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from aerobalance.app.monitor.board import KEPT, Board, plain
+from aerobalance.app.monitor.display import KEPT, DisplayState, plain
 
 UNSHOWN: Final = 2
 """Frames that a viewer may have got and not shown."""
@@ -31,14 +31,14 @@ class Viewer:
     ----------
     socket
         The connection, accepted.
-    board
+    display
         What is shown.
     state
         What is said of the state: a version, and the text.
     """
 
-    def __init__(self, socket: WebSocket, board: Board, state: Any) -> None:
-        self._socket, self._board, self._state = socket, board, state
+    def __init__(self, socket: WebSocket, display: DisplayState, state: Any) -> None:
+        self._socket, self._display, self._state = socket, display, state
         self._sequence = self._acknowledged = 0
         self._shown = time.monotonic()
         self._level = 1
@@ -57,9 +57,9 @@ class Viewer:
                     await self._send()
                 elif time.monotonic() - self._shown > GONE:
                     break
-                async with self._board.changed:
+                async with self._display.changed:
                     with contextlib.suppress(TimeoutError):
-                        await asyncio.wait_for(self._board.changed.wait(), _WAKE)
+                        await asyncio.wait_for(self._display.changed.wait(), _WAKE)
         except (WebSocketDisconnect, RuntimeError, OSError):
             pass  # gone, which is its right
         finally:
@@ -68,7 +68,7 @@ class Viewer:
                 await listener
 
     async def _send(self) -> None:
-        board, watching = self._board, self._board.watching
+        display, watching = self._display, self._display.watching
         version, state = self._state()
         if version != self._state_version:
             self._state_version = version
@@ -77,27 +77,29 @@ class Viewer:
             return
         if watching.number != self._source:
             await self._begin()
-        if board.numbers_version != self._numbers_version and board.numbers:
-            self._numbers_version = board.numbers_version
-            await self._tell({"type": "numbers", **board.numbers, "marks": list(board.marks), "tick": board.tick})
-        if board.data_version != self._data_version:
-            self._data_version = board.data_version
-            frame = board.data_frame(self._sequence + 1, self._level, self._cursors)
+        if display.numbers_version != self._numbers_version and display.numbers:
+            self._numbers_version = display.numbers_version
+            await self._tell(
+                {"type": "numbers", **display.numbers, "marks": list(display.marks), "tick": display.tick}
+            )
+        if display.data_version != self._data_version:
+            self._data_version = display.data_version
+            frame = display.data_frame(self._sequence + 1, self._level, self._cursors)
             if frame is not None:
                 self._sequence += 1
                 await self._socket.send_bytes(frame)
         name = self._component if self._component in watching.components else next(iter(watching.components), "")
-        frame, seen = board.spectra_frame(self._sequence + 1, name, self._spectra_seen)
+        frame, seen = display.spectra_frame(self._sequence + 1, name, self._spectra_seen)
         if frame is not None:
             self._sequence, self._spectra_seen = self._sequence + 1, seen
             await self._socket.send_bytes(frame)
 
     async def _begin(self) -> None:
-        watching = self._board.watching
+        watching = self._display.watching
         if watching is None:
             return
         self._source = watching.number
-        self._cursors = [0] * len(self._board.strips)
+        self._cursors = [0] * len(self._display.strips)
         self._spectra_seen = 0
         await self._tell(
             {
@@ -135,7 +137,7 @@ class Viewer:
                     if isinstance(ping, int | float):  # at once: the viewer sets its clock by it
                         await self._tell({"type": "pong", "ping": ping, "now": time.time() * 1e3})
             if self._sequence - self._acknowledged < UNSHOWN:
-                await self._board.tell()
+                await self._display.tell()
 
     def _hear(self, given: dict[str, Any]) -> None:
         """Take what a viewer says; what makes no sense is passed over."""

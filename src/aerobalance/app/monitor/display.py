@@ -33,7 +33,7 @@ _GROUP: Final = struct.Struct("<BBHId")
 _SPECTRA: Final = struct.Struct("<BBHIIfI")
 
 
-class Board:
+class DisplayState:
     """What is shown of one source after the other."""
 
     def __init__(self) -> None:
