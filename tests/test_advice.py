@@ -13,13 +13,14 @@ import typer.main
 
 import aerobalance
 from aerobalance.app.cli.program import app
+from aerobalance.app.options import OPTIONS, as_options
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.force import force_record
 from aerobalance.identification.free_decay.event import first_look
 from aerobalance.identification.free_decay.fit import _kept_modes, _way_to_take_it_up, identify_decay
 from aerobalance.identification.free_decay.waveform import Line, fit_ring
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError, argument
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import damping_text, frequency_text, percent_text, share_text
 from aerobalance.validation.model_check import Misfit, misfit_of
@@ -66,6 +67,41 @@ def test_every_option_that_a_message_names_is_there():
     }
     assert len(named) > 20
     assert {option: module for option, module in named.items() if option not in known} == {}
+
+
+def test_the_library_names_no_options():
+    library = [path for path in SOURCE.rglob("*.py") if not path.is_relative_to(SOURCE / "app")]
+    whole = re.compile(r"`aerobalance [^`]*`")  # a command to be typed as it stands
+    named = {path.name: OPTION.findall(whole.sub("", text)) for path in library for text in texts(path)}
+    assert {name: options for name, options in named.items() if options} == {}
+
+
+def test_every_argument_that_a_message_names_has_an_option():
+    calls = [node for path in SOURCE.rglob("*.py") for node in ast.walk(ast.parse(path.read_text()))]
+    named = {
+        ast.literal_eval(node.args[0])
+        for node in calls
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "argument"
+    }
+    assert named == set(OPTIONS)
+    assert set(OPTIONS.values()) <= options()
+
+
+@pytest.mark.parametrize(
+    ("said", "read"),
+    [
+        (argument("hum"), "--hum"),
+        (argument("modes", "auto"), "--modes auto"),
+        (argument("replace", True), "--replace"),
+        (argument("model_on", False), "--model-on-zero off"),
+        (f"a weighing as {argument('tare')}", "--mass"),
+        (argument("Schedule.without", ["RM series 3"]), '--leave-out "RM series 3"'),
+        (argument("reading_noise", {"rNAME": ...}), "--reading-noise rNAME=VALUE"),
+        ("`aerobalance map FILE` and `text`", "`aerobalance map FILE` and `text`"),
+    ],
+)
+def test_the_command_line_puts_options_in_place_of_arguments(said, read):
+    assert as_options(f"give {said}; see {said}") == f"give {read}; see {read}"
 
 
 # ------------------------------------------------------------------------------------------------ numbers that can be
@@ -173,7 +209,7 @@ def test_modes_whose_share_would_be_more_than_the_load_are_not_taken_up():
 def test_the_advice_on_a_further_mode_is_taken():
     """After a release from rest --modes auto does take a further mode up, as the warning says."""
     recording = ringing((0.9, 0.1), (60.0, 143.0), noise=0.1, seed=5)
-    with pytest.warns(DataQualityWarning, match=r"143 Hz, .* of the first, .*--modes auto takes it up"):
+    with pytest.warns(DataQualityWarning, match=r"143 Hz, .* of the first, .*`modes='auto'` takes it up"):
         identify_decay(recording, mass=20.0)
     (mode,) = identify_decay(recording, mass=20.0, modes="auto").dynamics.further_modes
     assert mode.share == pytest.approx(0.1, abs=0.01)

@@ -324,7 +324,7 @@ def test_one_noise_for_bridges_that_differ_is_doubted_for_the_quiet_ones(rng) ->
     quiet = f"r{schedule.gauges[1]}"
     assert [f"r{name}" for name in schedule.gauges if f"r{name} 0." in text or f"r{name} 1" in text] == [quiet], text
     assert f"{quiet} 0.2" in text, text
-    assert text.endswith("give each its own: --reading-noise rNAME=VALUE")
+    assert text.endswith("give each its own: `reading_noise={'rNAME': ...}`")
 
 
 def covers(truth: str, model: str, rng: np.random.Generator, *, count: int) -> list[float]:

@@ -391,7 +391,7 @@ def test_mode_that_is_left_out_is_named(rng):
     assert fit.dynamics.further_modes == ()
     assert fit.left_out is not None
     assert fit.left_out.natural_frequency == pytest.approx(second.natural_frequency, rel=0.01)
-    assert any("further mode at" in text and "--modes auto looks for it" in text for text in texts), texts
+    assert any("further mode at" in text and "`modes='auto'` looks for it" in text for text in texts), texts
 
 
 def test_strongest_mode_leads(rng):

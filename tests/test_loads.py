@@ -242,7 +242,7 @@ def test_a_force_balance_is_of_that_form_without_distances(seed: int) -> None:
     felt = loads_of_outputs(recorded(plain.outputs(native)), plain, zero=NONE, form="force")
     assert felt.components == ("N1", "N2", "S1", "S2", "RM", "AF")
     np.testing.assert_allclose(felt.values, native, atol=1e-6 * np.abs(native).max())
-    with pytest.raises(ValueError, match="calibrate with --distances"):
+    with pytest.raises(ValueError, match=r"calibrate with `Schedule\.geometry`"):
         loads_of_outputs(recorded(plain.outputs(native)), plain, zero=NONE, form="moment")
 
 

@@ -22,7 +22,7 @@ from aerobalance.acquisition.setup import Setup, setup_text, stored_channels
 from aerobalance.io.hdf5_closing import close_broken_off
 from aerobalance.io.hdf5_layout import Provenance
 from aerobalance.io.held_file import recover_all, refuse_held
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import FitError, argument
 
 _STARTING: Final = 60.0
 _ENDING: Final = 1.5
@@ -278,4 +278,6 @@ def _check_name(path: Path, *, replace: bool) -> None:
     except OSError as problem:
         raise ValueError(f"cannot write {str(path)[:200]}: {problem.strerror or problem}") from None
     if taken and not replace:
-        raise ValueError(f"{path} is there already; a recording is never overwritten unless told to (--replace)")
+        raise ValueError(
+            f"{path} is there already; a recording is never overwritten unless told to ({argument('replace', True)})"
+        )

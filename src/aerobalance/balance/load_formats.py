@@ -10,6 +10,7 @@ import numpy as np
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS
+from aerobalance.recording.errors import argument
 
 BalanceType = Literal["force", "moment", "direct", "unknown"]
 Form = Literal["direct", "force", "moment"]
@@ -128,6 +129,6 @@ def between_forms(components: tuple[str, ...], form: Form, geometry: Geometry | 
     if T is None or back is None:
         raise ValueError(
             f"{', '.join(components)} cannot become {', '.join(FORMS[form])} without the distances of the gauges; "
-            "calibrate with --distances"
+            f"calibrate with {argument('Schedule.geometry')}"
         )
     return np.asarray(np.linalg.solve(back, T))

@@ -20,7 +20,7 @@ from aerobalance.balance.matrix_errors import MatrixErrors
 from aerobalance.balance.zeros import SAY_HOW_READ, GaugeZero, gauge_table
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
-from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
@@ -119,8 +119,9 @@ class Loads:
         for channel in self.recording:
             if channel.coupling == "dc":
                 raise FitError(
-                    f"{self.recording.name}: {channel.name} is dc-coupled and reads gravity, which --tare has taken "
-                    "off too; give the zero with --zero and leave the weight to the dynamics"
+                    f"{self.recording.name}: {channel.name} is dc-coupled and reads gravity, which "
+                    f"{argument('tare')} has taken off too; give the zero with {argument('zero')} and leave the weight "
+                    "to the dynamics"
                 )
         channels = {name: one for name, one in self.recording.channels.items() if name not in ("pitch", "roll")}
         return replace(self, recording=replace(self.recording, channels=channels))

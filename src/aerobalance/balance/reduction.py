@@ -35,7 +35,7 @@ from aerobalance.balance.zeros import (
 )
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
-from aerobalance.recording.errors import DataQualityWarning, FitError, warn_quality
+from aerobalance.recording.errors import DataQualityWarning, FitError, argument, warn_quality
 from aerobalance.recording.gravity import Attitudes, GravityOnZero, gravity_share
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
@@ -107,11 +107,13 @@ def reduce_outputs(
     """
     recording, balance = corrected(recording), matrix_of(balance)
     if isinstance(tare, Weighing) and model is not None:
-        raise ValueError("the weight comes from the mass in the dynamics; --mass would take it off twice")
+        raise ValueError(
+            f"the weight comes from the mass in the dynamics; a weighing as {argument('tare')} would take it off twice"
+        )
     if balance.direct is None and not set(balance.components) <= set(COMPONENTS):
         warn_quality(
             f"the balance matrix lacks the distances of the gauges: the loads stay {', '.join(balance.components)}. "
-            "Calibrate with --distances to have NF PM SF YM RM AF"
+            f"Calibrate with {argument('Schedule.geometry')} to have NF PM SF YM RM AF"
         )
     if isinstance(tare, Weighing):
         return _weight_off(recording, balance, tare, zero=zero, form=form)
@@ -179,7 +181,7 @@ def settled_zero(zero: Zero | None, balance: BalanceMatrix, carried: Carried | N
     if zero.model_on == "auto" and reads_no_weight(read, carried.weight, balance):
         warn_quality(
             f"{read.source} reads as the natural zeros of the calibration do, without the weight: it is taken as read "
-            "with the model off; --model-on-zero on or off says which"
+            f"with the model off; {argument('model_on')} says which"
         )
         return read
     if carried.doubt:
@@ -238,9 +240,8 @@ def _say_what_is_guessed(zero: GaugeZero, point: Array, carried: Carried, balanc
         text = (
             f"{zero.source}: the weight that hung on the balance while this zero was read is not known, and the "
             f"bridges are curved: {100 * USUAL_WEIGHT:g} % of the range would change sensitivities by up to "
-            f"{100 * change:.2g} % of range. Give the mass.json of a weighing of all loads (weigh without "
-            "--component) with --mass, or say --model-on-zero off if there was none; natural zeros in the calibration "
-            "tell it too"
+            f"{100 * change:.2g} % of range. Give a weighing of all loads as {argument('tare')}, or say "
+            f"{argument('model_on', False)} if there was none; natural zeros in the calibration tell it too"
         )
     warn_quality(text)
 
@@ -287,8 +288,8 @@ def _weight_off(
     """Balance loads less the weight of a weighing, as the zero and the run have it at their attitudes."""
     if form not in (None, "direct"):
         raise ValueError(
-            f"--form {form} cannot go with --mass, whose weight is known in direct-read form; give wind-off "
-            "recordings with --tare instead, or leave --form out"
+            f"{argument('form', form)} cannot go with a weighing as {argument('tare')}, whose weight is known in "
+            f"direct-read form; give wind-off recordings with {argument('tare')} instead, or leave {argument('form')} out"
         )
     carried = None
     if zero is not None and zero.recordings and zero.model_on is not False:
@@ -305,7 +306,8 @@ def _weighed_on_zero(zeros: Sequence[Recording], weighing: Weighing) -> Carried:
     if lacking:
         raise FitError(
             f"{lacking[0]} has no channel pitch, so the weight in its zero is not known; record pitch with the zero, "
-            "say --model-on-zero off if it was read without the model, or take wind-off recordings as --tare"
+            f"say {argument('model_on', False)} if it was read without the model, or take wind-off recordings as "
+            f"{argument('tare')}"
         )
     attitudes = [_attitudes_of(recording) for recording in zeros]
     loads = [weighing.loads(pitch=pitch, roll=roll, offsets=False) for pitch, roll in attitudes]
@@ -436,7 +438,7 @@ def weighing_points(
         if found is None:
             warn_quality(
                 f"{zero.recordings[0].name} was read without what is weighed, as the offsets say: it is taken as read "
-                "with the model off; --model-on-zero on or off says which"
+                f"with the model off; {argument('model_on')} says which"
             )
             zero = Zero(zero.recordings, model_on=False, after=zero.after)
         else:

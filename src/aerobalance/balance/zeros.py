@@ -13,7 +13,7 @@ from aerobalance.balance.load_formats import role_of
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
@@ -114,7 +114,9 @@ class Zero:
             for one in (recordings, after)
         )
         if later and not before:
-            raise ValueError("--zero-after needs --zero: the drift is what changes between the two")
+            raise ValueError(
+                f"{argument('Zero.after')} needs {argument('Zero.recordings')}: the drift is what changes between the two"
+            )
         for name, value in (("recordings", before), ("model_on", model_on), ("after", later)):
             object.__setattr__(self, name, value)
 

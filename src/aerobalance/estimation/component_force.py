@@ -23,7 +23,7 @@ from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, NoiseSpe
 from aerobalance.motion.single_axis import Unknown
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.errors import FitError, argument, warn_quality
 
 Method = Literal["smoother", "paper"]
 
@@ -215,7 +215,8 @@ def _tell_of_faint(job: Job, learned: SpectralPrior) -> None:
         job,
         f"{name} fluctuates by {size:.2g} {unit} rms beside a white noise of {learned.noise:.2g} {unit}: that is "
         "taken for force, but noise of the electronics that rises at low frequency (1/f) looks the same and is then "
-        "an error of that size, which the uncertainty does not hold; a record of noise alone (--noise-record) decides",
+        "an error of that size, which the uncertainty does not hold; a record of noise alone "
+        f"({argument('noise')}) decides",
     )
 
 
@@ -226,14 +227,14 @@ def _tell_of_hum(job: Job, lines: tuple[Line, ...], *, large: tuple[Line, ...]) 
             lines,
             (
                 "are taken for mains hum and not for force; if a force was applied at such a frequency it is missing "
-                'from the result: keep it with --hum keep (hum="keep")'
+                f"from the result: keep it with {argument('hum', 'keep')}"
             ),
         ),
         (
             large,
             (
                 "lie where the mains do, but are so large a part of the record that they are taken for force; if they "
-                "are hum, the force is wrong by them: name their frequencies with --hum"
+                f"are hum, the force is wrong by them: name their frequencies with {argument('hum')}"
             ),
         ),
     )

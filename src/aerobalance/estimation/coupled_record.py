@@ -23,7 +23,7 @@ from aerobalance.motion.platform import PlatformMotion
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import EXACT, align_channels, fractional_delay, interpolate_gaps
@@ -227,7 +227,7 @@ def net_load(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
     if dynamics.mass is None:
         raise FitError(
             "the ground end moves or pitches, but the dynamics hold no mass: give mass, centre of gravity and inertia "
-            "when they are identified (--mass)"
+            f"when they are identified ({argument('mass')})"
         )
     return platform.force(dynamics.mass)[:, [COMPONENTS.index(name) for name in dynamics.components]]
 

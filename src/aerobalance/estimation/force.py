@@ -33,8 +33,8 @@ from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, is_gauge
-from aerobalance.recording.errors import FitError, warn_quality
-from aerobalance.recording.recording import GAUGES_BECOME_LOADS, Recording
+from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, warn_quality
+from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import align_channels, interpolate_gaps
 
 if TYPE_CHECKING:

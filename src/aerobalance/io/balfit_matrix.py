@@ -17,7 +17,7 @@ from aerobalance.balance.terms import Term, by_label
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_table import read_text
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import ReadError, warn_quality
+from aerobalance.recording.errors import ReadError, argument, warn_quality
 from aerobalance.recording.units import conversion
 
 FILE_TYPE: Final = "DATA_REDUCTION_MATRIX_IN_AMES_FORMAT"
@@ -38,7 +38,7 @@ def write_balfit_matrix(path: Path | str, matrix: BalanceMatrix, *, description:
         The matrix goes the other way, or the file cannot be written.
     """
     if matrix.way != "iterative":
-        raise ValueError("the layout is for the iterative way; calibrate with --way iterative")
+        raise ValueError(f"the layout is for the iterative way; calibrate with {argument('way', 'iterative')}")
     micro = 1e3
     inverse = np.linalg.inv(matrix.linear)
     D0 = (matrix.load_scale[:, None] * inverse / (matrix.output_scale * micro)).T

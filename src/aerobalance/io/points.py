@@ -13,8 +13,7 @@ from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.table import Table
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, is_gauge
-from aerobalance.recording.errors import FitError, ReadError
-from aerobalance.recording.recording import GAUGES_BECOME_LOADS
+from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, ReadError
 
 Names = tuple[str, ...]
 

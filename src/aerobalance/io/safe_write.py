@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from aerobalance.io.held_file import refuse_held
+from aerobalance.recording.errors import argument
 
 
 @dataclass(slots=True)
@@ -176,7 +177,7 @@ def _place(writing: Writing) -> None:
             return
         raise ValueError(
             f"{target} exists and differs from what would be written, and may be more than a result that can be "
-            "calculated again; give another name, or --replace"
+            f"calculated again; give another name, or {argument('replace', True)}"
         )
     writing.placing = True
     writing.beside.replace(target)

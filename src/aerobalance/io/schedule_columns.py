@@ -13,7 +13,7 @@ from aerobalance.io.columns import split_label
 from aerobalance.io.load_columns import load_conversion
 from aerobalance.io.schedule_names import MARKS, is_output_of, mark_of
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import ReadError
+from aerobalance.recording.errors import ReadError, argument
 from aerobalance.recording.units import conversion
 
 _MAPPED: Final = ("column", "unit", "scale", "offset", "sign", "excitation", "shunt_expected", "shunt_measured")
@@ -113,7 +113,8 @@ def columns_by_name(path: Path, line: int, columns: Sequence[ScheduleColumn]) ->
                 path,
                 f"line {line}, {column.place}",
                 f"{column.name!r} is neither a load with an output r{column.name}, nor the output of a load that is "
-                f"there; columns beside NAME [lbf] and rNAME [uV/V]: {', '.join(MARKS)}; a channel map (--map) says "
+                f"there; columns beside NAME [lbf] and rNAME [uV/V]: {', '.join(MARKS)}; a channel map "
+                f"({argument('channel_map')}) says "
                 "which column is what where the header does not",
             )
     return pairs, marks, unused

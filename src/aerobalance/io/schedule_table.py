@@ -27,7 +27,7 @@ from aerobalance.io.text_cells import MISSING, number_in
 from aerobalance.io.text_layout import Layout
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import is_gauge
-from aerobalance.recording.errors import ReadError
+from aerobalance.recording.errors import ReadError, argument
 from aerobalance.recording.units import conversion, readable
 
 NAME: Final = "table of loads and outputs"
@@ -247,7 +247,7 @@ def _table(path: Path, chosen: ChannelMap | None) -> _Table:
             path,
             "",
             f"holds a schedule on sheets {' and '.join(repr(sheet.name) for sheet, _ in found)}; name one in a "
-            'channel map (--map): sheet = "NAME" under [file]',
+            f'channel map ({argument("channel_map")}): sheet = "NAME" under [file]',
         )
     sheet, part = found[0]
     return _with_columns(path, sheet, part, chosen)
@@ -304,8 +304,8 @@ def _no_header(path: Path, sheets: Sequence[Sheet], chosen: ChannelMap | None) -
     wanted = (
         ", ".join(repr(channel.column) for channel in chosen.channels.values())
         if chosen
-        else "pairs such as N1 [lbf] and rN1 [uV/V] (rNAME is the output of NAME's bridge), or a channel map (--map) "
-        "that says which column is what"
+        else "pairs such as N1 [lbf] and rN1 [uV/V] (rNAME is the output of NAME's bridge), or a channel map "
+        f"({argument('channel_map')}) that says which column is what"
     )
     return ReadError(path, "header", f"{names}needed are {wanted}; line {widest.line} has {_shown(widest)}")
 
@@ -351,7 +351,7 @@ def _of_unit(column: ScheduleColumn, error: ValueError) -> str:
     unit = "mV/V" if is_gauge(column.name) else "N"
     return (
         f"has no unit; it belongs in the header ({column.name} [{unit}]), in a row of units below it, or in a channel "
-        "map (--map)"
+        f"map ({argument('channel_map')})"
     )
 
 

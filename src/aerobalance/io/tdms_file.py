@@ -18,7 +18,7 @@ from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.io.text_layout import Layout
 from aerobalance.recording.channel import QUANTITIES, Array
 from aerobalance.recording.components import is_gauge
-from aerobalance.recording.errors import ReadError, warn_quality
+from aerobalance.recording.errors import ReadError, argument, warn_quality
 from aerobalance.recording.units import conversion, readable
 
 if TYPE_CHECKING:
@@ -268,7 +268,9 @@ def _check_usable(path: Path, entry: _Entry) -> None:
 def _described(path: Path, entries: Sequence[_Entry]) -> list[_Entry]:
     """Choose the channels of a file that needs no channel map."""
     usable = [entry for entry in entries if not _fault(entry)]
-    needed = "a channel map is needed, which `aerobalance map FILE` makes (then give it with --map)"
+    needed = (
+        f"a channel map is needed, which `aerobalance map FILE` makes (then give it with {argument('channel_map')})"
+    )
     timed = [entry for entry in usable if not is_time(entry.name) or entry.unit]
     for entry in timed:
         if not entry.unit:

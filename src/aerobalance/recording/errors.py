@@ -7,10 +7,13 @@ import os
 import sys
 import warnings
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 _PASSED_BY: Final = (str(Path(__file__).parents[1]) + os.sep, contextlib.__file__)
 """Files that a warning is not the place of: those of the package, and what stands between two of them."""
+
+GAUGES_BECOME_LOADS: Final = "gauge outputs become loads by a balance matrix: reduce them first"
+"""What to do with gauge outputs where loads are needed."""
 
 
 class FitError(Exception):
@@ -36,6 +39,24 @@ class ReadError(Exception):
         self.what = what
         place = f"{self.path}: {where}" if where else f"{self.path}"
         super().__init__(f"{place}: {what}")
+
+
+def argument(name: str, value: Any = None) -> str:
+    """Return an argument as messages name it, such as ``modes='auto'`` in backquotes.
+
+    The command line puts the option in its place that stands for the argument there, so a message reads well in both.
+
+    Parameters
+    ----------
+    name
+        The argument; with a dot a method or an attribute, such as ``Schedule.without``.
+    value
+        What to give; None leaves it open.
+    """
+    if value is None:
+        return f"`{name}`"
+    text = repr(value).replace("Ellipsis", "...")
+    return f"`{name}({text})`" if "." in name else f"`{name}={text}`"
 
 
 class DataQualityWarning(UserWarning):

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerobalance.recording.channel import QUANTITIES, Array, Channel, unit_inside
 from aerobalance.recording.components import COMPONENTS, is_gauge
-from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, warn_quality
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.jitter import following, on_steady_clock
 from aerobalance.recording.steady_clock import Clock, first_repeated, steady_clock
@@ -20,12 +20,6 @@ from aerobalance.recording.units import conversion_for
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
-
-GAUGES_BECOME_LOADS: Final = (
-    "gauge outputs become loads by a balance matrix: weigh, identify decay and rig, force and compare take --balance, "
-    "and for other commands aerobalance loads --balance writes a recording of the loads"
-)
-"""What to do with gauge outputs where loads are needed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,6 +23,7 @@ from scipy.signal import csd, welch
 from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import argument
 
 SEGMENTS: Final = 8
 """Segments of the record, counted without overlap, that a spectrum is averaged over."""
@@ -48,8 +49,8 @@ REMEDIES: Final[Mapping[str, str]] = {
     "pitch zero": "a zero of the inclinometer checked against a level",
     "pitch gain": "a calibration of the inclinometer",
     "gravity": "the local gravity, from a survey",
-    "balance matrix, zeros and tares": "a better static calibration (calibrate --reading-noise, where that of its "
-    "readings is known), and zeros read close to the run",
+    "balance matrix, zeros and tares": "a better static calibration (calibrate "
+    f"{argument('reading_noise')}, where that of its readings is known), and zeros read close to the run",
     "curvature of the balance matrix, ringing": "a static calibration with more points, under loads combined",
     "ends of the record": "a record that begins and ends at rest",
 }

@@ -25,7 +25,7 @@ from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
 from aerobalance.identification.free_decay.waveform import fit_ring
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError, argument
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import frequency_text, share_text
 from aerobalance.validation.local_modes import Averaged, missing_mode, own_resonance
@@ -105,7 +105,8 @@ class Misfit:
             found.append(
                 f"{self.component} shows a mode at {frequency_text(mode.natural_frequency, self.u_frequency)}, "
                 f"{share_text(mode.share, self.u_share)}, that the dynamics lack: {cause}; forces near that "
-                "frequency are wrong until it is identified, from a release (identify decay --modes auto)"
+                "frequency are wrong until it is identified, from a release "
+                f"(identify decay {argument('modes', 'auto')})"
             )
         changed = []
         if self.frequency is not None:

@@ -68,8 +68,10 @@ def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> N
 
 def _answer(account: dict[str, Any], manner: Manner) -> None:
     """Print the account, or pass on the result itself and print the account beside it."""
+    from aerobalance.app.options import account_as_options
     from aerobalance.io.safe_write import OUTPUTS
 
+    account = account_as_options(account)
     texts = {key: account.pop(key, "") for key in FOR_PEOPLE}
     if OUTPUTS.written:
         account["outputs"] = [streams.plain(str(path)) for path in OUTPUTS.written]

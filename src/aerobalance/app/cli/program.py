@@ -16,6 +16,7 @@ import typer
 from aerobalance.app.cli import lab, recordings, runs, streams
 from aerobalance.app.cli.account import Manner, show
 from aerobalance.app.cli.options import PROGRAM, Json, Replace, Verbose, example
+from aerobalance.app.options import as_options
 from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 from aerobalance.recording.version import VERSION
 
@@ -92,7 +93,7 @@ def main(arguments: list[str] | None = None) -> int:
     told: set[str] = set()
 
     def warn(message: Warning | str, *_: object, **__: object) -> None:
-        text = streams.plain(" ".join(str(message).split()))
+        text = streams.plain(as_options(" ".join(str(message).split())))
         if text not in told:
             told.add(text)
             print(f"warning: {text}", file=sys.stderr)  # noqa: T201 - this is the edge
@@ -173,7 +174,9 @@ def _of_flags(text: str, words: Sequence[str], context: Any) -> str:
 
 def _failed(problem: Exception, code: int) -> int:
     """Tell what went wrong, and what was written before."""
-    return _end(f"error: {'; '.join([str(problem).rstrip('.'), *getattr(problem, '__notes__', ())])}", code)
+    return _end(
+        f"error: {'; '.join([as_options(str(problem)).rstrip('.'), *getattr(problem, '__notes__', ())])}", code
+    )
 
 
 def _end(text: str, code: int) -> int:

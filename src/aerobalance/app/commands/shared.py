@@ -13,6 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from aerobalance.app.options import as_options
 from aerobalance.io import (
     load_channel_map,
     read,
@@ -50,7 +51,7 @@ def doubts() -> Iterator[list[str]]:
         ) from problem
     finally:
         said = [one.message for one in caught if issubclass(one.category, DataQualityWarning)]
-        texts += dict.fromkeys(" ".join(str(message).split()) for message in said)
+        texts += dict.fromkeys(as_options(" ".join(str(message).split())) for message in said)
         for text in texts:
             warn_quality(text)
 

@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from aerobalance.app.commands.compare import verdict
 from aerobalance.app.commands.shared import doubts, seed_for
+from aerobalance.app.commands.standings import verdict
 from aerobalance.app.reports.page import write_page
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.base_excitation.rig import identify_rig

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from aerobalance.app.monitor.orphan import end_with_starter
+from aerobalance.app.options import as_options
 from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def outcome_of(task: Task) -> Outcome:
             warnings.simplefilter("ignore", DataQualityWarning)  # they are in the account
             return _VERBS[task.verb](task)
     except (FitError, ReadError, ValueError) as problem:
-        return Outcome(task.number, False, str(problem))
+        return Outcome(task.number, False, as_options(str(problem)))
     except KeyError:
         return Outcome(task.number, False, f"{task.verb[:40]!r} is none of {', '.join(_VERBS)}")
     except Exception as problem:  # noqa: BLE001 - the page must hear of it, whatever it is

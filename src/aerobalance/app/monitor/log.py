@@ -8,6 +8,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
+from aerobalance.app.options import as_options
+
 MESSAGES: Final = 50
 """Messages that are kept."""
 
@@ -32,7 +34,12 @@ class Log:
     def say(self, text: str, *, kind: str = "info") -> None:
         """Show a message to the operator: ``info``, ``done`` or ``error``."""
         self.messages.append(
-            {"number": next(self._numbers), "time": time.time(), "kind": kind, "text": " ".join(text.split())}
+            {
+                "number": next(self._numbers),
+                "time": time.time(),
+                "kind": kind,
+                "text": as_options(" ".join(text.split())),
+            }
         )
         self.changed()
 

@@ -35,6 +35,7 @@ from aerobalance.app.monitor.setups import check_files, rig_setup
 from aerobalance.app.monitor.state import state_of
 from aerobalance.app.monitor.tasks import TOGETHER
 from aerobalance.app.monitor.viewer import Viewer
+from aerobalance.app.options import as_options
 from aerobalance.io.held_file import is_held
 from aerobalance.io.messages import first_fault
 from aerobalance.recording.errors import FitError, ReadError
@@ -372,5 +373,5 @@ def _refusal(problem: Exception, model: type[_Body]) -> Response:
         text = f"{where}: {what}" if where else "the request is no JSON"
         return JSONResponse({"error": text, "where": where}, 422)
     if isinstance(problem, ReadError):
-        return JSONResponse({"error": problem.what, "where": problem.where}, 422)
-    return JSONResponse({"error": str(problem)}, 413 if isinstance(problem, _TooLargeError) else 409)
+        return JSONResponse({"error": as_options(problem.what), "where": problem.where}, 422)
+    return JSONResponse({"error": as_options(str(problem))}, 413 if isinstance(problem, _TooLargeError) else 409)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aerobalance.balance.schedule import Schedule
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.errors import FitError, argument, warn_quality
 
 LOADED: Final = 0.01
 """Least span of a load, over capacity, for its component to count as loaded."""
@@ -187,7 +187,7 @@ def _check_slopes(schedule: Schedule, slopes: list[dict[int, tuple[float, float]
             if abs(departure) > SLOPE_FAULT:
                 raise FitError(
                     f"{text}; check the loads, units and arms of that series, or leave it out with "
-                    f'--leave-out "{schedule.series_names[number]}"'
+                    f"{argument('Schedule.without', [schedule.series_names[number]])}"
                 )
             warn_quality(f"{text}; the matrix averages over both")
 
@@ -234,7 +234,7 @@ def check_residuals(schedule: Schedule, residuals: Array, *, deviation: Array) -
         raise FitError(
             f"{schedule.name}: unfit for a matrix: the readings do not follow the loads. Standard deviation of the "
             f"residuals in percent of capacity: {', '.join(texts)}. Look for drifting or loose bridges, and repeat "
-            "these series, or leave out what is known to be wrong (--leave-out)"
+            f"these series, or leave out what is known to be wrong ({argument('Schedule.without')})"
         )
     for i in np.flatnonzero(size > DOUBTFUL):
         warn_quality(

@@ -12,7 +12,7 @@ from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.calibration.quality import Quality
 from aerobalance.balance.calibration.regression import HIGHEST_INFLATION, inflation_text
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.recording.errors import warn_quality
+from aerobalance.recording.errors import argument, warn_quality
 
 TOO_QUIET: Final = 1e-6
 """Probability, over all bridges together, below which the readings' scatter is less than the noise given for them."""
@@ -29,7 +29,7 @@ def warn_of_weaknesses(calibration: Calibration, quality: Quality) -> None:
             f"{'most ' if count > 1 else ''}{schedule.components[worst.component]} at point {worst.label!r} "
             f"({1e3 * worst.residual:+.2g} uV/V, {worst.size} standard deviations); "
             f"{'they are' if count > 1 else 'it is'} in the fit and {'widen' if count > 1 else 'widens'} its "
-            f'uncertainty. What is wrong is left out with --leave-out "{worst.label}"'
+            f"uncertainty. What is wrong is left out with {argument('Schedule.without', [worst.label])}"
         )
     if calibration.unidentified:
         labels = calibration.unidentified_labels
@@ -53,14 +53,14 @@ def warn_of_weaknesses(calibration: Calibration, quality: Quality) -> None:
         texts = ", ".join(f"{name} ({difference:+.2g} %)" for name, difference in missed)
         _doubt(
             f"{schedule.name}: bridges with different sensitivities to + and - loads: {texts}; the model has no term "
-            "for that. Use --model abs, 96 or auto"
+            f"for that. Use {argument('model')} abs, 96 or auto"
         )
     inflated = [float(np.nanmax(fit.vif)) for fit in calibration.regressions]
     if max(inflated) > HIGHEST_INFLATION and calibration.model != "auto":
         _doubt(
             f"{schedule.name}: some terms are near copies of each other (variance inflation factor up to "
             f"{inflation_text(max(inflated))}, above {HIGHEST_INFLATION:g}); their coefficients mean little one by "
-            "one. --model auto keeps of them what the readings support"
+            f"one. {argument('model', 'auto')} keeps of them what the readings support"
         )
     _warn_of_reading_noise(calibration)
 
@@ -80,11 +80,11 @@ def _warn_of_reading_noise(calibration: Calibration) -> None:
             for i in quiet
         )
         each = np.ndim(matrix.reading_noise) == 0 and quiet.size < noise.size
+        by_each = f". Where bridges differ, give each its own: {argument('reading_noise', {'rNAME': ...})}"
         _doubt(
             f"{schedule.name}: readings scatter less about the matrix than the noise given for them: {texts}. "
             "That noise is too large, or not of these readings; their scatter counts for nothing in the "
-            "uncertainty of the loads"
-            + (". Where bridges differ, give each its own: --reading-noise rNAME=VALUE" if each else "")
+            f"uncertainty of the loads{by_each if each else ''}"
         )
 
 

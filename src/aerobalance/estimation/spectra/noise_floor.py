@@ -18,6 +18,7 @@ from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
 from aerobalance.estimation.spectra.noise_record import Ordinates, cost_of, fitted, humps_of, model_of
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise
 from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import argument
 
 CERTAIN: Final = 5.0
 """Level in the reading over the noise from which on a broad band is force."""
@@ -83,11 +84,13 @@ class Floor:
         if self.color is not None:
             return (
                 f"{seen}; it is taken for noise of the electronics and not for a force of {self.as_force:.2g} {unit} "
-                "rms: if it is force it is missing from the result; a record of noise alone (--noise-record) decides"
+                "rms: if it is force it is missing from the result; a record of noise alone "
+                f"({argument('noise')}) decides"
             )
         return (
             f"{seen}; it is taken for a force of {self.as_force:.2g} {unit} rms, but is so faint that it may be noise "
-            "of the electronics, and is then an error of the result; a record of noise alone (--noise-record) decides"
+            "of the electronics, and is then an error of the result; a record of noise alone "
+            f"({argument('noise')}) decides"
         )
 
 

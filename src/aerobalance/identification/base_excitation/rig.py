@@ -24,7 +24,7 @@ from aerobalance.identification.base_excitation.live_check import LiveCheck, liv
 from aerobalance.identification.base_excitation.maximum_likelihood import HIGHEST, Estimate, maximise
 from aerobalance.identification.base_excitation.spectra import excited, transform
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import damping_text, share_text
 
@@ -267,7 +267,9 @@ def _left_out_notes(mode: Mode | None, modes: int | Literal["auto"]) -> list[str
     """Name the mode that the dynamics leave out."""
     if mode is None:
         return []
-    advice = f"no more than {MOST_MODES} are taken up" if modes == "auto" else "--modes auto looks for it"
+    advice = (
+        f"no more than {MOST_MODES} are taken up" if modes == "auto" else f"{argument('modes', 'auto')} looks for it"
+    )
     note = (
         f"a further mode at {mode.natural_frequency:.4g} Hz, {share_text(mode.share, 0.0)}, answers the ground "
         f"motion; it is not part of the dynamics, so forces near that frequency will be wrong ({advice})"

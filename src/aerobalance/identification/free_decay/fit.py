@@ -31,7 +31,7 @@ from aerobalance.identification.free_decay.waveform import (
     ring_up_to,
 )
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import NOT_TOLD, damping_text
@@ -379,9 +379,9 @@ def _beside_the_first(size: float, ring: Ring) -> str:
 def _way_to_take_it_up(ring: Ring, place: int) -> str:
     """Say which record or option makes a further mode part of the dynamics."""
     if ring.shape == "free":
-        return "a record of a clean release from rest tells its share of a load, with --modes auto"
+        return f"a record of a clean release from rest tells its share of a load, with {argument('modes', 'auto')}"
     if place in _possible_modes(ring, [place]):
-        return "--modes auto takes it up"
+        return f"{argument('modes', 'auto')} takes it up"
     return f"its share of a load {NOT_TOLD}: release at another place, or record for longer"
 
 
