@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from aerobalance.app.monitor.alarms import Alarms
-from aerobalance.app.monitor.messages import Reading, Update, Watching
+from aerobalance.app.monitor.messages import ShownReading, Update, Watching
 from aerobalance.balance.load_envelope import Utilisation
 from helpers.running_page import Running
 
@@ -13,7 +13,7 @@ WATCHING = Watching(1, ("AF", "NF"), ("N", "N"), 1e3, 1, (), {"NF": 2000.0}, {"A
 
 
 def reading(least, largest, state="over"):
-    return Reading((least + largest) / 2, least, largest, None, None, state)
+    return ShownReading((least + largest) / 2, least, largest, None, None, state)
 
 
 class Watched:

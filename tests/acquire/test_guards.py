@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from aerobalance.acquisition.continuity import Event
 from aerobalance.acquisition.guards import ContactCircuit, EnvelopeLimit, capacity_stations
-from aerobalance.acquisition.intake import End, Intake, Piece, Plan
+from aerobalance.acquisition.intake import End, Intake, Plan, RecordPiece
 from aerobalance.acquisition.planned import plan_of, ranges_of
 from aerobalance.acquisition.setup import parse_setup, setup_from, stored_channels
 from aerobalance.acquisition.source import Block, SourceChannel
@@ -34,7 +34,7 @@ def run(plan, samples, cuts=()):
 
 
 def recorded(out):
-    return sum(len(item.samples) for item in out if isinstance(item, Piece))
+    return sum(len(item.samples) for item in out if isinstance(item, RecordPiece))
 
 
 def events(out):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from aerobalance.acquisition.continuity import Continuity, Event, Gap
 from aerobalance.acquisition.guards import Limit
-from aerobalance.acquisition.intake import AtLevel, AtOnce, AtTime, End, Intake, OnCall, Piece, Plan, Start
+from aerobalance.acquisition.intake import AtLevel, AtOnce, AtTime, End, Intake, OnCall, Plan, RecordPiece, RecordStart
 from aerobalance.acquisition.source import Block
 from aerobalance.io.hdf5_layout import StoredChannel
 
@@ -41,7 +41,7 @@ def run(plan, given_blocks):
 
 
 def pieces(out):
-    found = [item for item in out if isinstance(item, Piece)]
+    found = [item for item in out if isinstance(item, RecordPiece)]
     ticks = np.concatenate([np.arange(p.tick, p.tick + len(p.samples)) for p in found] or [np.empty(0)])
     samples = np.concatenate([p.samples for p in found] or [np.empty((0, 2))])
     return ticks, samples
@@ -66,7 +66,7 @@ def test_any_cut_and_any_trigger_time_give_the_same_samples(cut, gaps, sizes):
     there = np.flatnonzero(present)
     # by hand: the trigger is the first sample there is at or after `wait` samples from the first
     after = there[there >= there[0] + wait]
-    starts = [item.tick for item in out if isinstance(item, Start)]
+    starts = [item.tick for item in out if isinstance(item, RecordStart)]
     if not after.size:
         assert starts == []
         return
@@ -75,7 +75,7 @@ def test_any_cut_and_any_trigger_time_give_the_same_samples(cut, gaps, sizes):
     ticks, samples = pieces(out)
     assert np.array_equal(ticks, wanted)
     assert np.array_equal(samples, truth(wanted))
-    assert all(0 < len(item.samples) <= rows for item in out if isinstance(item, Piece))
+    assert all(0 < len(item.samples) <= rows for item in out if isinstance(item, RecordPiece))
     # the gaps noted are exactly the ticks that are missing between samples of the record
     noted = sorted(tick for gap in out if isinstance(gap, Gap) for tick in range(gap.tick, gap.tick + gap.samples))
     inner = [tick for tick in range(int(wanted[0]), int(wanted[-1])) if not present[tick]]
@@ -90,7 +90,7 @@ def test_level_is_met_at_the_same_sample_for_any_cut(cut, level, falling):
     channels = (StoredChannel("AF", "N", sign=sign), CHANNELS[1])
     plan = Plan(channels, 100.0, 32, trigger=AtLevel(0, sign * (level - 0.5), not falling, "AF"), before=3)
     out = run(plan, blocks(cut, 500))
-    assert [item.tick for item in out if isinstance(item, Start)] == [level]
+    assert [item.tick for item in out if isinstance(item, RecordStart)] == [level]
     assert pieces(out)[0][0] == max(0, level - 3)
 
 
@@ -131,7 +131,7 @@ def test_call_begins_with_the_next_block_and_keeps_what_was_before() -> None:
         assert intake.feed(block) == []
     intake.call("button")
     out = [item for block in given_blocks[30:] for item in intake.feed(block)] + intake.flush()
-    assert out[0] == Start(300, "button")
+    assert out[0] == RecordStart(300, "button")
     assert np.array_equal(pieces(out)[0], np.arange(180, 500))
 
 
@@ -211,7 +211,7 @@ def test_block_goes_through_bytes_unchanged() -> None:
 def test_plan_without_settings_takes_everything() -> None:
     out = run(Plan(CHANNELS, 100.0, 64, trigger=AtOnce()), blocks([3, 70, 71], 200))
     assert np.array_equal(pieces(out)[0], np.arange(200))
-    assert [len(item.samples) for item in out if isinstance(item, Piece)] == [64, 64, 64, 8]
+    assert [len(item.samples) for item in out if isinstance(item, RecordPiece)] == [64, 64, 64, 8]
 
 
 @pytest.mark.parametrize(("before", "first"), [(0, 150), (120, 30), (1000, 0)])
@@ -221,8 +221,8 @@ def test_a_record_begins_where_it_was_asked_for(before, first) -> None:
     made = []
     for tick in range(0, 400, 40):
         made += intake.feed(Block(tick, truth(np.arange(tick, tick + 40)), (tick + 40) / 1000))
-    pieces = [item for item in [*made, *intake.flush()] if isinstance(item, Piece)]
-    assert [item for item in made if isinstance(item, Start)] == [Start(150, "at once")]
+    pieces = [item for item in [*made, *intake.flush()] if isinstance(item, RecordPiece)]
+    assert [item for item in made if isinstance(item, RecordStart)] == [RecordStart(150, "at once")]
     assert pieces[0].tick == first
     assert np.concatenate([piece.samples for piece in pieces])[:, 0].tolist() == list(range(first, 400))
 
@@ -231,7 +231,7 @@ def test_a_record_says_that_it_begins_after_it_was_asked_for() -> None:
     intake = Intake(Plan(CHANNELS, 1000.0, 64), asked=0.15)
     made = intake.feed(Block(400, truth(np.arange(400, 440)), 0.44))
     text = "at once; 0.25 s after it was asked for, as there are no samples from before"
-    assert made[0] == Start(400, text)
+    assert made[0] == RecordStart(400, text)
 
 
 def test_a_level_counts_from_where_the_record_was_asked_for() -> None:
@@ -240,4 +240,4 @@ def test_a_level_counts_from_where_the_record_was_asked_for() -> None:
     for tick in range(0, 400, 40):
         samples = truth(np.arange(tick, tick + 40)) % 130  # rises past 100 at ticks 100, 230 and 360
         made += intake.feed(Block(tick, samples, (tick + 40) / 1000))
-    assert next(item for item in made if isinstance(item, Start)).tick == 230
+    assert next(item for item in made if isinstance(item, RecordStart)).tick == 230

@@ -19,7 +19,7 @@ import pytest
 
 from aerobalance.acquisition import recorder as recorder_module
 from aerobalance.acquisition.intake import OnCall, Plan
-from aerobalance.acquisition.recorder import Job, Take, Tell
+from aerobalance.acquisition.recorder import RecordJob, Take, Tell
 from aerobalance.acquisition.session import Session
 from aerobalance.acquisition.setup import parse_setup
 from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
@@ -42,7 +42,9 @@ def truth(first, last):
 
 def job(path, **settings):
     plan = {"channels": CHANNELS, "rate": 1000.0, "rows": 64} | settings
-    return Job(str(path), Plan(**plan), clocked=False, provenance=Provenance("test", 'name = "x"\n'), keep_free=0)
+    return RecordJob(
+        str(path), Plan(**plan), clocked=False, provenance=Provenance("test", 'name = "x"\n'), keep_free=0
+    )
 
 
 def quietly(path):

@@ -10,7 +10,7 @@ import pytest
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
-from aerobalance.io.hdf5_snapshot import Snapshot
+from aerobalance.io.hdf5_snapshot import FileSnapshot
 from aerobalance.recording.errors import ReadError
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N", scale=2.0))
@@ -34,7 +34,7 @@ def test_blocks_of_the_moment_are_in_it_while_others_are_written(writer, tmp_pat
         writer.append(100 * number, block(number, 20 if number % 3 == 2 else 50))
     writer.event(7, kind="note", text="told")
     writer.gap(50, 50, kind="lost", text="gone")
-    snapshot = Snapshot(tmp_path / "run.h5")
+    snapshot = FileSnapshot(tmp_path / "run.h5")
     parts = snapshot.parts()
     copy = next(parts)
     for number in range(count, count + 40):  # meanwhile, the record goes on
@@ -56,7 +56,7 @@ def test_blocks_of_the_moment_are_in_it_while_others_are_written(writer, tmp_pat
 def test_other_programs_open_it(writer, tmp_path) -> None:
     writer.append(0, block(0, 50))
     writer.append(50, block(1, 30))
-    (tmp_path / "copy.h5").write_bytes(b"".join(Snapshot(tmp_path / "run.h5").parts()))
+    (tmp_path / "copy.h5").write_bytes(b"".join(FileSnapshot(tmp_path / "run.h5").parts()))
     with h5py.File(tmp_path / "copy.h5", "r") as file:
         assert file["samples"][...].tobytes() == np.concatenate([block(0, 50), block(1, 30)]).tobytes()
     command = [sys.executable, "-m", "aerobalance.app.cli", "info", str(tmp_path / "copy.h5")]
@@ -66,4 +66,4 @@ def test_other_programs_open_it(writer, tmp_path) -> None:
 
 def test_nothing_is_sent_of_a_record_without_a_block(writer, tmp_path) -> None:
     with pytest.raises(ReadError, match="no block yet"):
-        Snapshot(tmp_path / "run.h5")
+        FileSnapshot(tmp_path / "run.h5")

@@ -219,7 +219,7 @@ class Feed:
         self.connection.close()
 
 
-class _Server:
+class _SourceServer:
     """Runs the source and looks after the receivers."""
 
     def __init__(self, source: Source, address: Address) -> None:
@@ -294,7 +294,7 @@ def run_source(setup: str, folder: str, address: Address, control: Connection[An
     signal.signal(signal.SIGTERM, lambda *_: stopped.append("the process of the source was told to end"))
     try:
         source = open_source(parse_setup(setup), Path(folder))
-        server = _Server(source, address)
+        server = _SourceServer(source, address)
     except (FitError, ReadError, ValueError, OSError) as problem:
         control.send(problem if isinstance(problem, FitError | ReadError | ValueError) else FitError(str(problem)))
         return
@@ -319,7 +319,7 @@ def run_source(setup: str, folder: str, address: Address, control: Connection[An
 
 def _serve(
     source: Source,
-    server: _Server,
+    server: _SourceServer,
     control: Connection[Any, Any],
     stopped: list[str],
     say: Callable[[SourceMessage], None],

@@ -20,14 +20,14 @@ LATE: Final = 0.1
 """Time by which a record may begin after it was asked for without saying so [s]."""
 
 
-class Piece(NamedTuple):
+class RecordPiece(NamedTuple):
     """Samples for one block of the file."""
 
     tick: int
     samples: Array
 
 
-class Start(NamedTuple):
+class RecordStart(NamedTuple):
     """The record begins: `tick` is where its time is zero."""
 
     tick: int
@@ -41,7 +41,7 @@ class End(NamedTuple):
     reason: str
 
 
-Output = Piece | Gap | Event | Start | End
+Output = RecordPiece | Gap | Event | RecordStart | End
 
 
 class Trigger(Protocol):
@@ -234,7 +234,7 @@ class Intake:
         if not self._open_rows:
             return []
         samples = self._open[0] if len(self._open) == 1 else np.concatenate(self._open)
-        piece = Piece(self._open_tick, samples)
+        piece = RecordPiece(self._open_tick, samples)
         self._open, self._open_rows = [], 0
         return [piece]
 
@@ -287,7 +287,7 @@ class Intake:
         if plan.length is not None:
             self._stop = (tick + plan.length, f"complete: {plan.length} samples from the trigger on")
         first = tick - plan.before
-        made: list[Output] = [Start(tick, text)]
+        made: list[Output] = [RecordStart(tick, text)]
         for item in self._held:
             cut = _from(item, first)
             if isinstance(cut, Block):

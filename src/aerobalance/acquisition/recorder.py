@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 from aerobalance.acquisition.continuity import Event, Gap
 from aerobalance.acquisition.feed import Address, Feed, Sender
-from aerobalance.acquisition.intake import AtOnce, End, Intake, Output, Piece, Plan, Start
+from aerobalance.acquisition.intake import AtOnce, End, Intake, Output, Plan, RecordPiece, RecordStart
 from aerobalance.acquisition.source import Block
 from aerobalance.io.hdf5_layout import BlockWriter, DiskFullError, Provenance, plain_reason
 from aerobalance.io.held_file import HeldFile, Mishap
@@ -106,7 +106,7 @@ class Progress:
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class RecordJob:
     """One record.
 
     Attributes
@@ -142,7 +142,7 @@ class Take:
         What to record, and where.
     """
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: RecordJob) -> None:
         self.job = job
         self.intake = Intake(job.plan, clocked=job.clocked, asked=job.asked)
         plan = job.plan
@@ -234,14 +234,14 @@ class Take:
         return bool(outputs)
 
     def _put(self, output: Output) -> None:
-        if isinstance(output, Piece):
+        if isinstance(output, RecordPiece):
             self._piece(output)
         elif isinstance(output, Gap):
             self.writer.gap(output.tick, output.samples, kind=output.kind, text=output.text)
             self._set(gaps=self.progress.gaps + 1, lost=self.progress.lost + output.samples)
         elif isinstance(output, Event):
             self._event(output)
-        elif isinstance(output, Start):
+        elif isinstance(output, RecordStart):
             self.writer.origin(output.tick)
             self._origin = output.tick
             self._event(Event(output.tick, "start", output.text))
@@ -255,7 +255,7 @@ class Take:
         done = self.progress
         self._set(events=done.events + 1, touched=done.touched + (event.kind == "contact"))
 
-    def _piece(self, piece: Piece) -> None:
+    def _piece(self, piece: RecordPiece) -> None:
         self.look()
         if self.progress.over:
             return
@@ -300,7 +300,7 @@ class Take:
         self.progress = replace(self.progress, **changes)
 
 
-def run_recorder(job: Job, address: Address, control: Connection[Any, Any]) -> None:
+def run_recorder(job: RecordJob, address: Address, control: Connection[Any, Any]) -> None:
     """Write one record: the body of a process. It ends with the record, on SIGTERM, or with whoever started it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the whole group; the starter decides what it means
     told: list[str] = []

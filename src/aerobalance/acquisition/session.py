@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from aerobalance.acquisition.feed import Address, Feed, Order, SourceInfo, SourceMessage, run_source
 from aerobalance.acquisition.planned import plan_of
-from aerobalance.acquisition.recorder import Job, Progress, Tell, run_recorder
+from aerobalance.acquisition.recorder import Progress, RecordJob, Tell, run_recorder
 from aerobalance.acquisition.scratch import make_folder, remove
 from aerobalance.acquisition.setup import Setup, setup_text, stored_channels
 from aerobalance.io.hdf5_closing import close_broken_off
@@ -60,7 +60,7 @@ class Recorder:
         Where the source is.
     """
 
-    def __init__(self, job: Job, address: Address) -> None:
+    def __init__(self, job: RecordJob, address: Address) -> None:
         self._control, other = _SPAWN.Pipe()
         self.process: SpawnProcess = _SPAWN.Process(target=run_recorder, args=(job, address, other), daemon=True)
         start_on_one_thread(self.process)
@@ -251,7 +251,7 @@ class Session:
             refuse_held(path)
             path.unlink(missing_ok=True)
         provenance = Provenance(self.info.description, setup_text(setup), setup.name)
-        return Recorder(Job(str(path), plan, self.info.clocked, provenance, keep_free, asked), self.address)
+        return Recorder(RecordJob(str(path), plan, self.info.clocked, provenance, keep_free, asked), self.address)
 
     def close(self, *, timeout: float = _ENDING) -> None:
         """End the source's process and remove its socket."""

@@ -36,7 +36,7 @@ CIRCUIT_NOISE: Final = 0.02
 """Noise of the contact circuit's voltage [V]."""
 
 
-class Shaken:
+class ShakenMode:
     """One mode under a steady force and a sine, in closed form from block to block.
 
     z' = pole z + p, where p is a constant and a sine of constant frequency whose amplitude may change on a straight
@@ -285,12 +285,12 @@ class SimulatedSource:
         if not 0 <= amplitude <= LARGEST_DRIVE:
             raise ValueError(f"amplitude of the drive must be from 0 to {LARGEST_DRIVE:g} N, not {amplitude:g}")
 
-    def _shaken(self, dynamics: Dynamics) -> Shaken:
+    def _shaken(self, dynamics: Dynamics) -> ShakenMode:
         mass = dynamics.mass
         if self.settings.rig == "vibration":
             mass = mass * ARMATURE_MASS / (mass + ARMATURE_MASS)
         mode = Oscillator(mass=mass, stiffness=dynamics.stiffness, damping=dynamics.damping)
-        return Shaken(mode, self._cable / dynamics.mass)
+        return ShakenMode(mode, self._cable / dynamics.mass)
 
     def _simulate(self, samples: Array) -> None:
         """Fill in exact readings from the present tick on, and move on."""

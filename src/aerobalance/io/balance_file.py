@@ -40,7 +40,7 @@ class _Temperature(artefacts.Loose):
     u_sensitivity: NotNegative = 0.0
 
 
-class _Matrix(artefacts.Loose):
+class _MatrixValues(artefacts.Loose):
     components: Annotated[list[str], Field(min_length=1)]
     gauges: Annotated[list[str], Field(min_length=1)]
     way: Literal["iterative", "non-iterative"]
@@ -79,7 +79,7 @@ class _BalanceFile(artefacts.Loose):
 
     kind: Literal["balance"] = "balance"
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1
-    matrix: _Matrix
+    matrix: _MatrixValues
 
 
 def calibration_payload(calibration: Calibration, quality: Quality) -> dict[str, object]:

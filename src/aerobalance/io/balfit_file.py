@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from aerobalance.balance.load_formats import BalanceType
 from aerobalance.balance.schedule import Schedule
-from aerobalance.io.balfit_symbols import Columns, columns_of
+from aerobalance.io.balfit_symbols import BalfitColumns, columns_of
 from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, settle_capacities
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.text_cells import number_in, separator_of, split_line
@@ -64,7 +64,7 @@ class _Reading:
     """A file in the course of being read."""
 
     path: Path
-    columns: Columns
+    columns: BalfitColumns
     loads: tuple[Conversion, ...]
     outputs: tuple[Conversion, ...]
     notes: list[str] = field(default_factory=list)
@@ -154,7 +154,7 @@ def _rows(text: str) -> tuple[dict[str, str], list[_Row]]:
     return keywords, rows
 
 
-def _units(path: Path, columns: Columns, *, rows: Sequence[_Row]) -> _Reading:
+def _units(path: Path, columns: BalfitColumns, *, rows: Sequence[_Row]) -> _Reading:
     """Read the row of units."""
     if not rows:
         raise ReadError(path, "", "ends after the row of symbols; needed next: units, capacities and points")
@@ -221,7 +221,7 @@ def _sorted(reading: _Reading, rows: Sequence[_Row], *, torn: bool) -> tuple[lis
     return zeros, points
 
 
-def _is_torn(columns: Columns, rows: Sequence[_Row], *, torn: bool) -> bool:
+def _is_torn(columns: BalfitColumns, rows: Sequence[_Row], *, torn: bool) -> bool:
     """Whether the last row is cut off: cells lack, or the last number is shorter than all above it."""
     last = max((*columns.loads, *columns.outputs))
     row = rows[-1]

@@ -13,7 +13,7 @@ _TEMPERATURES: Final = ("t", "temp", "temperature", "tb", "tbal")
 
 
 @dataclass(frozen=True, slots=True)
-class Columns:
+class BalfitColumns:
     """Columns of a BALFIT file, numbered from 0.
 
     Attributes
@@ -21,7 +21,7 @@ class Columns:
     names, gauges
         Symbols of the c loads and of their bridges (without the ``r`` of the outputs).
     loads, outputs
-        Columns of the c loads and of the c outputs in the same order.
+        BalfitColumns of the c loads and of the c outputs in the same order.
     temperature
         Column of the temperature; None where there is none.
     first
@@ -64,7 +64,7 @@ class Columns:
         return "temperature"
 
 
-def columns_of(path: Path, cells: Sequence[str], *, line: int) -> Columns:
+def columns_of(path: Path, cells: Sequence[str], *, line: int) -> BalfitColumns:
     """Tell the columns apart by their symbols: a load N1 has an output rN1.
 
     Raises
@@ -106,7 +106,7 @@ def columns_of(path: Path, cells: Sequence[str], *, line: int) -> Columns:
         raise ReadError(path, place, "leaves no column for the points' names; needed before the loads: name, series")
     loads = tuple(load for load, _ in pairs)
     outputs = tuple(output for _, output in pairs)
-    return Columns(
+    return BalfitColumns(
         names=tuple(symbols[i] for i in loads),
         gauges=tuple(symbols[i][1:] for i in outputs),
         loads=loads,

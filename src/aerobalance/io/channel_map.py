@@ -124,7 +124,7 @@ class MappedChannel(ChannelSettings, _Place):
         return self.shunt_expected / self.shunt_measured
 
 
-class _Contents(Strict):
+class _MapContents(Strict):
     file: FileLayout = FileLayout()
     channels: Annotated[dict[str, MappedChannel], Field(min_length=1)]
 
@@ -178,9 +178,9 @@ def load_channel_map(path: Path | str) -> ChannelMap:
     file = Path(path)
     given = read_toml(file, what="a channel map")
     try:
-        contents = _Contents.model_validate(given)
+        contents = _MapContents.model_validate(given)
     except ValidationError as error:
-        where, what = first_fault(error, _Contents)
+        where, what = first_fault(error, _MapContents)
         if where == "channels" and not given.get("channels"):
             what += "; give one column or more a table [channels.NAME], NAME being what the column is"
         raise ReadError(file, where, what) from None

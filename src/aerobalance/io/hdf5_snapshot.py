@@ -23,7 +23,7 @@ _LARGEST_SETUP: Final = 2_000_000
 _CHUNK: Final = 2**20
 
 
-class Snapshot:
+class FileSnapshot:
     """The blocks that a recording had at one moment, as bytes of a file of the same layout.
 
     The file is laid out first, with a hole where the samples belong; these are put in from the recording as the bytes

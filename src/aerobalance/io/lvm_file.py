@@ -52,7 +52,7 @@ class _Segment:
 
 
 @dataclass(frozen=True, slots=True)
-class _Contents:
+class _LvmContents:
     """What the headers of a file say.
 
     Attributes
@@ -176,7 +176,7 @@ def write_columns(path: Path, columns: Mapping[str, Array], described: object = 
     raise ValueError(f"cannot write {path}: LVM files are read, not written")
 
 
-def _contents(path: Path) -> _Contents:
+def _contents(path: Path) -> _LvmContents:
     text, _ = decoded(path, None)
     text = _SPECIAL.sub(lambda match: b"\n" * match[0].count(b"\n"), text)
     ends = list(_END.finditer(text))
@@ -207,7 +207,7 @@ def _contents(path: Path) -> _Contents:
     decimal = "," if tags.get("Decimal_Separator", [""])[0].strip() == "," else "."
     x_columns = tags.get("X_Columns", ["No"])[0].strip().lower()
     _check(path, segments)
-    return _Contents(path, text, separator, decimal, x_columns, tuple(segments))
+    return _LvmContents(path, text, separator, decimal, x_columns, tuple(segments))
 
 
 def _header_begin(text: bytes, first: int, last: int) -> int:
@@ -251,7 +251,7 @@ def _check(path: Path, segments: Sequence[_Segment]) -> None:
             )
 
 
-def _named(contents: _Contents, channel: int, place: int) -> tuple[str, str, str]:
+def _named(contents: _LvmContents, channel: int, place: int) -> tuple[str, str, str]:
     """Label, name and unit of a channel."""
     label = contents.segments[0].labels[place]
     name, unit = split_label(label)
@@ -259,7 +259,7 @@ def _named(contents: _Contents, channel: int, place: int) -> tuple[str, str, str
 
 
 def _cells(
-    contents: _Contents, chosen: Sequence[int], times: Sequence[int]
+    contents: _LvmContents, chosen: Sequence[int], times: Sequence[int]
 ) -> tuple[dict[int, Array], NDArray[np.intp]]:
     """Cells of columns, those of times too, and the line of every row."""
     text, first = contents.text, contents.segments[0].rows[0]
@@ -287,7 +287,7 @@ def _cells(
 
 
 def _on_clock(
-    contents: _Contents, chosen: Sequence[RawColumn], cells: Mapping[int, Array], lines: NDArray[np.intp]
+    contents: _LvmContents, chosen: Sequence[RawColumn], cells: Mapping[int, Array], lines: NDArray[np.intp]
 ) -> RawColumns:
     """Put the channels on the clock that the headers state."""
     path, first = contents.path, contents.segments[0]
@@ -315,7 +315,7 @@ def _filled(column: RawColumn, values: Array) -> RawColumn:
     return RawColumn(column.label, column.name, column.unit, values, column.number)
 
 
-def _own(contents: _Contents, column: RawColumn, channel: int | None, intervals: Sequence[float]) -> RawColumn:
+def _own(contents: _LvmContents, column: RawColumn, channel: int | None, intervals: Sequence[float]) -> RawColumn:
     """Give a column its own clock and the samples that it has."""
     if channel is None:
         return column
@@ -329,7 +329,7 @@ def _own(contents: _Contents, column: RawColumn, channel: int | None, intervals:
     return RawColumn(column.label, column.name, column.unit, values, column.number, clock=clock)
 
 
-def _interval(contents: _Contents, channel: int, cells: Mapping[int, Array]) -> float:
+def _interval(contents: _LvmContents, channel: int, cells: Mapping[int, Array]) -> float:
     """Time from sample to sample of a channel [s]: as the header states it, or its times where these say otherwise."""
     stated = contents.number(contents.segments[0], "Delta_X", channel)
     at = {"one": 0, "multi": 2 * channel}.get(contents.x_columns, -1)
@@ -359,7 +359,7 @@ def _interval(contents: _Contents, channel: int, cells: Mapping[int, Array]) -> 
     return stated
 
 
-def _stamp(contents: _Contents, segment: _Segment, channel: int) -> float:
+def _stamp(contents: _LvmContents, segment: _Segment, channel: int) -> float:
     """Date and time of a channel's first sample [s]; NaN where the segment does not say it."""
     date, time = (contents.tag(segment, name, channel) for name in ("Date", "Time"))
     if not date or not time:
@@ -375,7 +375,7 @@ def _stamp(contents: _Contents, segment: _Segment, channel: int) -> float:
     return 86400.0 * days + float(stamp_seconds([time], "time of day")[0])
 
 
-def _ticks(contents: _Contents, lines: NDArray[np.intp], rate: float) -> NDArray[np.intp] | None:
+def _ticks(contents: _LvmContents, lines: NDArray[np.intp], rate: float) -> NDArray[np.intp] | None:
     """Sample of the steady clock of every row; None where all segments follow each other without a gap."""
     text = contents.text
     bounds = [text.count(b"\n", 0, segment.rows[0]) + 1 for segment in contents.segments]

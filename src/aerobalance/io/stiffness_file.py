@@ -28,7 +28,7 @@ ASYMMETRIC: Final = 0.01
 """The same over the stiffness of the two components, where no uncertainty is given."""
 
 
-class _Table(artefacts.Loose):
+class _StiffnessTable(artefacts.Loose):
     rows: list[str] = Field(default_factory=lambda: list(COMPONENTS))
     columns: list[str] = Field(default_factory=lambda: list(COMPONENTS))
     matrix: list[list[Finite]]
@@ -37,7 +37,7 @@ class _Table(artefacts.Loose):
 
 class _StiffnessFile(artefacts.Loose):
     kind: Literal["stiffness"] = "stiffness"
-    stiffness: _Table
+    stiffness: _StiffnessTable
 
 
 def read_stiffness(path: Path | str) -> tuple[Array, Array]:

@@ -41,7 +41,7 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Block:
+class VolBlock:
     """One block: the loads on one component in one direction, and what the bridges read.
 
     Attributes
@@ -86,7 +86,7 @@ class VolText:
     description: tuple[Entry, ...]
     capacities: tuple[Entry, ...]
     distances: tuple[Entry, ...]
-    blocks: tuple[Block, ...]
+    blocks: tuple[VolBlock, ...]
 
 
 @dataclass(slots=True)
@@ -114,7 +114,7 @@ def take_apart(path: Path, text: str) -> VolText:
     """
     sections = _sections(text)
     kinds: dict[str, list[Entry]] = {"description": [], "capacities": [], "distances": []}
-    blocks: list[Block] = []
+    blocks: list[VolBlock] = []
     for section in sections:
         kind = _kind(section)
         if kind != "block":
@@ -175,7 +175,7 @@ class _End:
     last: bool
 
 
-def _block(path: Path, section: _Section, ends: _End, inherited: tuple[str, ...]) -> Block | None:
+def _block(path: Path, section: _Section, ends: _End, inherited: tuple[str, ...]) -> VolBlock | None:
     """Make a block of a section; None, with a warning, where it holds no rows."""
     signed = _SIGNED.fullmatch(section.title)
     rows = list(section.rows)
@@ -201,7 +201,7 @@ def _block(path: Path, section: _Section, ends: _End, inherited: tuple[str, ...]
     _check_count(path, section, found=len(values), cut=cut)
     if not values:
         return None
-    return Block(
+    return VolBlock(
         section.title,
         (signed["name"] if signed else section.title).strip(),
         0 if signed is None else (1 if signed["pos"] else -1),

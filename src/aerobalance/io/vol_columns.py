@@ -12,7 +12,7 @@ import numpy as np
 
 from aerobalance.io.columns import split_label
 from aerobalance.io.load_columns import load_conversion, load_key, load_unit_of, ratio_outputs
-from aerobalance.io.vol_blocks import Block, Entry, VolText
+from aerobalance.io.vol_blocks import Entry, VolBlock, VolText
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError, warn_quality
 from aerobalance.recording.units import conversion
@@ -28,7 +28,7 @@ _AMOUNT: Final = re.compile(r"(?P<number>[+-]?(\d[\d.,]*|[.,]\d+)([eE][+-]?\d+)?
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class VolReading:
     """A ``.vol`` file in the course of being read.
 
     Attributes
@@ -73,7 +73,7 @@ class VolLayout:
     unit: str
 
 
-def layout_of(reading: Reading, block: Block) -> VolLayout:
+def layout_of(reading: VolReading, block: VolBlock) -> VolLayout:
     """Tell the columns of a block apart."""
     place = f"line {block.header_line}"
     heads = [split_label(label) for label in block.labels]
@@ -120,7 +120,7 @@ def layout_of(reading: Reading, block: Block) -> VolLayout:
     )
 
 
-def _factor(reading: Reading, block: Block, *, column: int, unit: str, kind: str) -> float:
+def _factor(reading: VolReading, block: VolBlock, *, column: int, unit: str, kind: str) -> float:
     """Value of a column's unit in V or mV/V; no unit stands for V."""
     try:
         return conversion(unit or "V", expected=kind).factor
@@ -137,7 +137,7 @@ class Naming:
     blocks: tuple[int, ...]
 
 
-def naming_of(reading: Reading, layout: VolLayout) -> Naming:
+def naming_of(reading: VolReading, layout: VolLayout) -> Naming:
     """Match blocks to columns."""
     loaded = list(dict.fromkeys(load_key(block.component) for block in reading.parts.blocks))
     titles = {key: next(b.component for b in reading.parts.blocks if load_key(b.component) == key) for key in loaded}
@@ -165,7 +165,9 @@ def naming_of(reading: Reading, layout: VolLayout) -> Naming:
     return Naming(tuple(names), tuple(found[load_key(block.component)] for block in reading.parts.blocks))
 
 
-def _by_position(reading: Reading, titles: dict[str, str], *, columns: int) -> tuple[tuple[str, ...], dict[str, int]]:
+def _by_position(
+    reading: VolReading, titles: dict[str, str], *, columns: int
+) -> tuple[tuple[str, ...], dict[str, int]]:
     """Name bridges whose headers say nothing, by the order of the blocks or of the maximal loads."""
     listed = [load_key(entry.key) for entry in reading.parts.capacities]
     complete = len(set(listed)) == columns and set(titles) <= set(listed)
@@ -185,7 +187,7 @@ def _by_position(reading: Reading, titles: dict[str, str], *, columns: int) -> t
     return (*titles.values(), *spare), {key: i for i, key in enumerate(titles)}
 
 
-def _by_name(reading: Reading, names: Sequence[str], *, titles: dict[str, str]) -> dict[str, int]:
+def _by_name(reading: VolReading, names: Sequence[str], *, titles: dict[str, str]) -> dict[str, int]:
     """Find the column of every loaded component by its name, and of what is left over by order."""
     keys = [load_key(name) for name in names]
     found: dict[str, int] = {}
@@ -234,7 +236,7 @@ def amount_in(text: str) -> Amount:
     return Amount(abs(value), match["unit"].strip())
 
 
-def amounts_of(reading: Reading, components: tuple[str, ...]) -> list[Amount | None]:
+def amounts_of(reading: VolReading, components: tuple[str, ...]) -> list[Amount | None]:
     """Maximal load of every component: by name, and by position for what is left over."""
     entries = list(reading.parts.capacities)
     keys = [load_key(entry.key) for entry in entries]
@@ -269,7 +271,7 @@ class LoadUnits:
 
 
 def load_units_of(
-    reading: Reading, naming: Naming, *, layouts: Sequence[VolLayout], amounts: Sequence[Amount | None]
+    reading: VolReading, naming: Naming, *, layouts: Sequence[VolLayout], amounts: Sequence[Amount | None]
 ) -> LoadUnits:
     """Find unit and kind of every load: from the headers of its blocks, else from its maximal load."""
     units = ["" for _ in naming.components]
@@ -315,7 +317,7 @@ def _kind(unit: str) -> str | None:
         return None
 
 
-def _unloaded(reading: Reading, name: str, *, unit: str) -> tuple[str, str]:
+def _unloaded(reading: VolReading, name: str, *, unit: str) -> tuple[str, str]:
     """Unit and kind of a component without loads."""
     kind = _kind(unit)
     if kind is not None:
@@ -326,7 +328,7 @@ def _unloaded(reading: Reading, name: str, *, unit: str) -> tuple[str, str]:
 
 
 def stated_capacities(
-    reading: Reading, naming: Naming, *, amounts: Sequence[Amount | None], units: LoadUnits
+    reading: VolReading, naming: Naming, *, amounts: Sequence[Amount | None], units: LoadUnits
 ) -> Array:
     """Maximal loads that the file states [N, N*m], NaN where it does not."""
     stated = np.full(len(amounts), np.nan)
@@ -349,7 +351,7 @@ def stated_capacities(
     return stated
 
 
-def block_outputs(reading: Reading, block: Block, *, layout: VolLayout, first: VolLayout) -> Array:
+def block_outputs(reading: VolReading, block: VolBlock, *, layout: VolLayout, first: VolLayout) -> Array:
     """Outputs of a block, shape (n, c) [mV/V], in the order of the columns of the first block."""
     values = (block.values[:, layout.bridges] * layout.factors)[:, _order(reading, block, layout=layout, first=first)]
     if layout.excitation is None:
@@ -358,7 +360,7 @@ def block_outputs(reading: Reading, block: Block, *, layout: VolLayout, first: V
     return ratio_outputs(reading.path, values, excitation=excitation, lines=block.lines)
 
 
-def _order(reading: Reading, block: Block, *, layout: VolLayout, first: VolLayout) -> list[int]:
+def _order(reading: VolReading, block: VolBlock, *, layout: VolLayout, first: VolLayout) -> list[int]:
     """Where the columns of the first block stand among the columns of another."""
     if len(layout.names) != len(first.names):
         raise ReadError(

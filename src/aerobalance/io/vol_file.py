@@ -16,9 +16,9 @@ import numpy as np
 from aerobalance.balance.load_formats import BalanceType, Geometry
 from aerobalance.balance.schedule import Schedule
 from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, load_key, settle_capacities
-from aerobalance.io.vol_blocks import Block, take_apart
+from aerobalance.io.vol_blocks import VolBlock, take_apart
 from aerobalance.io.vol_columns import (
-    Reading,
+    VolReading,
     amount_in,
     amounts_of,
     block_outputs,
@@ -78,7 +78,7 @@ def read_vol(path: Path, text: str, *, capacities: Capacities | None = None) -> 
     DataQualityWarning
         The file is cut off, signs within a block contradict its title, or names had to be guessed.
     """
-    reading = Reading(path, take_apart(path, text))
+    reading = VolReading(path, take_apart(path, text))
     blocks = reading.parts.blocks
     layouts = [layout_of(reading, block) for block in blocks]
     naming = naming_of(reading, layouts[0])
@@ -116,7 +116,7 @@ def read_vol(path: Path, text: str, *, capacities: Capacities | None = None) -> 
     )
 
 
-def _signed(reading: Reading, block: Block, *, loads: Array) -> Array:
+def _signed(reading: VolReading, block: VolBlock, *, loads: Array) -> Array:
     """Loads with the sign of their block; doubt where the file's own signs contradict it."""
     if block.sign == 0:
         reading.notes.append(f"block [{block.title}] says neither pos nor neg: loads have the signs of the file")
@@ -136,7 +136,7 @@ def _signed(reading: Reading, block: Block, *, loads: Array) -> Array:
     return block.sign * np.abs(loads) + 0.0
 
 
-def _balance_type(reading: Reading, names: Sequence[str], *, moments: Sequence[bool]) -> BalanceType:
+def _balance_type(reading: VolReading, names: Sequence[str], *, moments: Sequence[bool]) -> BalanceType:
     """Which loads the gauges measure: as the file says, checked against the units of its loads."""
     kinds: dict[int, BalanceType] = {1: "force", 3: "direct", 5: "moment"}
     found: BalanceType = kinds.get(sum(moments), "unknown") if len(moments) == 6 else balance_type_of(names)
@@ -151,7 +151,7 @@ def _balance_type(reading: Reading, names: Sequence[str], *, moments: Sequence[b
     return found
 
 
-def _geometry(reading: Reading) -> Geometry | None:
+def _geometry(reading: VolReading) -> Geometry | None:
     """Distances of the gauges from the centre; None, with a note, where they are not all there."""
     found: dict[str, float] = {}
     for entry in reading.parts.distances:

@@ -64,7 +64,7 @@ ENDS: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Folder:
+class DemoFolder:
     """Where the files are, and the source of all randomness."""
 
     path: Path
@@ -84,7 +84,7 @@ def run_six(out: Path, *, seed: int | None = None) -> Account:
     Parameters
     ----------
     out
-        Folder for the page and all files behind it; made where it is missing.
+        DemoFolder for the page and all files behind it; made where it is missing.
     seed
         Seed of the balance and of all simulated noise; a fresh one is drawn, and reported, when it is not given.
 
@@ -94,7 +94,7 @@ def run_six(out: Path, *, seed: int | None = None) -> Account:
         The folder cannot be made or written to.
     """
     seed = seed_for(out, seed)
-    folder = Folder(out, np.random.default_rng(seed))
+    folder = DemoFolder(out, np.random.default_rng(seed))
     balance = random_balance(folder.generator)
     with doubts() as collected:
         files = calibrated(folder, balance)
@@ -126,7 +126,7 @@ def run_six(out: Path, *, seed: int | None = None) -> Account:
     return {**account, "summary": summary(account)}
 
 
-def calibrated(folder: Folder, balance: CoupledBalance) -> BalanceFiles:
+def calibrated(folder: DemoFolder, balance: CoupledBalance) -> BalanceFiles:
     """Calibrate the balance; its zero is read with the model on, level, before the run."""
     noise = 1e-4 * float(balance.matrix.output_scale.min())
     stand = CalibrationStand(balance.matrix, noise=noise, repeats=REPEATS)
@@ -147,7 +147,7 @@ def still(balance: CoupledBalance, pitch: float, roll: float) -> SixComponentRig
     return SixComponentRig(balance, pitch=steady(pitch), roll=steady(roll))
 
 
-def weighed(folder: Folder, balance: CoupledBalance, files: BalanceFiles) -> Path:
+def weighed(folder: DemoFolder, balance: CoupledBalance, files: BalanceFiles) -> Path:
     """Weigh the balance with its model at the attitudes, and give mass.json."""
     paths = [
         folder.record(f"weighing_{number}", still(balance, pitch, roll), 0.1)[0]
@@ -158,7 +158,7 @@ def weighed(folder: Folder, balance: CoupledBalance, files: BalanceFiles) -> Pat
     return mass
 
 
-def identified(folder: Folder, balance: CoupledBalance, files: BalanceFiles, mass: Path) -> Path:
+def identified(folder: DemoFolder, balance: CoupledBalance, files: BalanceFiles, mass: Path) -> Path:
     """Six releases, each along one component, and what they say."""
     paths = []
     for place, name in enumerate(COMPONENTS):
@@ -182,7 +182,7 @@ def bearable(balance: CoupledBalance, load: Array) -> Array:
     return np.asarray(load * min(1.0, BEARABLE / largest))
 
 
-def _run(folder: Folder, balance: CoupledBalance) -> tuple[Path, SixSimulation]:
+def _run(folder: DemoFolder, balance: CoupledBalance) -> tuple[Path, SixSimulation]:
     """Gusts through all resonances, a release, and a sting that shakes."""
     top = 1.2 * max(mode.natural_frequency for mode in balance.dynamics.modes)
     band = Band(0, top)

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple
 
-from aerobalance.app.monitor.messages import Reading, Update, Watching
+from aerobalance.app.monitor.messages import ShownReading, Update, Watching
 
 PAST: Final = 50
 """Alarms that are still listed when they are over and acknowledged."""
@@ -19,7 +19,7 @@ _WORSE: Final = 1.02
 """Factor by which an alarm must grow before all viewers are told again."""
 
 
-class _Found(NamedTuple):
+class _Alarm(NamedTuple):
     """Something over its limit: what, how it is said, over which part of its limit, and by which value."""
 
     what: str
@@ -83,7 +83,7 @@ class Alarms:
             for name in list(self._open):
                 self._over(name)
 
-    def _raise(self, found: _Found) -> bool:
+    def _raise(self, found: _Alarm) -> bool:
         """Put an alarm on the list, or what is worse of it; say whether that is news."""
         now, one = time.time(), self._open.get(found.what)
         if one is None:
@@ -107,16 +107,16 @@ class Alarms:
         return True
 
 
-def _contact(update: Update) -> Iterator[_Found]:
+def _contact(update: Update) -> Iterator[_Alarm]:
     if update.touching or any(kind == "contact" for _, kind, _ in update.remarks):
-        yield _Found("contact", "the model touches its support", 1.0)
+        yield _Alarm("contact", "the model touches its support", 1.0)
 
 
-def _loads(update: Update, watching: Watching) -> Iterator[_Found]:
+def _loads(update: Update, watching: Watching) -> Iterator[_Alarm]:
     envelope = update.envelope
     if envelope is not None and envelope.share >= 1:
         text = f"outside the load envelope, most by {envelope.nearest}"
-        yield _Found("combined loads", text, float(envelope.share), 100 * float(envelope.share), "%")
+        yield _Alarm("combined loads", text, float(envelope.share), 100 * float(envelope.share), "%")
     units = dict(zip(watching.names, watching.units, strict=True))
     for name, reading in update.readings.items():
         if reading.state == "over":
@@ -125,10 +125,10 @@ def _loads(update: Update, watching: Watching) -> Iterator[_Found]:
             yield _beyond(name, reading, (low, high), units[name])
 
 
-def _beyond(name: str, reading: Reading, limits: tuple[float, float], unit: str) -> _Found:
+def _beyond(name: str, reading: ShownReading, limits: tuple[float, float], unit: str) -> _Alarm:
     """Say by which value a reading is beyond which of its limits."""
     low, high = limits
     lower = low - reading.least > reading.largest - high
     value, limit = (reading.least, low) if lower else (reading.largest, high)
     text = f"{'below' if lower else 'above'} {limit:.6g} {unit}"
-    return _Found(name, text, abs(value / limit) if limit else math.inf, value, unit)
+    return _Alarm(name, text, abs(value / limit) if limit else math.inf, value, unit)

@@ -19,6 +19,7 @@ from aerobalance.acquisition.feed import Feed
 from aerobalance.acquisition.setup import parse_setup
 from aerobalance.acquisition.source import Block
 from aerobalance.app.monitor.messages import (
+    FollowSource,
     Learner,
     LearnerWanted,
     Means,
@@ -27,7 +28,6 @@ from aerobalance.app.monitor.messages import (
     TakeMeans,
     TakeZeros,
     Trouble,
-    Watch,
     Watching,
     Zeros,
 )
@@ -83,7 +83,7 @@ class _Engine:
                 self._follow(self._feed)
 
     def _obey(self, order: object) -> None:
-        if isinstance(order, Watch):
+        if isinstance(order, FollowSource):
             self._watch(order)
         elif isinstance(order, Learner):
             self._learner, self._asked = type(self._control)(recv_handle(self._control)), None
@@ -98,7 +98,7 @@ class _Engine:
             except ValueError as problem:
                 self._control.send(Trouble(self._number, str(problem)))
 
-    def _watch(self, order: Watch) -> None:
+    def _watch(self, order: FollowSource) -> None:
         self._leave()
         self._number = order.number
         try:

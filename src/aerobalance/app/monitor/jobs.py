@@ -45,7 +45,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class TaskOutcome:
     """What came of it.
 
     Attributes
@@ -84,27 +84,27 @@ def run_jobs(pipe: Pipe) -> None:
             pipe.send(outcome_of(task))
 
 
-def outcome_of(task: Task) -> Outcome:
+def outcome_of(task: Task) -> TaskOutcome:
     """Do a task; what goes wrong is said, not raised."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DataQualityWarning)  # they are in the account
             return _VERBS[task.verb](task)
     except (FitError, ReadError, ValueError) as problem:
-        return Outcome(task.number, False, as_options(str(problem)))
+        return TaskOutcome(task.number, False, as_options(str(problem)))
     except KeyError:
-        return Outcome(task.number, False, f"{task.verb[:40]!r} is none of {', '.join(_VERBS)}")
+        return TaskOutcome(task.number, False, f"{task.verb[:40]!r} is none of {', '.join(_VERBS)}")
     except Exception as problem:  # noqa: BLE001 - the page must hear of it, whatever it is
-        return Outcome(task.number, False, f"the program failed: {type(problem).__name__}: {problem}")
+        return TaskOutcome(task.number, False, f"the program failed: {type(problem).__name__}: {problem}")
 
 
-def _info(task: Task) -> Outcome:
+def _info(task: Task) -> TaskOutcome:
     from aerobalance.app.commands.recordings import info  # noqa: PLC0415 - each verb loads what it needs
 
-    return Outcome(task.number, True, account=info(Path(task.recordings[0])))
+    return TaskOutcome(task.number, True, account=info(Path(task.recordings[0])))
 
 
-def _identify(task: Task) -> Outcome:
+def _identify(task: Task) -> TaskOutcome:
     from aerobalance.app.commands.identify import identify_decay, identify_rig  # noqa: PLC0415
     from aerobalance.app.monitor.identified import write_identified  # noqa: PLC0415
 
@@ -118,19 +118,19 @@ def _identify(task: Task) -> Outcome:
     else:
         account = identify_rig(path, out, component=component, mass=mass or None)
     write_identified(report, account, path, component=component, kind=task.verb)
-    return Outcome(task.number, True, account=account, report=report.name, files=(out.name,))
+    return TaskOutcome(task.number, True, account=account, report=report.name, files=(out.name,))
 
 
-def _together(task: Task) -> Outcome:
+def _together(task: Task) -> TaskOutcome:
     from aerobalance.app.commands.identify_coupled import identify_decays  # noqa: PLC0415
 
     paths = [Path(name) for name in task.recordings]
     out = paths[0].with_name(f"{paths[0].stem}-dynamics.json")
     account = identify_decays(paths, out, mass=task.settings.get("mass"))
-    return Outcome(task.number, True, account=account, files=(out.name,))
+    return TaskOutcome(task.number, True, account=account, files=(out.name,))
 
 
-def _force(task: Task) -> Outcome:
+def _force(task: Task) -> TaskOutcome:
     from aerobalance.app.commands.balance_files import BalanceFiles  # noqa: PLC0415
     from aerobalance.app.commands.force import force  # noqa: PLC0415
     from aerobalance.io.hdf5_contents import contents  # noqa: PLC0415
@@ -144,10 +144,10 @@ def _force(task: Task) -> Outcome:
         zeroed = any(channel.offset for channel in contents(path).channels)
         files = BalanceFiles.of(Path(task.settings["balance"]), zero=[Path("none")] if zeroed else None)
     account = force(path, out, dynamics=Path(task.settings["dynamics"]), files=files, report=report)
-    return Outcome(task.number, True, account=account, report=report.name, files=(out.name,))
+    return TaskOutcome(task.number, True, account=account, report=report.name, files=(out.name,))
 
 
-_VERBS: Final[Mapping[str, Callable[[Task], Outcome]]] = {
+_VERBS: Final[Mapping[str, Callable[[Task], TaskOutcome]]] = {
     "info": _info,
     "decay": _identify,
     "rig": _identify,

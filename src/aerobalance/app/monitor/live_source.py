@@ -14,7 +14,7 @@ from aerobalance.acquisition.feed import SourceMessage
 from aerobalance.acquisition.session import Session
 from aerobalance.acquisition.setup import Setup, setup_text
 from aerobalance.app.monitor.log import Log
-from aerobalance.app.monitor.messages import SetZeros, TakeZeros, Watch, Watching
+from aerobalance.app.monitor.messages import FollowSource, SetZeros, TakeZeros, Watching
 from aerobalance.app.monitor.setups import first_controls
 from aerobalance.app.monitor.workers import Engine
 from aerobalance.recording.errors import FitError, ReadError
@@ -120,8 +120,8 @@ class LiveSource:
         listed = ", ".join(f"{name} {value:.4g} {units.get(name, '')}".strip() for name, value in zeros.items())
         self._log.mark(f"zero: {listed}" if zeros else "zero taken back", kind="zero")
 
-    def _watch(self, session: Session) -> Watch:
-        return Watch(self.state.number, session.address, setup_text(self.setup), str(self._folder), self.zeros)
+    def _watch(self, session: Session) -> FollowSource:
+        return FollowSource(self.state.number, session.address, setup_text(self.setup), str(self._folder), self.zeros)
 
     def unwatched(self) -> None:
         """Take note that the charts cannot follow this source."""

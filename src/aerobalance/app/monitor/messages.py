@@ -17,7 +17,7 @@ LINES: Final = 512
 """Lines of a spectrum that are shown."""
 
 
-class Reading(NamedTuple):
+class ShownReading(NamedTuple):
     """A channel over the time of `NUMBERS`; `state` is ``ok``, ``high`` or ``over``.
 
     `mean` is that of the last `seconds`, which are fewer where a `step` came before them; `least` and `largest` are
@@ -34,8 +34,8 @@ class Reading(NamedTuple):
     step: float = 0.0
 
 
-class Estimate(NamedTuple):
-    """A force over the time of `NUMBERS`; the mean as in `Reading`, and the standard uncertainty of a sample."""
+class ShownForce(NamedTuple):
+    """A force over the time of `NUMBERS`; the mean as in `ShownReading`, and the standard uncertainty of a sample."""
 
     force: float
     uncertainty: float
@@ -81,8 +81,8 @@ class Update:
     received: float
     raw: list[Bins] = field(default_factory=list)
     forces: dict[str, list[Bins]] = field(default_factory=dict)
-    readings: dict[str, Reading] = field(default_factory=dict)
-    estimates: dict[str, Estimate] = field(default_factory=dict)
+    readings: dict[str, ShownReading] = field(default_factory=dict)
+    estimates: dict[str, ShownForce] = field(default_factory=dict)
     health: dict[str, dict[str, object]] = field(default_factory=dict)
     spectra: dict[str, tuple[float, NDArray[np.float32]]] = field(default_factory=dict)
     remarks: list[tuple[int, str, str]] = field(default_factory=list)
@@ -92,7 +92,7 @@ class Update:
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
+class FollowSource:
     """Order: follow this source."""
 
     number: int

@@ -59,7 +59,7 @@ class _Body(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-class _Record(_Body):
+class _RecordBody(_Body):
     name: Short
     notes: Text = ""
     seconds: Annotated[float, Field(gt=0, le=1e7, allow_inf_nan=False)] | None = None
@@ -81,7 +81,7 @@ class _Control(_Body):
     value: Annotated[float, Field(allow_inf_nan=False)] = 0.0
 
 
-class _Job(_Body):
+class _TaskBody(_Body):
     verb: Annotated[str, Field(pattern="^(info|decay|rig|force|together)$")]
     recording: Short
     others: Annotated[list[Short], Field(max_length=TOGETHER)] = []
@@ -156,7 +156,7 @@ class Page:
             policy,
         )
         self._actions: Mapping[str, tuple[type[_Body], Callable[[Any], Any]]] = {
-            "record": (_Record, self._record),
+            "record": (_RecordBody, self._record),
             "stop": (_Stop, lambda _: self.session.records.stop()),
             "trigger": (_Empty, lambda _: self.session.records.call()),
             "mark": (_Mark, lambda it: self.session.records.note(it.text or "mark")),
@@ -166,7 +166,7 @@ class Page:
             "test": (_Check, lambda it: self.session.checks.press(it.kind)),
             "give_up": (_Empty, lambda _: self.session.checks.give_up()),
             "control": (_Control, lambda it: self.session.source.control(it.name, it.value)),
-            "job": (_Job, self._job),
+            "job": (_TaskBody, self._job),
             "use": (_Use, lambda it: self.session.use_dynamics(it.recording)),
             "cancel": (_Empty, lambda _: self.session.tasks.cancel()),
             "setup": (_Apply, self._apply),
@@ -298,10 +298,10 @@ class Page:
             return _refusal(problem, model)
         return JSONResponse({"done": True, "number": found if isinstance(found, int) else None})
 
-    def _record(self, wish: _Record) -> None:
+    def _record(self, wish: _RecordBody) -> None:
         self.session.records.begin(wish.name, notes=wish.notes, seconds=wish.seconds, asked=wish.asked)
 
-    def _job(self, wish: _Job) -> int:
+    def _job(self, wish: _TaskBody) -> int:
         settings = {key: value for key in ("component", "mass", "dynamics") if (value := getattr(wish, key))}
         return self.session.tasks.run(wish.verb, [wish.recording, *wish.others], settings)
 
@@ -337,10 +337,10 @@ def _download(path: Path) -> Response:
     """A file to be kept; what a record that is being written holds at this moment, as a whole file."""
     if not is_held(path):
         return FileResponse(path, media_type="application/octet-stream", filename=path.name)
-    from aerobalance.io.hdf5_snapshot import Snapshot  # noqa: PLC0415 - the library of HDF5 comes with it
+    from aerobalance.io.hdf5_snapshot import FileSnapshot  # noqa: PLC0415 - the library of HDF5 comes with it
 
     try:
-        snapshot = Snapshot(path)
+        snapshot = FileSnapshot(path)
     except (ReadError, OSError) as problem:
         return JSONResponse({"error": getattr(problem, "what", str(problem))}, 409)
     quoted = quote(path.name)

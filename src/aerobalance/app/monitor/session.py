@@ -18,7 +18,7 @@ from aerobalance.app.monitor.log import Log
 from aerobalance.app.monitor.messages import Answer, Means, News, Watching, Zeros
 from aerobalance.app.monitor.records import Records
 from aerobalance.app.monitor.setups import check_files, check_set_up
-from aerobalance.app.monitor.stepped_sine import SteppedSine
+from aerobalance.app.monitor.stepped_sine import SteppedSineRun
 from aerobalance.app.monitor.tasks import Tasks
 from aerobalance.app.monitor.workers import Engine
 from aerobalance.io.held_file import recover_all
@@ -69,7 +69,7 @@ class MonitorSession:
         self._lock = threading.RLock()
         self._closed = False
         self.log = log = Log(changed, mark)
-        self.sweep: SteppedSine | None = None
+        self.sweep: SteppedSineRun | None = None
         for found in recover_all(self.folder.path):
             text = "its record was broken off by a kill after it had lost its name; what was written is in it"
             log.say(f"{found.name} is back: {text}", kind="error")
@@ -109,7 +109,7 @@ class MonitorSession:
             if self.sweep is not None and self.sweep.shown["running"]:
                 raise ValueError("a stepped-sine run is under way already")
             names = {item["name"] for item in self.folder.with_results()}
-            self.sweep = sweep = SteppedSine(self.source, self.records, self.tasks, self.log, taken=names)
+            self.sweep = sweep = SteppedSineRun(self.source, self.records, self.tasks, self.log, taken=names)
             sweep.start()
 
     def zero(self) -> None:

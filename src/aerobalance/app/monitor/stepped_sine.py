@@ -40,7 +40,7 @@ DWELL: Final = 0.6
 """Time at each frequency [s]."""
 
 
-class SteppedSine:
+class SteppedSineRun:
     """One run; its record begins with it.
 
     Parameters

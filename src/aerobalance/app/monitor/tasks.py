@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from aerobalance.app.monitor.folder import Folder
-from aerobalance.app.monitor.jobs import Outcome, Task
+from aerobalance.app.monitor.jobs import Task, TaskOutcome
 from aerobalance.app.monitor.live_source import LiveSource
 from aerobalance.app.monitor.log import Log
 from aerobalance.app.monitor.records import Records
@@ -107,7 +107,7 @@ class Tasks:
             return self._folder.named(given)
         raise ValueError(f"identify {path.name} first, or name dynamics in the set-up: the force needs them")
 
-    def _heard(self, task: Task, outcome: Outcome | None) -> None:
+    def _heard(self, task: Task, outcome: TaskOutcome | None) -> None:
         """Take note of a task that has begun, or of what came of it."""
         with self._lock:
             entry = self._entries.get(task.number)

@@ -17,7 +17,7 @@ from aerobalance.acquisition.intake import contact_text
 from aerobalance.acquisition.source import Block
 from aerobalance.app.monitor.coupled_line import CoupledStream
 from aerobalance.app.monitor.force_line import Columns, ForceLine, Line, Stream
-from aerobalance.app.monitor.messages import LINES, Estimate, Reading, Update
+from aerobalance.app.monitor.messages import LINES, ShownForce, ShownReading, Update
 from aerobalance.app.monitor.minmax_strips import Extremes
 from aerobalance.app.monitor.running_spectrum import RunningSpectrum
 from aerobalance.app.monitor.steady import newest_steady
@@ -323,10 +323,10 @@ class View:
             self._since_spectra = 0
             self._draw_spectra()
 
-    def _reading(self, name: str, values: Array) -> Reading:
+    def _reading(self, name: str, values: Array) -> ShownReading:
         known = values[np.isfinite(values)]
         if not known.size:
-            return Reading(math.nan, math.nan, math.nan, None, None, "none")
+            return ShownReading(math.nan, math.nan, math.nan, None, None, "none")
         self._saturated[name] += int(Channel("reading", known, "1").saturated.sum()) if known.size > 8 else 0
         least, largest = float(known.min()), float(known.max())
         mean, samples, step = newest_steady(known) if name in COMPONENTS else (float(known.mean()), known.size, 0.0)
@@ -338,7 +338,7 @@ class View:
         share = max(shares)
         state = "over" if share >= 1 else "high" if share >= WARNING else "ok"
         limit = share if math.isfinite(high - low) else None
-        return Reading(mean, least, largest, percent, limit, state, samples / self.panel.rate, step)
+        return ShownReading(mean, least, largest, percent, limit, state, samples / self.panel.rate, step)
 
     @property
     def saturated(self) -> Mapping[str, int]:
@@ -353,14 +353,14 @@ class View:
                 self.update.spectra[name] = (float(spectrum.frequency[-1]), shown)
 
 
-def _estimate(pair: Array, interval: float) -> Estimate:
+def _estimate(pair: Array, interval: float) -> ShownForce:
     """Draw up force and standard uncertainty, shape (n, 2), over the time of `NUMBERS`."""
     known = pair[np.isfinite(pair).all(axis=1)]
     if not len(known):
-        return Estimate(math.nan, math.nan, math.nan, math.nan, 0.0, 0.0)
+        return ShownForce(math.nan, math.nan, math.nan, math.nan, 0.0, 0.0)
     force, uncertainty = known[:, 0], float(known[:, 1].mean())
     mean, samples, step = newest_steady(force, uncertainty=uncertainty)
-    return Estimate(mean, uncertainty, float(force.min()), float(force.max()), samples * interval, step)
+    return ShownForce(mean, uncertainty, float(force.min()), float(force.max()), samples * interval, step)
 
 
 def _means(values: Array) -> Array:

@@ -13,7 +13,7 @@ from multiprocessing.reduction import send_handle
 from typing import TYPE_CHECKING, Any, Final
 
 from aerobalance.acquisition.session import start_on_one_thread
-from aerobalance.app.monitor.jobs import Outcome, Task
+from aerobalance.app.monitor.jobs import Task, TaskOutcome
 from aerobalance.app.monitor.messages import Answer, Learner, LearnerWanted, Trouble
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ class Jobs:
         Takes a word on a task that has begun or ended, in a thread of its own.
     """
 
-    def __init__(self, heard: Callable[[Task, Outcome | None], None]) -> None:
+    def __init__(self, heard: Callable[[Task, TaskOutcome | None], None]) -> None:
         self._heard = heard
         self._numbers = itertools.count(1)
         self._waiting: deque[Task] = deque()
@@ -169,14 +169,14 @@ class Jobs:
             self._heard(task, None)
             self._heard(task, self._do(task))
 
-    def _do(self, task: Task) -> Outcome:
+    def _do(self, task: Task) -> TaskOutcome:
         try:
             pipe = self._ready()
             pipe.send(task)
-            outcome: Outcome = pipe.recv()
+            outcome: TaskOutcome = pipe.recv()
         except (EOFError, OSError):
             self.process = None
-            return Outcome(task.number, False, "it was ended before it was done")
+            return TaskOutcome(task.number, False, "it was ended before it was done")
         return outcome
 
     def _ready(self) -> Pipe:
