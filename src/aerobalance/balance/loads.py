@@ -120,8 +120,8 @@ class Loads:
             if channel.coupling == "dc":
                 raise FitError(
                     f"{self.recording.name}: {channel.name} is dc-coupled and reads gravity, which "
-                    f"{argument('tare')} has taken off too; give the zero with {argument('zero')} and leave the weight "
-                    "to the dynamics"
+                    f"{argument('tare')} has taken off too; give the zero with {argument('zero')} and leave the "
+                    "weight to the dynamics"
                 )
         channels = {name: one for name, one in self.recording.channels.items() if name not in ("pitch", "roll")}
         return replace(self, recording=replace(self.recording, channels=channels))

@@ -289,7 +289,8 @@ def _weight_off(
     if form not in (None, "direct"):
         raise ValueError(
             f"{argument('form', form)} cannot go with a weighing as {argument('tare')}, whose weight is known in "
-            f"direct-read form; give wind-off recordings with {argument('tare')} instead, or leave {argument('form')} out"
+            f"direct-read form; give wind-off recordings with {argument('tare')} instead, or leave "
+            f"{argument('form')} out"
         )
     carried = None
     if zero is not None and zero.recordings and zero.model_on is not False:

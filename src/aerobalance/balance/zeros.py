@@ -115,7 +115,8 @@ class Zero:
         )
         if later and not before:
             raise ValueError(
-                f"{argument('Zero.after')} needs {argument('Zero.recordings')}: the drift is what changes between the two"
+                f"{argument('Zero.after')} needs {argument('Zero.recordings')}: the drift is what changes between "
+                "the two"
             )
         for name, value in (("recordings", before), ("model_on", model_on), ("after", later)):
             object.__setattr__(self, name, value)
