@@ -135,6 +135,11 @@ class BalanceFiles:
         """Read the files, and work out the balance loads of a run; arguments as `reduce_outputs` has them."""
         if model is not None and self.mass is not None:
             raise ValueError("the weight comes from the mass in the dynamics; --mass would take it off twice")
+        if form not in (None, "direct") and self.mass is not None:
+            raise ValueError(
+                f"--form {form} cannot go with --mass, whose weight is known in direct-read form; give wind-off "
+                "recordings with --tare instead, or leave --form out"
+            )
         tare = self.tares(channel_map)
         matrix, zero = self.matrix(), self.zeros(channel_map)
         return reduce_outputs(recording, matrix, zero=zero, model=model, tare=tare, gravity=gravity, form=form)
