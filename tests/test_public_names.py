@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -172,3 +173,13 @@ def test_importing_compiles_and_loads_nothing():
     )
     found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert found.stdout.split("\n")[:2] == ["[]", "[]"]
+
+
+def test_the_first_example_of_the_documentation_runs():
+    page = (Path(__file__).parents[1] / "docs" / "python.md").read_text(encoding="utf-8")
+    names: dict[str, object] = {}
+    exec(page.split("```python\n")[1].split("```")[0], names)
+    force, true = names["force"], names["true"]
+    off = (force["AF"].values - true)[200:-200]
+    # the rms of an error within twice its uncertainty, as is promised of a force
+    assert np.sqrt(np.mean(off**2)) < 2 * np.sqrt(np.mean(force["AF"].uncertainty[200:-200] ** 2))
