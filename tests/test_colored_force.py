@@ -146,4 +146,4 @@ def test_live_estimator_refuses_color(rng):
         record_of(noise_of(rng, one_over_f().density, n=2000)), T128, noise={"AF": one_over_f()}
     ).only
     with pytest.raises(ValueError, match="takes the noise of a reading as white"):
-        LiveForce(T128, interval=1 / RATE, learned=found.learned)
+        LiveForce(T128, rate=RATE, learned={"AF": found.learned})

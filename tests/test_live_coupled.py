@@ -6,19 +6,25 @@ import pytest
 from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
 from aerobalance.dynamics.decoupling import LoneComponent
 from aerobalance.estimation.decoupled_record import load_felt
-from aerobalance.estimation.live.coupled import JUDGED, LiveCoupledForce
-from aerobalance.estimation.live.decoupling import MARGIN, LiveApart
-from aerobalance.estimation.live.platform import LivePlatform, Mounted
+from aerobalance.estimation.live.decoupling import MARGIN, Decoupler
+from aerobalance.estimation.live.live_force import JUDGED, LiveForce, LiveSettings
+from aerobalance.estimation.live.platform import LiveChannel, LivePlatform
 from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import FitError
+from aerobalance.recording.gravity import gravity_components
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
-from aerobalance.simulation.six_components import GROUND_CHANNELS, SixComponentRig
+from aerobalance.simulation.six_components import GROUND_CHANNELS, RATE_CHANNELS, SixComponentRig
 from aerobalance.simulation.six_signals import Band, broadband, random_motion
 from helpers.butterworth import butterworth
 
 RATE = 10_000.0
+
+
+ALL = LiveSettings(samples_a_period=np.inf)
+"""Without decimation."""
 
 
 def felt(generator: np.random.Generator, balance: CoupledBalance, count: int, *, rms: float = 0.05) -> np.ndarray:
@@ -43,11 +49,9 @@ def chunks(generator: np.random.Generator, count: int, most: int) -> list[slice]
 
 
 def apart(generator: np.random.Generator, lones, readings, net=None, *, most: int = 400) -> np.ndarray:
-    live = LiveApart(lones, interval=1 / RATE)
-    parts = [
-        live.push(readings[part], None if net is None else net[part])
-        for part in chunks(generator, len(readings), most)
-    ]
+    live = Decoupler(lones, interval=1 / RATE, moves=net is not None)
+    net = np.zeros(readings.shape) if net is None else net
+    parts = [live.push(readings[part], net[part]) for part in chunks(generator, len(readings), most)]
     return np.concatenate([*parts, live.finish()])
 
 
@@ -141,7 +145,7 @@ def process(*, rms: float, cutoff: float, noise: float) -> SpectralPrior:
     return SpectralPrior(spectrum, butterworth(2, cutoff=cutoff, density=density), noise)
 
 
-def started(generator: np.random.Generator, **settings) -> tuple[CoupledBalance, LiveCoupledForce]:
+def started(generator: np.random.Generator, **settings) -> tuple[CoupledBalance, LiveForce]:
     """A balance and its live forces with processes that suit `felt`."""
     balance = random_balance(generator)
     learned = {
@@ -150,13 +154,14 @@ def started(generator: np.random.Generator, **settings) -> tuple[CoupledBalance,
     }
     covariance = np.diag(noise_of(balance) ** 2)
     dynamics = settings.pop("dynamics", balance.dynamics)
-    return balance, LiveCoupledForce(dynamics, interval=1 / RATE, learned=learned, noise=covariance, **settings)
+    return balance, LiveForce(dynamics, rate=RATE, learned=learned, noise=covariance, settings=ALL)
 
 
-def run(generator, live: LiveCoupledForce, readings: np.ndarray, *, most: int = 500, **channels) -> dict:
+def run(generator, live: LiveForce, readings: np.ndarray, *, most: int = 500, **channels) -> dict:
     """Force and uncertainty of every component, shape (samples, 2), from chunks of any size."""
+    columns = dict(zip(live.components, readings.T, strict=True)) | channels
     parts = [
-        live.push(readings[part], **{name: values[part] for name, values in channels.items()})
+        live.push({name: values[part] for name, values in columns.items()})
         for part in chunks(generator, len(readings), most)
     ]
     parts.append(live.finish())
@@ -176,12 +181,12 @@ def test_live_is_the_smoother_of_the_lone_reading(rng):
     readings = felt(rng, balance, 4000)
     found = run(rng, live, readings)
     for lone in lones_of(balance):
-        part = live._parts[lone.component]
+        part = dict(live._named_parts())[lone.component]
         reading = lone.reading(readings, interval=1 / RATE)
-        learned = part._learning.learned
+        learned = part.settings.learned
         for k in rng.integers(1500, 3900, 2):
-            seen = reading[: k + part.lag + 1]
-            system = Observation(reading[: part.lag // 2], 1 / RATE, lone.dynamics).system(learned)
+            seen = reading[: k + part.settings.lag + 1]
+            system = Observation(reading[: part.settings.lag // 2], 1 / RATE, lone.dynamics).system(learned)
             filter_ = KalmanFilter.of(system, np.isfinite(seen))
             (size,), ((variance,),), _ = generalised_least_squares(filter_, seen, np.ones((seen.size, 1)))
             states, spread = filter_.smooth((seen - size)[:, None])[:, 0], filter_.smoothed_variance
@@ -206,23 +211,21 @@ def test_chunks_do_not_matter(what, rng):
     time = np.arange(count)[:, None] / rate
     force = np.array([100.0, 5.0]) * sum(np.sin(2 * np.pi * (f * time + rng.random(2))) for f in (7, 19, 33, 51))
     readings = dynamics.load_felt(force, interval=1 / rate) + rng.normal(0, [0.2, 0.01], (count, 2))
-    channels, settings = {}, {}
+    channels, settings, noise = {}, LiveSettings(learn_inside=False, samples_a_period=np.inf), None
     if what == "learned":
-        settings["noise"] = np.diag([0.2, 0.01]) ** 2
+        noise = np.diag([0.2, 0.01]) ** 2
     if what == "learning":
-        settings |= {"learn_after": 0.3, "span": 0.3}
+        settings = LiveSettings(first_learning=0.3, last_learning=0.3, learned_from=750, samples_a_period=np.inf)
     if what == "gaps":
         readings[rng.integers(0, count, 4), rng.integers(0, 2, 4)] = np.nan
     if what == "ground":
-        channels = {
-            "ground_acceleration": rng.normal(0, 0.1, (count, 6)),
-            "turn_rate": rng.normal(0, 0.01, (count, 3)),
-            "pitch": np.linspace(0, 0.1, count),
-            "roll": np.linspace(0.1, 0, count),
-        }
+        # a tone beside the noise, so that the ground end is seen to move
+        shaken = rng.normal(0, 0.1, (9, count)) + np.sin(2 * np.pi * 31 * time[:, 0])
+        channels = dict(zip((*GROUND_CHANNELS, *RATE_CHANNELS), shaken, strict=True))
+        channels |= {"pitch": np.linspace(0, 0.1, count), "roll": np.linspace(0.1, 0, count)}
 
     def forces(most: int) -> tuple[dict, dict]:
-        live = LiveCoupledForce(dynamics, interval=1 / rate, **({"learn_after": None} | settings))
+        live = LiveForce(dynamics, rate=rate, noise=noise, settings=settings)
         return run(rng, live, readings, most=most, **channels), live.health
 
     once, health = forces(5000)
@@ -256,22 +259,17 @@ def test_errors_are_as_large_as_said(rng):
         name: process(rms=0.05 * size, cutoff=150.0, noise=float(noise))
         for name, size, noise in zip(COMPONENTS, balance.half_range, noise_of(balance), strict=True)
     }
-    live = LiveCoupledForce(
+    sensors = [LiveChannel(name, noise=one) for name, one in zip(GROUND_CHANNELS, noise, strict=True)]
+    live = LiveForce(
         balance.dynamics,
-        interval=1 / RATE,
+        rate=RATE,
+        channels=[*COMPONENTS, *sensors, *RATE_CHANNELS, "pitch", "roll"],
         learned=learned,
         noise=np.diag(noise_of(balance) ** 2),
-        ground_noise=np.diag(np.square(noise)),
+        settings=ALL,
     )
-    found = run(
-        rng,
-        live,
-        readings,
-        ground_acceleration=ground,
-        turn_rate=simulation.rate,
-        pitch=simulation.pitch,
-        roll=simulation.roll,
-    )
+    motion = dict(zip((*GROUND_CHANNELS, *RATE_CHANNELS), np.hstack([ground, simulation.rate]).T, strict=True))
+    found = run(rng, live, readings, pitch=simulation.pitch, roll=simulation.roll, **motion)
     ratios = []
     for place, name in enumerate(COMPONENTS):
         assert not live.steps[name]
@@ -306,9 +304,9 @@ def test_uncertain_elements_are_in_the_uncertainty(kind, rng):
     own = abs((true.inertia, true.damping)[kind][row, row]) * balance.half_range[row] / balance.half_range[column]
     changed, changes = changed_at(true, (kind, row, column), 1e-2 * own)
     doubtful = CoupledDynamics(COMPONENTS, true.inertia, true.damping, np.diag(changes.ravel() ** 2))
-    settings = {"interval": 1 / RATE, "learned": plain._learned, "noise": np.diag(noise_of(balance) ** 2)}
+    settings = {"rate": RATE, "settings": ALL, "learned": plain._learned, "noise": np.diag(noise_of(balance) ** 2)}
     found = [
-        run(rng, LiveCoupledForce(dynamics, **settings), readings)[COMPONENTS[row]][1500:3500]
+        run(rng, LiveForce(dynamics, **settings), readings)[COMPONENTS[row]][1500:3500]
         for dynamics in (true, changed, doubtful)
     ]
     change = found[1][:, 0] - found[0][:, 0]
@@ -320,13 +318,13 @@ def test_uncertain_elements_are_in_the_uncertainty(kind, rng):
 
 def test_noise_is_judged_from_the_first_readings(rng):
     balance = random_balance(rng)
-    live = LiveCoupledForce(balance.dynamics, interval=1 / RATE, learn_after=None)
+    live = LiveForce(balance.dynamics, rate=RATE, settings=LiveSettings(learn_inside=False, samples_a_period=np.inf))
     readings = felt(rng, balance, JUDGED + 2000)
     assert live.push(readings[: JUDGED - 1])["NF"].force.size == 0
-    assert live.latency == 0
+    assert live.lag == 0
     assert not live.health
     live.push(readings[JUDGED - 1 :])
-    assert live.latency > 0
+    assert live.lag > 0
     assert set(live.health) == set(COMPONENTS)
 
 
@@ -336,7 +334,12 @@ def test_sensors_of_the_ground_end_tell_its_motion(rng):
     axes = rng.normal(size=(7, 3))
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     sensors = [
-        Mounted(f"ground_acceleration_{number}", tuple(axis), tuple(place), number < 3)
+        LiveChannel(
+            f"ground_acceleration_{number}",
+            axis=tuple(axis),
+            place=tuple(place),
+            coupling="dc" if number < 3 else "kinematic",
+        )
         for number, (axis, place) in enumerate(zip(axes, places, strict=True))
     ]
     # by hand: the acceleration of a place is that of the centre and turn x place, and gravity is read as well
@@ -348,35 +351,30 @@ def test_sensors_of_the_ground_end_tell_its_motion(rng):
         (centre + np.cross(turn, place) - (down if sensor.specific else 0)) @ axis
         for sensor, place, axis in zip(sensors, places, axes, strict=True)
     ]
-    found = LivePlatform.of(sensors).acceleration(np.column_stack(read), pitch=pitch, roll=roll)
+    pull = gravity_components(pitch, roll, gravity=9.80665)
+    found = LivePlatform.of(sensors).specific_force(np.column_stack(read), pull=pull) + pull
     # rounding, times the condition of random places: a thousand and more once in a thousand draws
     assert found == pytest.approx(motion, abs=1e-7)
 
 
 def test_sensors_without_an_axis_are_left_out():
     platform = LivePlatform.of(
-        [Mounted("ground_acceleration_9"), Mounted("ground_turn_PM"), Mounted("ground_turn_rate_RM")]
+        [LiveChannel("ground_acceleration_9"), LiveChannel("ground_turn_PM"), LiveChannel("ground_turn_rate_RM")]
     )
-    found = platform.acceleration(np.array([[5.0, 2.0, 3.0]]))
+    found = platform.specific_force(np.array([[5.0, 2.0, 3.0]]), pull=None)
     assert found.tolist() == [[0, 2.0, 0, 0, 0, 0]]
     assert platform.turn_rate(np.array([[5.0, 2.0, 3.0]])).tolist() == [[0, 0, 3.0]]
 
 
 def test_wrong_calls():
     balance = random_balance(np.random.default_rng(0))
-    live = LiveCoupledForce(balance.dynamics, interval=1 / RATE)
+    live = LiveForce(balance.dynamics, rate=RATE)
     with pytest.raises(ValueError, match="a column for each of NF, PM"):
         live.push(np.zeros((10, 5)))
-    with pytest.raises(ValueError, match="equally many samples"):
-        live.push(np.zeros((10, 6)), pitch=np.zeros(9))
-    live.push(np.zeros((10, 6)))
-    with pytest.raises(ValueError, match="with every push or with none"):
-        live.push(np.zeros((10, 6)), pitch=np.zeros(10))
-    with pytest.raises(ValueError, match="no stream of NF yet"):
+    with pytest.raises(ValueError, match="there is no RM among"):
+        LiveForce(balance.dynamics, rate=RATE, channels=["NF", "PM", "SF", "YM", "AF"])
+    with pytest.raises(FitError, match="no readings of NF yet"):
         live.snapshot("NF")
-    live.finish()
-    with pytest.raises(ValueError, match="finished"):
-        live.push(np.zeros((10, 6)))
     bare = CoupledDynamics(COMPONENTS, balance.dynamics.inertia, balance.dynamics.damping)
-    with pytest.raises(ValueError, match="hold no mass"):
-        LiveCoupledForce(bare, interval=1 / RATE).push(np.zeros((10, 6)), ground_acceleration=np.zeros((10, 6)))
+    with pytest.raises(ValueError, match=r"hold no mass.*or leave out pitch"):
+        LiveForce(bare, rate=RATE, channels=[*COMPONENTS, "pitch"])

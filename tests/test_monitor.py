@@ -33,9 +33,9 @@ from aerobalance.app.monitor.server import STATIC, Page
 from aerobalance.app.monitor.session import Beginning
 from aerobalance.app.monitor.setups import rig_setup, setup_of_record
 from aerobalance.app.monitor.tasks import Tasks
-from aerobalance.app.monitor.view import Panel, View
+from aerobalance.app.monitor.view import Panel, View, _weights
 from aerobalance.app.monitor.viewer import UNSHOWN
-from aerobalance.estimation.live.live_force import LiveForce
+from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
 from aerobalance.io.dynamics_file import read_any_dynamics, write_dynamics
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import StoredChannel
@@ -60,7 +60,7 @@ def view_of(source, **more):
 def test_the_force_shown_is_the_live_force() -> None:
     source = source_of("cable_cut", seed=5, cut_at=1.0)
     view = view_of(source)
-    live = LiveForce(CABLE_CUT.dynamics, interval=1 / 1600, learn_after=None, span=7.5)
+    live = LiveForce(CABLE_CUT.dynamics, rate=1600, settings=LiveSettings(learn_inside=False))
     blocks = [source.read(1.0) for _ in range(100)]
     first, shown = None, []
     for block in blocks:
@@ -70,7 +70,7 @@ def test_the_force_shown_is_the_live_force() -> None:
             shown.append(bins.least)
     shown = np.concatenate(shown)
     samples = np.concatenate([block.samples for block in blocks])
-    expected = live.push(samples[:, 0], pitch=samples[:, 3])
+    expected = live.push({"AF": samples[:, 0], "pitch": samples[:, 3]})["AF"]
     assert view.lines["AF"].factor == view.width == 1
     assert first == expected.first == 0
     # one sample a bin, and what is final does not depend on the chunks
@@ -158,12 +158,11 @@ def test_a_set_up_may_name_coupled_dynamics(tmp_path) -> None:
     channels = [(name, QUANTITIES[name]) for name in ("pitch", *COMPONENTS)]
     panel = panel_of(setup, hello_of(*channels), tmp_path, {})
     assert panel.components == COMPONENTS
-    view = View(panel)
     # the weight that a zero must leave in: at 30 degrees half of it along the balance, and the rest across
     mass = rig_dynamics("six").mass.mass
     means = np.array([np.pi / 6, *np.zeros(6)])
-    assert view.lines["AF"].weight(means) == pytest.approx(mass * STANDARD_GRAVITY / 2)
-    assert view.lines["NF"].weight(means) == pytest.approx(-mass * STANDARD_GRAVITY * math.sqrt(3) / 2)
+    assert _weights(panel, means)["AF"] == pytest.approx(mass * STANDARD_GRAVITY / 2)
+    assert _weights(panel, means)["NF"] == pytest.approx(-mass * STANDARD_GRAVITY * math.sqrt(3) / 2)
 
 
 def test_releases_are_identified_together(tmp_path) -> None:
@@ -196,7 +195,7 @@ def test_a_gap_is_told_with_its_length_and_the_force_goes_on() -> None:
     # two blocks (40 ms) are bridged, as the force lags by 76 ms; after thirty it begins anew
     ends = [bins.first + len(bins.least) for bins in update.forces["AF"]]
     assert ends[-1] > 200 * 32 - 200
-    assert view.lines["AF"].health.missing == 0  # counted from the new beginning
+    assert view.lines["AF"].health["AF"].missing == 0  # counted from the new beginning
     raw = [(bins.first, bins.least) for bins in update.raw]
     assert np.isnan(raw[80][1][:64, 0]).all() and np.isfinite(raw[80][1][64:, 0]).all()
 
@@ -214,8 +213,8 @@ def test_what_was_departed_from_is_learned_anew() -> None:
         view.feed(source.read(1.0))
         snapshot = line.due()
         if snapshot is not None:
-            line.adopt(snapshot.learn(), generation=line.generation)
-        processes.append(line.health.process if line.health else "waiting")
+            line.adopt(snapshot.learn())
+        processes.append(line.health["AF"].process if line.health else "waiting")
     assert processes[590] == "learned"
     assert "fallback" in processes[700:1000]
     assert processes[-1] == "learned"

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.estimation.live.decoupling import Decoupler, decoupled
 from aerobalance.estimation.live.filter import false_alarm_evidence
 from aerobalance.estimation.live.health import wide_process
-from aerobalance.estimation.live.live_force import LiveForce
-from aerobalance.estimation.live.motion import LiveGround
+from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
+from aerobalance.estimation.live.platform import LiveChannel
 from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
@@ -60,7 +61,43 @@ def with_gaps(generator: np.random.Generator, readings: np.ndarray) -> np.ndarra
     return gappy
 
 
-def streamed(live: LiveForce, readings: np.ndarray, sizes=(), **channels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+class Axial:
+    """The live force of one component, without its name; `latency` in samples."""
+
+    def __init__(self, dynamics=T128, *, learned=None, limit=np.inf, channels=(), **settings) -> None:
+        self.dynamics = dynamics
+        self.live = LiveForce(
+            dynamics,
+            rate=RATE,
+            channels=[LiveChannel("AF", limit=limit), *channels],
+            learned=None if learned is None else {"AF": learned},
+            settings=LiveSettings(**settings),
+        )
+
+    def push(self, readings: np.ndarray, **channels: np.ndarray):
+        return self.live.push({"AF": readings, **channels})["AF"]
+
+    def finish(self):
+        return self.live.finish()["AF"]
+
+    @property
+    def lag(self) -> int:
+        return self.live._parts[0].settings.lag
+
+    @property
+    def latency(self) -> int:
+        return round(self.live.lag * RATE)
+
+    @property
+    def steps(self):
+        return self.live.steps["AF"]
+
+    @property
+    def health(self):
+        return self.live.health["AF"]
+
+
+def streamed(live: Axial, readings: np.ndarray, sizes=(), **channels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Force and uncertainty of a record that is pushed in chunks of these sizes, and the rest at once."""
     edges = np.minimum(np.cumsum([0, *sizes]), readings.size)
     parts, first = [], 0
@@ -72,11 +109,11 @@ def streamed(live: LiveForce, readings: np.ndarray, sizes=(), **channels: np.nda
         assert part.first == first
         first += part.force.size
     load = np.concatenate([part.load for part in parts])
-    assert np.array_equal(load, readings, equal_nan=True)
+    assert np.array_equal(load, np.where(np.abs(readings) < 1e5, readings, np.nan), equal_nan=True)
     return np.concatenate([p.force for p in parts]), np.concatenate([p.uncertainty for p in parts])
 
 
-def offline(live: LiveForce, learned: SpectralPrior, readings: np.ndarray, k: int) -> tuple[float, float]:
+def offline(live: Axial, learned: SpectralPrior, readings: np.ndarray, k: int) -> tuple[float, float]:
     """Force at sample k and its uncertainty by the whole-record smoother, from the readings up to k and the lag."""
     seen = readings[: k + live.lag + 1]
     # the swing that the start allows for is judged from the first half lag of readings
@@ -97,7 +134,7 @@ def test_live_is_the_smoother_up_to_its_lag(dynamics, missing, rng):
     readings, _ = drawn(rng, 1800, learned=learned, dynamics=dynamics)
     if missing:
         readings = with_gaps(rng, readings)
-    live = LiveForce(dynamics, interval=1 / RATE, learned=learned)
+    live = Axial(dynamics, learned=learned)
     force, uncertainty = streamed(live, readings, [100] * 5)
     assert not live.steps
     reach = np.nanmax(np.abs(readings))
@@ -114,7 +151,7 @@ def test_live_is_the_smoother_up_to_its_lag(dynamics, missing, rng):
 def test_settled_live_force_is_exact(rng):
     learned = second_order(cutoff=300.0)
     readings, _ = drawn(rng, 2400, learned=learned)
-    live = LiveForce(T128, interval=1 / RATE, learned=learned)
+    live = Axial(T128, learned=learned)
     force, _ = streamed(live, readings)
     reach = np.max(np.abs(readings))
     # frozen at a change of 1e-8 a sample: what that leaves out is it times a memory of tens of samples, of what the
@@ -127,16 +164,17 @@ def test_settled_live_force_is_exact(rng):
 def test_chunks_do_not_matter(what, rng):
     learned = None if what == "learning" else second_order()
     readings, _ = drawn(rng, 2600, learned=second_order(density=5.0))
-    channels = {}
+    channels, sensors = {}, []
     if what == "gaps":
         readings = with_gaps(rng, readings)
     if what == "step":
         readings += 900 * T128.step_response((np.arange(readings.size) - rng.uniform(900, 1500)) / RATE)
     if what == "ground":
         channels = {"ground_acceleration": rng.normal(0, 0.1, 2600), "pitch": np.linspace(0, 0.1, 2600)}
+        sensors = [LiveChannel("ground_acceleration", noise=1e-3), "pitch"]
 
     def run(sizes):
-        live = LiveForce(T128, interval=1 / RATE, learned=learned, learn_after=0.8, span=0.8)
+        live = Axial(T128, learned=learned, channels=sensors, first_learning=0.8, last_learning=0.8, learned_from=1280)
         return *streamed(live, readings, sizes, **channels), live.steps, live.health
 
     force, uncertainty, steps, health = run(())
@@ -161,17 +199,19 @@ def test_wide_process_is_that_of_its_spectrum(rng):
 
 
 def test_latency_is_five_periods():
-    live = LiveForce(T128, interval=1 / RATE, learned=second_order())
-    assert live.latency == round(5 * RATE / T128.natural_frequency)
+    live = Axial(T128, learned=second_order())
     first = live.push(np.zeros(1000))
+    assert live.latency == round(5 * RATE / T128.natural_frequency)
     assert first.force.size == 1000 - live.latency
     assert live.push(np.zeros(1)).force.size == 1
     assert live.finish().force.size == live.latency
 
 
 def test_latency_holds_with_the_ground():
-    live = LiveForce(T128, interval=1 / RATE, learned=second_order())
-    assert live.push(np.zeros(1000), ground_acceleration=np.zeros(1000)).force.size == 1000 - live.latency
+    live = Axial(T128, learned=second_order(), channels=["ground_acceleration"])
+    shaken = np.sin(np.arange(1000))
+    assert live.push(np.zeros(1000), ground_acceleration=shaken).force.size == 1000 - live.latency
+    assert live.latency == round(5 * RATE / T128.natural_frequency)
     assert live.lag < live.latency
 
 
@@ -180,7 +220,7 @@ def test_uncertainty_is_the_error(rng):
     ratios = []
     for _ in range(4):
         readings, truth = drawn(rng, 3000, learned=learned)
-        live = LiveForce(T128, interval=1 / RATE, learned=learned)
+        live = Axial(T128, learned=learned)
         force, uncertainty = streamed(live, readings)
         ratios.append(np.mean(((force - truth) / uncertainty) ** 2))
         assert live.health.explained
@@ -199,8 +239,10 @@ def test_ground_load_is_that_of_the_whole_record(delay, rng):
     dynamics = Dynamics("AF", 177.87, 3.093e7, 828.21, delay=delay, further_modes=TWO_MODES.further_modes)
     motion = GroundMotion(acceleration, 0.0, acceleration, 0.0, 0.0, ())
     expected = load_from_ground(motion, dynamics, rate=RATE)
-    ground = LiveGround(dynamics, interval=1 / RATE)
-    load = np.concatenate([*(ground.push(part) for part in np.array_split(acceleration, 60)), ground.finish()])
+    channels = decoupled(dynamics, noise=np.eye(1))
+    ground = Decoupler(channels, interval=1 / RATE, moves=True, delay=delay)
+    nets = np.array_split(-dynamics.mass * acceleration[:, None], 60)
+    load = -np.concatenate([*(ground.push(np.zeros_like(net), net) for net in nets), ground.finish()])[:, 0]
     assert load.size == n
     # the same sums in another order, kept for as long as the balance rings
     assert np.max(np.abs(load - expected)) < 2e-11 * np.max(np.abs(expected))
@@ -213,7 +255,7 @@ def test_ground_motion_is_taken_out(rng):
     acceleration, pitch = 2 * np.sin(2 * np.pi * 31 * time), 0.05 * np.sin(2 * np.pi * 0.3 * time)
     specific = acceleration - 9.80665 * np.sin(pitch)
     readings = readings + load_from_ground(GroundMotion(specific, 0.0, specific, 0.0, 0.0, ()), T128, rate=RATE)
-    live = LiveForce(T128, interval=1 / RATE, learned=learned)
+    live = Axial(T128, learned=learned, channels=["ground_acceleration", "pitch"])
     force, uncertainty = streamed(live, readings, [77] * 40, ground_acceleration=acceleration, pitch=pitch)
     inner = slice(3000, -20)  # the start of the motion rings as exp(-2.3 t)
     z = ((force - truth) / uncertainty)[inner]
@@ -226,7 +268,7 @@ def test_cable_cut_live(noise, duration, rng):
         release=2.2 + rng.uniform(0, 1) / RATE, release_duration=duration, sensors={"AF": Sensor(noise=noise)}
     )
     run = rig.run(3.5, rng)
-    live = LiveForce(T128, interval=1 / RATE, learn_after=1.5, span=1.5)
+    live = Axial(T128, first_learning=1.5, last_learning=1.5, learned_from=2400)
     force, uncertainty = streamed(live, run.recording.channel("AF").values, [50] * 100)
     (step,) = live.steps
     # bounds of the offline tests: instants to 0.1 sample, durations to 20 us (100 for 10 N), 5 standard uncertainties
@@ -243,7 +285,7 @@ def test_cable_cut_live(noise, duration, rng):
 
 
 def test_quiet_readings_bring_no_step(rng):
-    live = LiveForce(T128, interval=1 / RATE, learn_after=1.5)
+    live = Axial(T128, first_learning=1.5)
     force, _ = streamed(live, 500 + rng.normal(0, NOISE, 8000))
     assert not live.steps
     assert live.health.process == "learned"
@@ -254,7 +296,7 @@ def test_quiet_readings_bring_no_step(rng):
 
 def test_force_within_a_second_of_the_first_reading(rng):
     readings, truth = drawn(rng, 1600, learned=second_order(cutoff=40.0, density=200.0))
-    live = LiveForce(T128, interval=1 / RATE)
+    live = Axial(T128)
     estimate = live.push(readings)
     assert live.health.process == "start-up"
     assert live.health.learning_due
@@ -271,11 +313,7 @@ def test_a_load_that_sets_in_after_quiet_is_followed(rng):
     time = np.arange(4800) / RATE
     rise = np.clip((time - 1.5) / 0.1, 0, 1)
     readings = T128.load_felt(truth * rise, interval=1 / RATE) + rng.normal(0, NOISE, 4800)
-    live = LiveForce(
-        T128,
-        interval=1 / RATE,
-        learned=SpectralPrior(Spectrum(np.zeros(0), np.zeros(0)), ShapingFilter.silent(), NOISE),
-    )
+    live = Axial(T128, learned=SpectralPrior(Spectrum(np.zeros(0), np.zeros(0)), ShapingFilter.silent(), NOISE))
     force, _ = streamed(live, readings)
     # what was given at first is given up: a wide band, or learned again since
     assert live.health.process == "fallback" or live.health.learned_from is not None
@@ -286,28 +324,28 @@ def test_a_load_that_sets_in_after_quiet_is_followed(rng):
 def test_learning_elsewhere_is_adopted(rng):
     process = second_order(density=50.0)
     readings, truth = drawn(rng, 8000, learned=process)
-    live = LiveForce(T128, interval=1 / RATE, learn_after=None)
+    live = Axial(T128, learn_inside=False)
     parts = [live.push(readings[:4000])]
     assert live.health.learning_due
-    snapshot = live.snapshot()
+    snapshot = live.live.due()
     parts.append(live.push(readings[4000:4100]))  # goes on while it is being learned
-    live.adopt(snapshot.learn())
+    live.live.adopt(snapshot.learn())
     parts += [live.push(readings[4100:]), live.finish()]
     assert live.health.process == "learned"
     assert live.health.learned_from == (0, 4000)
     force = np.concatenate([part.force for part in parts])
     assert force.size == 8000
-    best, _ = streamed(LiveForce(T128, interval=1 / RATE, learned=process), readings)
+    best, _ = streamed(Axial(T128, learned=process), readings)
     # a process learned from 4000 samples costs some percent over the true one; 1.25 is far from the start-up's 2
     late = slice(4200, 7900)
     assert np.std((force - truth)[late]) < 1.25 * np.std((best - truth)[late])
 
 
 def test_nothing_to_learn_from():
-    live = LiveForce(T128, interval=1 / RATE)
+    live = Axial(T128)
     live.push(np.zeros(10))
     with pytest.raises(FitError, match="readings so far"):
-        live.snapshot()
+        live.live.snapshot()
 
 
 def test_saturated_readings_are_missing(rng):
@@ -318,8 +356,8 @@ def test_saturated_readings_are_missing(rng):
     clipped[900] = np.nan
     gaps = clipped.copy()
     gaps[700:703] = np.nan
-    saturated = LiveForce(T128, interval=1 / RATE, learned=learned, limit=1e5)
-    missing = LiveForce(T128, interval=1 / RATE, learned=learned)
+    saturated = Axial(T128, learned=learned, limit=1e5)
+    missing = Axial(T128, learned=learned)
     assert np.array_equal(streamed(saturated, clipped)[0], streamed(missing, gaps)[0])
     assert (saturated.health.saturated, saturated.health.missing) == (3, 1)
 
@@ -327,11 +365,11 @@ def test_saturated_readings_are_missing(rng):
 def test_drifted_stiffness_shows(rng):
     learned = second_order()
     readings, _ = drawn(rng, 100_000, learned=learned)
-    true = LiveForce(T128, interval=1 / RATE, learned=learned)
+    true = Axial(T128, learned=learned)
     true.push(readings)
     assert not true.health.drifted
     stiffer = Dynamics("AF", T128.mass, 1.05 * T128.stiffness, T128.damping)
-    live = LiveForce(stiffer, interval=1 / RATE, learned=learned)
+    live = Axial(stiffer, learned=learned)
     live.push(readings)
     # at the natural frequency of the model the reading has (zeta / 0.025)^2 = 5 % of the power that is expected
     assert live.health.drifted
@@ -340,7 +378,7 @@ def test_drifted_stiffness_shows(rng):
 
 def test_more_noise_shows(rng):
     readings = rng.normal(0, NOISE, 4000)
-    live = LiveForce(T128, interval=1 / RATE, learned=silent())
+    live = Axial(T128, learned=silent())
     live.push(readings)
     # over the last stretch of 256: relative scatter 1 / sqrt(512) = 4.4 %; 5 of these
     assert live.health.noise_now == pytest.approx(NOISE, rel=0.22)
@@ -357,7 +395,7 @@ def test_evidence_for_a_step_is_that_of_one_false_alarm_a_day():
 
 @pytest.mark.parametrize(
     ("settings", "message"),
-    [({"interval": 0.0}, "interval must be positive"), ({"interval": 1 / RATE, "lag": 0.001}, "at least 32")],
+    [({"rate": 0.0}, "rate must be positive"), ({"rate": RATE, "settings": LiveSettings(lag=0.001)}, "at least 32")],
 )
 def test_wrong_settings_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
@@ -365,22 +403,24 @@ def test_wrong_settings_are_refused(settings, message):
 
 
 def test_wrong_calls_are_refused():
-    live = LiveForce(T128, interval=1 / RATE)
+    live = LiveForce(T128, rate=RATE)
+    live.push({"AF": np.zeros(4), "pitch": np.zeros(4)})
     with pytest.raises(ValueError, match="equally many"):
-        live.push(np.zeros(4), pitch=np.zeros(3))
-    live.push(np.zeros(4), pitch=np.zeros(4))
-    with pytest.raises(ValueError, match="every push or with none"):
+        live.push({"AF": np.zeros(4), "pitch": np.zeros(3)})
+    with pytest.raises(ValueError, match="lacks pitch; every block"):
+        live.push({"AF": np.zeros(4)})
+    with pytest.raises(ValueError, match=r"a column for each of AF, pitch: shape \(m, 2\), not \(4,\)"):
         live.push(np.zeros(4))
-    with pytest.raises(ValueError, match="too few readings"):
-        live.adopt(None)
     live.finish()
     with pytest.raises(ValueError, match="finished"):
-        live.push(np.zeros(4), pitch=np.zeros(4))
+        live.push({"AF": np.zeros(4), "pitch": np.zeros(4)})
+    with pytest.raises(ValueError, match="there is no AF among load"):
+        LiveForce(T128, rate=RATE, channels=["load"])
 
 
 def test_a_step_is_named_in_the_time_of_the_stream(rng):
     readings = rng.normal(0, NOISE, 3000) + 500 * T128.step_response(np.arange(3000) / RATE - 1.00017)
-    live = LiveForce(T128, interval=1 / RATE, learned=silent())
+    live = Axial(T128, learned=silent())
     streamed(live, readings, [64] * 40)
     (step,) = live.steps
     assert isinstance(step, Step)

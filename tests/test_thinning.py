@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 from aerobalance.app.monitor.running_spectrum import LENGTH, RunningSpectrum
-from aerobalance.estimation.live.decimation import ROLL_OFF, SPAN, Thinner, root_raised_cosine
+from aerobalance.estimation.live.decimation import ROLL_OFF, SPAN, Decimator, root_raised_cosine
 
 
 def test_does_not_depend_on_the_cut(rng) -> None:
     samples = rng.standard_normal((4000, 3))
-    whole = Thinner(3, 7).push(samples)
-    thinner = Thinner(3, 7)
+    whole = Decimator(3, 7).push(samples)
+    thinner = Decimator(3, 7)
     parts = [thinner.push(part) for part in np.split(samples, np.sort(rng.integers(0, 4000, 150)))]
     # the sums of a window are the same products; their order may differ: 113 terms of some units
     np.testing.assert_allclose(np.concatenate(parts), whole, atol=1e-13)
 
 
 def test_a_slow_sine_passes_at_its_own_time() -> None:
-    thinner = Thinner(1, 9)
+    thinner = Decimator(1, 9)
     t = np.arange(3000)
     found = thinner.push(np.sin(0.05 * t)[:, None])[:, 0]
     due = np.sin(0.05 * (thinner.first + 9 * np.arange(found.size)))
@@ -40,9 +40,9 @@ def test_gain_and_folded_noise(factor) -> None:
 
 def test_a_factor_of_one_changes_nothing() -> None:
     samples = np.arange(6.0).reshape(3, 2)
-    assert Thinner(2, 1).push(samples) is samples
+    assert Decimator(2, 1).push(samples) is samples
     with pytest.raises(ValueError, match="at least 1"):
-        Thinner(1, 0)
+        Decimator(1, 0)
 
 
 def test_spectrum_gives_the_amplitude_of_a_sine() -> None:

@@ -9,18 +9,20 @@ import time
 
 import numpy as np
 import pytest
+from test_estimator import RIG, RUNS, SHARP, SOFT, T128, WIDE, drawn, inner, rms_of, smooth_run, wiener_bound
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.decoupled_record import load_felt
-from aerobalance.estimation.live.coupled import LiveCoupledForce
-from aerobalance.estimation.live.live_force import LiveForce
+from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
 from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
 from aerobalance.simulation import CableCut, Sensor
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_signals import Band, broadband
-from helpers.accuracy import RIG, RUNS, SHARP, SOFT, T128, WIDE, drawn, inner, rms_of, smooth_run, wiener_bound
+
+ALL = LiveSettings(samples_a_period=np.inf)
+"""Without decimation."""
 
 LEARNING = {1600.0: 20.0, 25_000.0: 4.0}
 """Seconds that the process is learned from, by sampling rate."""
@@ -35,7 +37,7 @@ def learned_first(readings: Array, dynamics: Dynamics, *, rate: float) -> tuple[
 
 def pushed(live: LiveForce, readings: Array, *, chunk: int = 53) -> tuple[Array, Array]:
     """Force and uncertainty; the last lag of samples, which has less than its lag of readings, is left out."""
-    parts = [live.push(readings[k : k + chunk]) for k in range(0, readings.size, chunk)]
+    parts = [live.push(readings[k : k + chunk])["AF"] for k in range(0, readings.size, chunk)]
     return np.concatenate([p.force for p in parts]), np.concatenate([p.uncertainty for p in parts])
 
 
@@ -49,10 +51,10 @@ def test_live_at_the_bound(name: str, noise: float, record, rng) -> None:
     for _ in range(4 * RUNS if (name, noise) == ("0-120 Hz", 0.5) else RUNS):
         run, force = smooth_run(rng, shape, seconds=10.0 + LEARNING[1600.0], **setup)
         process, readings, begin = learned_first(run.channel("AF").values, T128, rate=1600.0)
-        live = LiveForce(T128, interval=1 / 1600, learned=process)
-        assert abs(live.latency / 1600 * T128.natural_frequency - 5) < 0.5 / 1600 * T128.natural_frequency
+        live = LiveForce(T128, rate=1600, learned={"AF": process})
         values, _ = pushed(live, readings)
-        assert not live.steps
+        assert abs(live.lag * T128.natural_frequency - 5) < 0.5 / 1600 * T128.natural_frequency
+        assert not live.steps["AF"]
         errors.append(inner(values - force[begin : begin + values.size]))
     ratio = wiener_bound(shape, **setup) / rms_of(errors)
     record(f"bound over live error, T-128, {name}, noise {noise:g} N", ratio, round(1 / 1.15, 4))
@@ -66,7 +68,7 @@ def test_live_rig_at_the_bound(noise: float, record, rng) -> None:
     for _ in range(RUNS // 2):
         run, force = smooth_run(rng, WIDE["0-900 Hz"], seconds=2.0 + LEARNING[25_000.0], **setup)
         process, readings, begin = learned_first(run.channel("AF").values, RIG, rate=25_000.0)
-        values, _ = pushed(LiveForce(RIG, interval=1 / 25_000, learned=process), readings, chunk=833)
+        values, _ = pushed(LiveForce(RIG, rate=25_000, learned={"AF": process}, settings=ALL), readings, chunk=833)
         errors.append(inner(values - force[begin : begin + values.size]))
     ratio = wiener_bound(WIDE["0-900 Hz"], **setup) / rms_of(errors)
     record(f"bound over live error, rig at 25 kHz, 0-900 Hz, noise {noise:g} N", ratio, round(1 / 1.15, 4))
@@ -85,7 +87,7 @@ def test_live_intervals_cover(kind: str, record, rng) -> None:
                 )
                 dynamics = drawn(rng, noise=noise)
                 process, readings, begin = learned_first(run.channel("AF").values, dynamics, rate=1600.0)
-                values, uncertainty = pushed(LiveForce(dynamics, interval=1 / 1600, learned=process), readings)
+                values, uncertainty = pushed(LiveForce(dynamics, rate=1600, learned={"AF": process}), readings)
                 error = values - force[begin : begin + values.size]
                 covered.append(np.mean(np.abs(inner(error)) < 1.96 * inner(uncertainty)))
     average = float(np.mean(covered))
@@ -100,9 +102,9 @@ def test_live_plateaus_of_a_cable_cut(noise: float, allowed: float, record, rng)
     for _ in range(RUNS):
         rig = CableCut(release=3 + rng.uniform(0, 1) / 1600, sensors={"AF": Sensor(noise=noise)})
         run = rig.run(6.0, rng)
-        live = LiveForce(T128, interval=1 / 1600)  # learns by itself after 2 s
+        live = LiveForce(T128, rate=1600)  # learns by itself after 2 s
         values, _ = pushed(live, run.recording.channel("AF").values)
-        (step,) = live.steps
+        (step,) = live.steps["AF"]
         time_ = run.recording.time[: values.size]
         plateau = (time_ > 2.5) & (np.abs(time_ - run.release) > 0.001)
         errors.append((values - run.applied[: values.size])[plateau])
@@ -123,9 +125,9 @@ def test_live_step_under_a_broadband_load(noise: float, record, rng) -> None:
         instant = LEARNING[1600.0] + 2 + rng.uniform(0, 1) / 1600
         load = run.channel("AF").values + 1020 * T128.step_response(run.time - instant)
         process, readings, begin = learned_first(load, T128, rate=1600.0)
-        live = LiveForce(T128, interval=1 / 1600, learned=process)
+        live = LiveForce(T128, rate=1600, learned={"AF": process})
         values, _ = pushed(live, readings)
-        (step,) = live.steps
+        (step,) = live.steps["AF"]
         assert isinstance(step, Step)
         here = slice(begin, begin + values.size)
         error = values - force[here] - 1020 * (run.time[here] >= instant)
@@ -143,9 +145,9 @@ def test_no_false_step_live(record, rng) -> None:
         for _ in range(4):
             run, _ = smooth_run(rng, shape, dynamics=T128, rate=1600.0, rms=500.0, noise=2.0, seconds=60.0)
             process, readings, _ = learned_first(run.channel("AF").values, T128, rate=1600.0)
-            live = LiveForce(T128, interval=1 / 1600, learned=process)
+            live = LiveForce(T128, rate=1600, learned={"AF": process})
             pushed(live, readings)
-            found += len(live.steps)
+            found += len(live.steps["AF"])
     record("2 over 1 and the false steps in 16 minutes of smooth loads", 2 / (found + 1), 1.0)
     assert found <= 1
 
@@ -153,8 +155,9 @@ def test_no_false_step_live(record, rng) -> None:
 def test_six_components_at_25_khz_on_one_core(record, rng) -> None:
     run, _ = smooth_run(rng, WIDE["0-900 Hz"], dynamics=RIG, rate=25_000.0, rms=100.0, noise=0.05, seconds=8.0)
     process, readings, _ = learned_first(run.channel("AF").values, RIG, rate=25_000.0)
-    pushed(LiveForce(RIG, interval=1 / 25_000, learned=process), readings[:5000], chunk=833)  # compiles the kernels
-    live = LiveForce(RIG, interval=1 / 25_000, learned=process)
+    live = LiveForce(RIG, rate=25_000, learned={"AF": process}, settings=ALL)
+    pushed(live, readings[:5000], chunk=833)  # compiles the kernels
+    live = LiveForce(RIG, rate=25_000, learned={"AF": process}, settings=ALL)
     spent = []
     for part in np.array_split(readings, 120):  # pushes of 33 ms
         begin = time.process_time()
@@ -178,12 +181,13 @@ def test_six_coupled_components_on_one_core(rate: float, record, rng) -> None:
     time_ = np.arange(round(8 * rate)) / rate
     exact = load_felt(balance.dynamics, force(time_), interval=1 / rate)
     readings = exact + deviation * rng.standard_normal(exact.shape)
-    live = LiveCoupledForce(balance.dynamics, interval=1 / rate, learn_after=None, span=12_000 / rate)
+    settings = LiveSettings(learn_inside=False, samples_a_period=np.inf)
+    live = LiveForce(balance.dynamics, rate=rate, settings=settings)
     spent = []
     for number, part in enumerate(np.array_split(readings, 240)):  # pushes of 33 ms
         if number == 60:
             for name in live.components:
-                live.adopt(name, live.snapshot(name).learn())
+                live.adopt(live.snapshot(name).fit_prior())
         begin = time.process_time()
         live.push(part)
         spent.append(time.process_time() - begin)

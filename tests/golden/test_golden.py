@@ -20,8 +20,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 import laboratory
 
 from aerobalance.app.cli import main
-from aerobalance.estimation.live.coupled import LiveCoupledForce
-from aerobalance.estimation.live.live_force import LiveForce
+from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
+from aerobalance.estimation.live.platform import LiveChannel
 from aerobalance.io import read
 from aerobalance.io.dynamics_file import read_coupled, read_dynamics
 
@@ -131,14 +131,14 @@ def live_axial() -> dict:
     """The live force of a shaken ground end, in chunks, learned on the way."""
     record = read("shaken.csv")
     live = LiveForce(
-        read_dynamics("axial.json")["AF"], interval=1 / laboratory.RATE, learn_after=1.0, ground_noise=2e-3
+        read_dynamics("axial.json")["AF"],
+        rate=laboratory.RATE,
+        channels=["AF", LiveChannel("ground_acceleration", noise=2e-3), "pitch"],
+        settings=LiveSettings(first_learning=1.0),
     )
-    columns = [record.channel(name).values for name in ("AF", "ground_acceleration", "pitch")]
-    parts = [
-        live.push(load, ground_acceleration=acceleration, pitch=pitch)
-        for load, acceleration, pitch in zip(*(np.array_split(column, 37) for column in columns), strict=True)
-    ]
-    parts.append(live.finish())
+    names = ("AF", "ground_acceleration", "pitch")
+    columns = np.column_stack([record.channel(name).values for name in names])
+    parts = [*(live.push(block)["AF"] for block in np.array_split(columns, 37)), live.finish()["AF"]]
     return {
         "numbers": {},
         "warnings": 0,
@@ -152,7 +152,7 @@ def live_axial() -> dict:
 def live_six() -> dict:
     """The live forces of six coupled components, in chunks."""
     record = read("six.csv")
-    live = LiveCoupledForce(read_coupled("six.json"), interval=1 / 2000.0, learn_after=0.4)
+    live = LiveForce(read_coupled("six.json"), rate=2000.0, settings=LiveSettings(first_learning=0.4))
     loads = np.column_stack([record.channel(name).values for name in laboratory.NAMES])
     parts = [live.push(chunk) for chunk in np.array_split(loads, 23)]
     parts.append(live.finish())

@@ -4,6 +4,7 @@
 
     name = "wing A, run 12"
     notes = "after the new fairing"
+    gravity = 9.8155            # where the tunnel stands [m/s^2]; 9.80665 where it is not given
 
     [files]                     # all optional; beside the set-up, or with a path
     balance = "balance.json"
@@ -60,7 +61,7 @@ from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.messages import first_fault
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.toml_file import read_toml, toml_in
-from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, ReadError
 from aerobalance.recording.units import conversion_for
 
@@ -127,6 +128,7 @@ class Setup(SetupTable):
 
     name: Annotated[str, Field(max_length=200)] = ""
     notes: Text = ""
+    gravity: Annotated[float, Field(ge=9.7, le=9.9)] = STANDARD_GRAVITY
     files: Files = Files()
     source: SerializeAsAny[SourceSettings] = Simulated()
     record: Record = Record()

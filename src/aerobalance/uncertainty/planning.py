@@ -13,8 +13,7 @@ import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.live.coupled import SLOWEST
-from aerobalance.estimation.live.live_force import LAG_PERIODS
+from aerobalance.estimation.live.live_force import LAG_PERIODS, SLOWEST
 from aerobalance.recording.components import si_unit
 from aerobalance.uncertainty.wiener_bound import (
     ACCELERATION,

@@ -34,7 +34,7 @@ from aerobalance.app.monitor.messages import (
 from aerobalance.app.monitor.orphan import end_with_starter
 from aerobalance.app.monitor.panels import panel_of
 from aerobalance.app.monitor.view import View
-from aerobalance.estimation.live.live_force import LiveForce
+from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
 from aerobalance.recording.errors import FitError, ReadError
 from aerobalance.simulation.published import CABLE_CUT
 
@@ -62,7 +62,7 @@ class _Engine:
         self._feed: Feed | None = None
         self._view: View | None = None
         self._number = 0
-        self._asked: tuple[int, str, int] | None = None
+        self._asked: tuple[int, str] | None = None
         self._turn = 0.0
 
     def run(self) -> None:
@@ -179,10 +179,10 @@ class _Engine:
         """Have something learned, one thing at a time."""
         if self._asked is not None or self._view is None or self._learner is None:
             return
-        for name, line in self._view.lines.items():
-            snapshot = line.due()
+        for name, live in self._view.lines.items():
+            snapshot = live.due()
             if snapshot is not None:
-                self._asked = (self._number, name, line.generation)
+                self._asked = (self._number, name)
                 try:
                     self._learner.send((self._asked, snapshot))
                 except OSError:
@@ -191,14 +191,14 @@ class _Engine:
 
     def _adopt(self, learner: Pipe) -> None:
         try:
-            (number, name, generation), learning = learner.recv()
+            (number, name), learning = learner.recv()
         except (EOFError, OSError):
             self._leave_learner()
             return
         self._asked = None
         if learning is not None and number == self._number and self._view is not None:
             with contextlib.suppress(ValueError):
-                self._view.lines[name].adopt(learning, generation=generation)
+                self._view.lines[name].adopt(learning)
 
 
 def joined(blocks: Sequence[Block]) -> list[Block]:
@@ -219,10 +219,9 @@ def joined(blocks: Sequence[Block]) -> list[Block]:
 
 def warm_up() -> None:
     """Load the compiled loops before there is something to follow; the first time, they are compiled."""
-    dynamics = CABLE_CUT.dynamics
-    live = LiveForce(dynamics, interval=1 / CABLE_CUT.rate.value, learn_after=None)
-    readings = np.random.default_rng(0).standard_normal(600)
-    live.push(readings, ground_acceleration=np.zeros(600), pitch=np.zeros(600))
+    live = LiveForce(CABLE_CUT.dynamics, rate=CABLE_CUT.rate.value, settings=LiveSettings(learn_inside=False))
+    noise = np.random.default_rng(0).standard_normal(600)
+    live.push({"AF": noise, "ground_acceleration": noise, "pitch": np.zeros(600)})
 
 
 def run_engine(control: Pipe) -> None:

@@ -53,6 +53,7 @@ def panel_of(setup: Setup, info: SourceInfo, folder: Path, zeros: Mapping[str, f
         zeros=dict(zeros),
         balance=balance,
         envelope=ranges.envelope,
+        gravity=setup.gravity,
         circuit=contact_circuit(setup, channel_columns(channels), units, info.rate),
     )
     if isinstance(dynamics, CoupledDynamics) and not panel.components:

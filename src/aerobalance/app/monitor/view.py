@@ -15,8 +15,6 @@ from aerobalance.acquisition.fouling import ContactFinder
 from aerobalance.acquisition.guards import ContactCircuit, felt, load_columns, loads_of
 from aerobalance.acquisition.intake import contact_text
 from aerobalance.acquisition.source import Block
-from aerobalance.app.monitor.coupled_line import CoupledStream
-from aerobalance.app.monitor.force_line import Columns, ForceLine, Line, Stream
 from aerobalance.app.monitor.messages import LINES, ShownForce, ShownReading, Update
 from aerobalance.app.monitor.minmax_strips import Extremes
 from aerobalance.app.monitor.running_spectrum import RunningSpectrum
@@ -26,10 +24,13 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.reduction import gauge_zero_of_readings
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.live.health import LiveEstimate
+from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
+from aerobalance.estimation.live.platform import LiveChannel
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.text_cells import LARGEST
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import COMPONENTS, acceleration_name, is_gauge, si_unit
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge, si_unit
 from aerobalance.recording.units import Conversion, conversion_for
 
 FINEST: Final = 1e-3
@@ -71,6 +72,8 @@ class Panel:
         The loads that may act together; None where none is set up.
     circuit
         The contact circuit between model and support; None where there is none.
+    gravity
+        Local acceleration of gravity [m/s^2].
     """
 
     channels: tuple[StoredChannel, ...]
@@ -83,6 +86,7 @@ class Panel:
     balance: BalanceMatrix | None = None
     envelope: LoadEnvelope | None = None
     circuit: ContactCircuit | None = None
+    gravity: float = STANDARD_GRAVITY
 
     @property
     def width(self) -> int:
@@ -153,7 +157,8 @@ class View:
         circuit = panel.circuit
         self._contact = circuit and ContactFinder(circuit.level, hold=circuit.hold, closed_above=circuit.closed_above)
         self._continuity = Continuity(panel.rate, clocked=panel.clocked)
-        self._streams, self.lines = _followed(panel)
+        self._streams = _followed(panel)
+        self.lines = {name: live for live, _ in self._streams for name in live.components}
         width = max([panel.width, *(line.factor for line in self.lines.values())])
         self.width = width
         self._raw = Extremes(len(names), width)
@@ -180,8 +185,8 @@ class View:
             given = {f"r{gauge}": float(value) for gauge, value in natural} | given
         self._offsets[:] = [given.get(name, 0.0) for name in self.panel.names]
         self._means = []
-        for stream in self._streams:
-            stream.restart()
+        for live, _ in self._streams:
+            live.restart()
 
     def zeros(self) -> dict[str, float]:
         """Return the zeros that make the loads of the last second read the weight alone.
@@ -194,7 +199,7 @@ class View:
         if not self._means:
             raise ValueError("there are no readings yet to take the zero from")
         means = np.mean(self.means, axis=0)
-        weights = {name: line.weight(means) for name, line in self.lines.items()}
+        weights = _weights(self.panel, means)
         found = {}
         for place, name in enumerate(self.panel.names):
             if name not in self.panel.loads and (name in COMPONENTS or is_gauge(name)) and np.isfinite(means[place]):
@@ -243,13 +248,18 @@ class View:
         self._tell_large(tick)
         update.tick, update.received = watched.block.end, block.received
         update.raw.append(self._raw.push(tick, values))
-        for name, piece in [found for stream in self._streams for found in stream.push(tick, values).items()]:
+        for name, piece in self._final(tick, values):
             pair = np.column_stack((piece.force, piece.uncertainty))
-            update.forces.setdefault(name, []).append(self._force[name].push(piece.tick, pair))
+            update.forces.setdefault(name, []).append(self._force[name].push(piece.first, pair))
             self._estimates[name].append(pair)
             self._spectra[name].push(np.column_stack((piece.load, piece.force)))
         self._watch_contact(tick, values)
         self._count(values, block.received)
+
+    def _final(self, tick: int, values: Array) -> list[tuple[str, LiveEstimate]]:
+        """Samples of the forces that have become final by readings of all channels, SI."""
+        found = [live.push(values[:, columns], first=tick) for live, columns in self._streams]
+        return [(name, piece) for forces in found for name, piece in forces.items() if piece.force.size]
 
     def take(self) -> Update:
         """Return what is new since the last call."""
@@ -317,7 +327,7 @@ class View:
             parts, self._estimates[name] = self._estimates[name], []
             if parts:
                 self.update.estimates[name] = _estimate(np.concatenate(parts), line.interval)
-            self.update.health[name] = _health(line)
+            self.update.health[name] = _health(line, name)
         self._since_spectra += 1
         if self._since_spectra * NUMBERS >= SPECTRA:
             self._since_spectra = 0
@@ -375,33 +385,48 @@ def _conversion(channel: StoredChannel) -> Conversion:
     return conversion_for(channel.name, channel.unit)
 
 
-def _followed(panel: Panel) -> tuple[list[Stream], dict[str, Line]]:
-    """The streams of the forces, and the forces' lines by component."""
+def _followed(panel: Panel) -> list[tuple[LiveForce, list[int]]]:
+    """The live forces, and the columns that each takes."""
     dynamics = panel.dynamics
     if isinstance(dynamics, CoupledDynamics):
-        if not panel.components:
-            return [], {}
-        stream = CoupledStream(
-            dynamics, rate=panel.rate, names=panel.names, channels=panel.channels, delays=panel.delays
-        )
-        return [stream], dict(stream.lines)
-    lines = {name: _line(panel, name, dynamics[name]) for name in panel.components}
-    return list(lines.values()), dict(lines)
+        return [_live(panel, dynamics, moves=dynamics.mass is not None)] if panel.components else []
+    return [_live(panel, dynamics[name], moves=True) for name in panel.components]
 
 
-def _line(panel: Panel, name: str, dynamics: Dynamics) -> ForceLine:
-    places = {channel: place for place, channel in enumerate(panel.names)}
-    ground = places.get(acceleration_name("ground", name), places.get("ground_acceleration"))
-    coupling = "kinematic" if ground is None else panel.channels[ground].coupling
-    delays = panel.delays
-    late = 0.0 if ground is None else delays[ground] - delays[places[name]]
-    columns = Columns(places[name], ground, places.get("pitch"), places.get("roll"), coupling, late)
-    return ForceLine(dynamics, rate=panel.rate, columns=columns)
+def _live(panel: Panel, dynamics: Dynamics | CoupledDynamics, *, moves: bool) -> tuple[LiveForce, list[int]]:
+    own = dynamics.components if isinstance(dynamics, CoupledDynamics) else (dynamics.component,)
+    columns = [place for place, name in enumerate(panel.names) if name in own or (moves and name not in COMPONENTS)]
+    sensors = dict(enumerate(panel.channels))
+    channels = []
+    for place in columns:
+        name, delay = panel.names[place], panel.delays[place]
+        known = sensors.get(place)
+        if known is None:
+            channels.append(LiveChannel(name, delay=delay))
+        else:
+            mounted = LiveChannel(name, delay=delay, coupling=known.coupling, axis=known.axis, place=known.place)
+            channels.append(mounted)
+    settings = LiveSettings(learn_inside=False)
+    live = LiveForce(dynamics, rate=panel.rate, channels=channels, gravity=panel.gravity, settings=settings)
+    return live, columns
 
 
-def _health(line: Line) -> dict[str, object]:
-    health = line.health
-    told: dict[str, object] = {"lag": line.lag, "rate": 1 / line.interval, "moving": line.moving}
+def _weights(panel: Panel, means: Array) -> dict[str, float]:
+    """Weight along the components at mean readings of all channels, shape (c,): a zero must not take it off."""
+    places = {name: place for place, name in enumerate(panel.names)}
+    if "pitch" not in places:
+        return dict.fromkeys(panel.components, 0.0)
+    pitch, roll = (means[[places[name]]] if name in places else np.zeros(1) for name in ("pitch", "roll"))
+    dynamics, found = panel.dynamics, {}
+    for name in panel.components:
+        one = dynamics if isinstance(dynamics, CoupledDynamics) else dynamics[name]
+        found[name] = float(one.weight(name, pitch=pitch, roll=roll, gravity=panel.gravity)[0])
+    return found
+
+
+def _health(live: LiveForce, name: str) -> dict[str, object]:
+    health = live.health.get(name)
+    told: dict[str, object] = {"lag": live.lag, "rate": 1 / live.interval, "moving": live.moving}
     if health is None:
         return told | {"process": "waiting"}
     low, high = health.resonance_limits

@@ -1,4 +1,4 @@
-"""Fewer samples of a channel, chunk by chunk: a filter that leaves white noise white, then every n-th sample."""
+"""Decimation of a stream, block by block: a filter that leaves white noise white, then every n-th sample."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def root_raised_cosine(factor: int) -> Array:
     return np.asarray(values / values.sum())
 
 
-class Thinner:
+class Decimator:
     """Takes every n-th sample of a filtered stream; what comes out does not depend on how it came cut.
 
     Parameters

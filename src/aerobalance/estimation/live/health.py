@@ -59,7 +59,7 @@ class Health:
         First sample and sample after the last of the readings that it was learned from; None if it was given or
         nothing was.
     samples, missing, saturated
-        Readings pushed, how many of them were missing, and how many reached the limit of the channel.
+        Readings since the stream began, how many of them were missing, and how many reached the limit of the channel.
     mean_square
         Mean square of the normalised residuals over the last `STRETCH` samples, 1 if the model is right.
     resonance
@@ -110,22 +110,31 @@ class Health:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveEstimate:
-    """Samples that have become final.
+    """Samples of one component that have become final.
 
     Attributes
     ----------
-    first
-        Number of the first of them, counted from the first reading pushed.
+    first, step
+        Number of the first of them, counted from the first reading pushed, and readings from one to the next.
+    interval
+        Time between readings [s].
     force, uncertainty
-        Applied force and its standard uncertainty, shape (m,) [N].
+        Applied force and its standard uncertainty, shape (m,) [N, N*m].
     load
-        The readings of the same samples, shape (m,) [N]; NaN where missing.
+        Balance load of the same samples, decimated as the force is, shape (m,) [N, N*m]; NaN where missing.
     """
 
     first: int
+    step: int
+    interval: float
     force: Array
     uncertainty: Array
     load: Array
+
+    @property
+    def time(self) -> Array:
+        """Instants since the first reading pushed, shape (m,) [s]."""
+        return np.asarray(self.first + self.step * np.arange(self.force.size), dtype=np.float64) * self.interval
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,12 +149,16 @@ class Learning:
         Steps that were found on the way, their instants since the first reading pushed.
     first, stop
         First sample and sample after the last.
+    component, generation
+        Of which component, and of which of the streams that a `LiveForce` has begun.
     """
 
     learned: SpectralPrior
     steps: tuple[Step, ...]
     first: int
     stop: int
+    component: str = ""
+    generation: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,10 +171,13 @@ class Snapshot:
         Loads less the response to the ground's motion.
     first
         Number of the first of them.
+    generation
+        Which of the streams that a `LiveForce` has begun they are of.
     """
 
     reading: Observation
     first: int
+    generation: int = 0
 
     def learn(self) -> Learning:
         """Find the process that these readings speak for, steps set aside.
@@ -174,7 +190,14 @@ class Snapshot:
         steps, learned = find_steps(self.reading)
         begin = self.first * self.reading.interval
         moved = tuple(replace(step, instant=step.instant + begin) for step in steps)
-        return Learning(learned, moved, self.first, self.first + self.reading.values.size)
+        return Learning(
+            learned,
+            moved,
+            self.first,
+            self.first + self.reading.values.size,
+            component=self.reading.dynamics.component,
+            generation=self.generation,
+        )
 
 
 class Watch:

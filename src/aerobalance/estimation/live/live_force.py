@@ -1,429 +1,576 @@
-"""The force while the readings come in: Eq. (17) of [Gorbushin2020]_ by the smoother with a fixed lag, chunk by chunk.
+r"""The applied forces of n components (n >= 1) while the readings come in, the same however they come cut in blocks.
 
-No clock, no file, no thread: what is pushed in comes out a fixed number of samples later, the same for any chunking.
-Learning takes longer than a sample may; `LiveForce.snapshot` and `LiveForce.adopt` let the caller do it elsewhere.
+Eq. (17) of [Gorbushin2020]_ with matrices, F = X + D X' + A X'' - W + M x1''. The way of a block::
+
+    block -> saturated readings become missing; a short gap is bridged by missing samples, a long one begins anew
+          -> channels that lag each other are aligned           (alignment.Aligner)
+          -> as many samples as the natural frequencies need     (decimation.Decimator)
+          -> does the non-metric end move?                       (motion_test.MotionTest)
+          -> its motion, and the loads of it on the moving mass  (platform.LivePlatform, equation.Equation)
+          -> each component by itself, those loads taken off     (decoupling.Decoupler)
+          -> force by the smoother with a fixed lag              (component_smoother.ComponentSmoother)
+          -> with the uncertainty of the dynamics, as soon as all components are final (pending.Pending)
+
+No clock, no file, no thread. Learning takes longer than a sample may; with `LiveSettings.learn_inside` False,
+`LiveForce.due` and `LiveForce.adopt` let the caller have it done elsewhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from aerobalance.dynamics.single import PARAMETERS, Dynamics
-from aerobalance.estimation.live import _live_kernels as kernels
-from aerobalance.estimation.live.filter import HISTORY, PIECE, SCAN_LAGS, LiveFilter, false_alarm_evidence
-from aerobalance.estimation.live.health import (
-    SHORTEST,
-    STRETCH,
-    Health,
-    Learning,
-    LiveEstimate,
-    Process,
-    Snapshot,
-    Watch,
-    wide_process,
-)
-from aerobalance.estimation.live.motion import LiveReadings, RecentReadings
-from aerobalance.estimation.live.steps import STEP_LAGS, Followed, Following, place_step
-from aerobalance.estimation.prior import Observation, SpectralPrior
-from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.live.alignment import Aligner
+from aerobalance.estimation.live.columns import Columns, judged_noise
+from aerobalance.estimation.live.component_smoother import ComponentSmoother, FinalSamples, SmootherSettings
+from aerobalance.estimation.live.decimation import Decimator
+from aerobalance.estimation.live.decoupling import DecoupledChannel, Decoupler, decoupled
+from aerobalance.estimation.live.equation import equation_of
+from aerobalance.estimation.live.health import SHORTEST, Health, Learning, LiveEstimate, Snapshot
+from aerobalance.estimation.live.motion_test import MotionTest, MotionTestSettings
+from aerobalance.estimation.live.pending import Pending
+from aerobalance.estimation.live.platform import LiveChannel
+from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError
+from aerobalance.recording.gravity import gravity_components
+from aerobalance.recording.resampling import hold_over_gaps
 
 LAG_PERIODS: Final = 5.0
 """Periods of the natural frequency that the force lags the readings, unless said otherwise."""
 
-FEWEST: Final = 8
-"""Readings that noise and strength of the load are judged from at least."""
+JUDGED: Final = 256
+"""Readings that the covariance of their noise is judged from where it is not given."""
 
-WIDE_DOUBT: Final = 2.0
-"""Evidence that a step needs while nothing is learned, over what it needs else: the noise is hardly known."""
+SLOWEST: Final = 0.5
+"""Natural frequency of a decoupled channel that its lag is taken from at least, over that of the slowest mode."""
 
-FEW_STEPS: Final = 2
-"""Steps within the time of `STEP_LAGS` that are taken for steps."""
+FEWEST_TO_LEARN: Final = 64
+"""Readings that are learned from at least."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveSettings:
+    """How live forces are worked out.
+
+    Attributes
+    ----------
+    lag
+        Time after which the force at a sample is final, decimation and alignment apart [s]; None for `lag_periods`.
+    lag_periods
+        Periods of the slowest natural frequency that make the lag.
+    samples_a_period
+        Samples in a period of the highest natural frequency that the force is worked out from at least: from faster
+        readings as many are made one as that allows. ``inf`` to keep them all.
+    learn_inside
+        Whether the spectral prior is learned within `LiveForce.push`, which then takes up to seconds; else
+        `LiveForce.due` says when it is time to.
+    first_learning, last_learning
+        Time after a start at which it is learned; again at twice, four times ... that time, until the latter [s].
+    learned_from
+        Samples, after decimation, that it is learned from at most.
+    motion
+        When the non-metric end is taken to move.
+    """
+
+    lag: float | None = None
+    lag_periods: float = LAG_PERIODS
+    samples_a_period: float = 16.0
+    learn_inside: bool = True
+    first_learning: float = 2.0
+    last_learning: float = 10.0
+    learned_from: int = 12_000
+    motion: MotionTestSettings = field(default_factory=MotionTestSettings)
 
 
 class LiveForce:
-    """The force of one component, live.
+    """The applied forces of one component, or of several that are dynamically coupled, live.
 
     Parameters
     ----------
     dynamics
-        Mass, stiffness and damping, with their covariance.
-    interval
-        Time between samples [s].
-    learned
-        Process of the force and noise of a reading, from an earlier record, the noise white; None to begin with a wide
-        band and learn from the readings.
-    noise
-        Standard uncertainty of a reading [N]; None when it is to be learned.
-    lag
-        Time after which the force at a sample is final [s]; `LAG_PERIODS` periods of the natural frequency if None.
-    limit
-        Load at which the channel saturates [N]; such readings count as missing.
-    learn_after
-        Time after which the process is learned within `push`, and again when twice, four times ... as many readings
-        are there, up to `span` [s]. None leaves it to the caller.
-    span
-        Longest stretch of readings that is learned from [s].
-    ground_noise
-        Standard uncertainty of a sample of the ground's specific force, white [m/s^2].
-    ground_delay
-        Time by which the load channel lags the ground channel beside the delay of the dynamics [s].
+        Dynamics of one component, or of n coupled ones, with their covariance.
+    rate
+        Sampling rate [Hz].
+    channels
+        The columns of the blocks, by name or with what is known of their sensors: every component, and what there is
+        of ``pitch``, ``roll`` and sensors on the non-metric end. None for the columns of the first block.
     gravity
         Local acceleration of gravity [m/s^2].
-    jolted
-        Whether a free oscillation that nothing explains may have begun wherever readings are missing.
-    highest
-        Natural frequency up to which, and somewhat beyond, the force is taken to reach while nothing is learned [Hz];
-        the balance's own if None.
+    noise
+        Covariance of the noise of a reading, shape (n, n) [N^2, N^2*m, N^2*m^2]; None to judge it from the first
+        `JUDGED` samples. It decides how much a component leans on the readings of the others.
+    learned
+        Spectral prior by component, from an earlier record, its noise white; components without one begin with a wide
+        band and learn from the readings.
+    settings
+        How the forces are worked out.
+
+    Attributes
+    ----------
+    factor
+        Readings that become one sample of the force.
+    interval
+        Time between samples of the force [s].
+    generation
+        Streams begun so far; what was learned of one that has ended serves the next at its start.
+
+    Raises
+    ------
+    ValueError
+        The rate is not positive, a component's channel is lacking, or the lag is too short.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from aerobalance.dynamics.single import Dynamics
+    >>> from aerobalance.estimation.live.live_force import LiveForce
+    >>> dynamics = Dynamics("AF", mass=177.87, stiffness=3.093e7, damping=828.21)
+    >>> live = LiveForce(dynamics, rate=1600)
+    >>> blocks = np.split(100 + np.random.default_rng(1).normal(size=1600), 16)
+    >>> found = [live.push({"AF": block, "pitch": np.zeros(100)})["AF"].force for block in blocks]
+    >>> round(float(np.concatenate(found)[-400:].mean()))
+    100
+    >>> round(live.lag, 3)  # five periods of the natural frequency [s]
+    0.076
     """
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: Dynamics | CoupledDynamics,
         *,
-        interval: float,
-        learned: SpectralPrior | None = None,
-        noise: float | None = None,
-        lag: float | None = None,
-        limit: float = np.inf,
-        learn_after: float | None = 2.0,
-        span: float = 10.0,
-        ground_noise: float = 0.0,
-        ground_delay: float = 0.0,
+        rate: float,
+        channels: Sequence[LiveChannel | str] | None = None,
         gravity: float = STANDARD_GRAVITY,
-        jolted: bool = False,
-        highest: float | None = None,
+        noise: Array | None = None,
+        learned: Mapping[str, SpectralPrior] | None = None,
+        settings: LiveSettings | None = None,
     ) -> None:
-        if not 0 < interval < np.inf:
-            raise ValueError(f"interval must be positive and finite, not {interval}")
-        if learned is not None and learned.color is not None:
-            raise ValueError(
-                "the live estimator takes the noise of a reading as white; learned must come from a record without "
-                "colored noise"
-            )
-        self.dynamics, self.interval = dynamics, interval
-        time = LAG_PERIODS / dynamics.natural_frequency if lag is None else lag
-        self.latency = round(time / interval)
-        if self.latency < SHORTEST:
-            raise ValueError(f"a lag of {time:g} s is {self.latency} samples; at least {SHORTEST} are needed")
-        self._noise, self._jolted = noise, jolted
-        self._highest = dynamics.natural_frequency if highest is None else highest
-        self._input_density = (dynamics.mass * ground_noise) ** 2 * interval
-        self._readings = LiveReadings(dynamics, interval=interval, limit=limit, delay=ground_delay, gravity=gravity)
-        self._learning: Learning | None = None if learned is None else Learning(learned, (), 0, 0)
-        self._process: Process = "start-up" if learned is None else "learned"
-        self._auto = None if learn_after is None else max(round(learn_after / interval), 64)
-        self._learn_at = self._auto if learned is None else None
-        self._span = round(span / interval)
-        self._recent, self._learn_from = RecentReadings(self._span + PIECE), 0
-        self._begin = np.zeros(0)
-        self._filter: LiveFilter | None = None
-        self._wide_again = self._placed_for = 0
-        self._widen_at = 2 * self.latency
-        self._steps = Following(dynamics, interval=interval)
-        self._watch, self._ended = Watch(dynamics, interval=interval), False
+        if not 0 < rate < np.inf:
+            raise ValueError(f"rate must be positive and finite [Hz], not {rate}")
+        self.dynamics, self.rate, self.gravity = dynamics, rate, gravity
+        self.settings = settings or LiveSettings()
+        self._equation = equation_of(dynamics)
+        self._frequencies = _natural_frequencies(dynamics)
+        highest = max(self._frequencies, default=rate / 16)
+        self.factor = max(1, int(rate / (self.settings.samples_a_period * highest)))
+        self.interval = self.factor / rate
+        n = len(self.components)
+        known = np.zeros((1, 1)) if noise is None and n == 1 else noise  # of one alone there is nothing to weigh
+        self._noise = self._given_noise = known
+        self._learned = dict(learned or {})
+        self.generation = 0
+        self._columns: Columns | None = None
+        self._expected: int | None = None
+        self._finished = False
+        if channels is not None:
+            self._set_up(channels)
+        if self._noise is not None:
+            self._smoothers(decoupled(dynamics, noise=self._noise), ahead=0)  # refuses what cannot be
 
-    # ---- readings in, force out
+    # ---- readings in, forces out
 
-    def push(
-        self,
-        readings: Array,
-        *,
-        ground_acceleration: Array | None = None,
-        pitch: Array | None = None,
-        roll: Array | None = None,
-    ) -> LiveEstimate:
-        """Take readings; return what has become final by them.
+    def push(self, block: ArrayLike | Mapping[str, ArrayLike], *, first: int | None = None) -> dict[str, LiveEstimate]:
+        """Take a block of readings; return what has become final by it, the same samples of all components.
 
         Parameters
         ----------
-        readings
-            Load felt, shape (m,) [N], any number of samples; NaN where missing.
-        ground_acceleration
-            x1'' of the same samples [m/s^2], given with every push or with none. A dc-coupled sensor reads gravity
-            too: then no pitch is given.
-        pitch, roll
-            Angles of the same samples [rad].
+        block
+            Columns by name, shape (m,) each, or shape (m, c) in the order of `channels` (without them, of the
+            components; (m,) for a single one), in SI units; NaN where a reading is missing.
+        first
+            Number of its first sample, counted from the first reading; None where it follows the last block. Fewer
+            missing samples than the lag are bridged, more begin the stream anew.
 
         Raises
         ------
         ValueError
-            The channels differ in length, or the stream is finished.
+            The columns differ in length or from those before, the dynamics hold no mass and the non-metric end moves,
+            or the stream is finished.
         """
-        if self._ended:
+        if self._finished:
             raise ValueError("the stream is finished; make a new LiveForce")
-        values = np.ascontiguousarray(readings, dtype=np.float64)
-        ready = self._readings.push(values, acceleration=ground_acceleration, pitch=pitch, roll=roll)
-        return self._take(ready)
+        rows = self._rows(block)
+        expected, count = self._expected, rows.shape[0]
+        start = (expected or 0) if first is None else first
+        if expected is None or not 0 <= start - expected <= self._bridged:
+            self._reset(start)
+        elif start > expected:
+            hole = np.repeat(self._last[None], start - expected, axis=0)
+            hole[:, : len(self.components)] = np.nan
+            rows = np.concatenate((hole, rows))
+        self._expected = start + count
+        if rows.shape[0]:
+            self._last = np.asarray(rows[-1], dtype=np.float64)
+            self._take(self._decimator.push(self._aligner.push(self._without_saturated(rows))))
+        return self._found()
 
-    def finish(self) -> LiveEstimate:
-        """End the stream; return the samples that were still waiting, by all readings."""
-        self._ended = True
-        return self._take(self._readings.finish(), last=True)
+    def finish(self) -> dict[str, LiveEstimate]:
+        """End the stream; return the samples that were still waiting, by all readings.
 
-    @property
-    def lag(self) -> int:
-        """Samples after a sample that its force is made from: `latency` less what the ground's motion waits for."""
-        return self.latency - self._readings.ahead
-
-    def _take(self, values: Array, *, last: bool = False) -> LiveEstimate:
-        """Run readings and hand out what is final."""
-        if self.lag < SHORTEST:
-            raise ValueError(
-                f"a lag of {self.latency} samples is too short: the motion of the ground needs "
-                f"{self.latency - self.lag} of them and the force {SHORTEST}"
-            )
-        self._recent.append(values)
-        parts: list[tuple[Array, Array]] = []
-        if self._filter is None:
-            values = self._recent.between(0, self._recent.stop)
-            enough = _reached(values, self.lag // 2) or (last and _reached(values, FEWEST) and values.size)
-            if not enough:
-                return self._final(parts)
-            self._begin = values[:enough]
-            self._filter = self._made(self._begin, first=0)
-        self._feed(values, parts)
-        if last:
-            self._filter.give(self._filter.taken)
-            self._collect(parts)
-        return self._final(parts)
-
-    def _final(self, parts: list[tuple[Array, Array]]) -> LiveEstimate:
-        """What is handed out, with what mass, stiffness and damping add to its uncertainty."""
-        force, variance = (np.concatenate([np.zeros(0), *(part[which] for part in parts)]) for which in (0, 1))
-        load, motion, load_rate = self._readings.release(force.size)
-        d = self.dynamics
-        net = force - d.mass * motion
-        pull = net - np.where(np.isfinite(load), load, net)  # b AF' + M AF'', Eq. (8)
-        acceleration = pull / d.mass * d.stiffness - 2 * d.decay_rate * load_rate
-        slopes = [acceleration / d.stiffness + motion, -pull / d.stiffness, load_rate / d.stiffness]
-        J = np.column_stack([*slopes, np.zeros(force.size)])
-        own = d.covariance[: len(PARAMETERS), : len(PARAMETERS)]
-        variance = variance + np.maximum(np.sum((J @ own) * J, axis=1), 0.0)
-        end = 0 if self._filter is None else self._filter.next_final
-        return LiveEstimate(end - force.size, force, np.sqrt(variance), load)
-
-    def _feed(self, values: Array, parts: list[tuple[Array, Array]]) -> None:
-        while values.size and self._filter is not None:
-            count = min(self._filter.room(), values.size)
-            self._filter.feed(values[:count])
-            values = values[count:]
-            while self._filter.taken < self._filter.filled:
-                self._run(self._filter, parts)
-
-    def _run(self, live: LiveFilter, parts: list[tuple[Array, Array]]) -> None:
-        """Take readings up to the next sample at which there is something to do, and do it.
-
-        These samples are counted from the first reading, so that nothing hangs on how the readings are chunked.
+        The last readings, as many as alignment and decimation reach over, get no force.
         """
-        marks = [live.filled, (live.taken // STRETCH + 1) * STRETCH, *(one.again for one in self._steps.ringing_on)]
-        if self._learn_at is not None:
-            marks.append(self._learn_at)
-        if self._learning is None:
-            marks.append(self._widen_at)
-        # from the first readings the noise is not known well enough to tell what is strange
-        watch = self._learning is not None or live.taken >= 2 * self.latency
-        happened = live.run(min(mark for mark in marks if mark > live.taken), watch=watch)
-        self._collect(parts)
-        if happened == kernels.STEP:
-            self._take_up_step(live)
-        elif happened == kernels.STRANGE:
-            self._answer_strangeness(live)
-        if happened != kernels.NOTHING and self._filter is not None:
-            self._filter.give(self._filter.taken - self.lag)
-            self._collect(parts)
-        for one in self._steps.ringing_on:
-            if self._filter is live and live.taken == one.again:
-                self._steps.place_again(live, one, lag=self.lag)
-        if self._filter is live and live.taken % STRETCH == 0:
-            self._draw_up(live)
-        if self._filter is live and self._learning is None and live.taken == self._widen_at:
-            self._widen_at *= 4
-            self._change_process(live)
-        if self._filter is not None and self._learn_at is not None and self._filter.taken >= self._learn_at:
-            self._learn_alone(self._filter.taken)
+        self._finished = True
+        if self._expected is None:
+            return self._found()
+        if not self._running:
+            self._begin()
+            self._follow(self._waiting)
+        self._drain()
+        return self._found()
 
-    def _collect(self, parts: list[tuple[Array, Array]]) -> None:
-        """Put by what became final, with the doubt on which side of a step the samples beside it lie."""
-        if self._filter is None:
-            return
-        begin, force, variance = self._filter.collect()
-        parts.append((force, variance + self._steps.doubt(begin, force.size)))
+    def _drain(self) -> None:
+        """Have all samples that still wait become final."""
+        if self._parts is None and self._early:
+            self._judge_noise()
+        if self._decoupler is not None:
+            self._smooth(self._decoupler.finish(), last=True)
 
-    # ---- steps
+    def restart(self) -> None:
+        """Begin anew with the next reading, keeping what was learned: as where readings count from another zero."""
+        if self._expected is not None:
+            self._reset(self._expected)
+
+    # ---- what is said of it
 
     @property
-    def steps(self) -> tuple[Step, ...]:
-        """Steps of the force that were found, instants since the first reading [s]."""
-        return self._steps.all
+    def components(self) -> tuple[str, ...]:
+        """Which components."""
+        return self._equation.components
 
-    def _take_up_step(self, live: LiveFilter) -> None:
-        young = self._steps.young(live.taken, lag=self.lag)
-        if len(young) >= FEW_STEPS or self._steps.full:
-            # so many so soon are a load that fluctuates, not steps
-            self._fall_back(live, without=young)
-            return
-        guess = Step(live.likeliest_step(), 0.0)
-        step, evidence = place_step(live, self.dynamics, guess, own=(), search=True, ramps=False)
-        if evidence < live.threshold:
-            live.look_again(after=live.taken)
-            return
-        self._steps.follow(live, replace(step, evidence=evidence))
-        live.look_again(after=live.taken + self.lag // 4)
+    @property
+    def lag(self) -> float:
+        """Time by which the force lags the readings [s]; 0 while it is not known."""
+        if self._columns is None or self._parts is None:
+            return 0.0
+        waits = self._decimator.first + self._aligner.ahead
+        return self._latency * self.interval + waits / self.rate
 
-    # ---- what the force is taken for
+    @property
+    def moving(self) -> bool:
+        """Whether the non-metric end is taken to move."""
+        return self._columns is not None and bool(self._columns.specific.any() or self._test.moves.any())
 
-    def _made(self, values: Array, *, first: int) -> LiveFilter:
-        """The filter of the process at hand; the readings tell how far the balance may swing when it starts."""
-        if np.count_nonzero(np.isfinite(values)) < FEWEST:
-            values = self._begin  # a long gap
-        reading = Observation(values, self.interval, self.dynamics, self._input_density, self._noise)
-        learned = self._learning.learned if self._learning else wide_process(reading, frequency=self._highest)
-        later = (np.arange(SCAN_LAGS * self.lag) + 1) * self.interval
-        live = LiveFilter(
-            reading.system(learned),
-            interval=self.interval,
-            lag=self.lag,
-            first=first,
-            step=self.dynamics.step_response(later),
-        )
-        if self._jolted:
-            further = FORCE + learned.shaping.order
-            live.jolt[[LOAD, LOAD_RATE]] = reading.swing**2
-            live.jolt[further : further + 2 * len(self.dynamics.further_modes)] = reading.swing**2
-        self._set_evidence(live)
-        return live
+    @property
+    def noise(self) -> Array | None:
+        """Covariance of the noise of a reading, shape (n, n), as given or judged; None while it is not known."""
+        return self._noise if len(self.components) > 1 or self._given_noise is not None else None
 
-    def _set_evidence(self, live: LiveFilter) -> None:
-        """What has to speak for a step: the more, the less well the readings are explained without."""
-        doubt = max(1.0, self._watch.mean_square) * (1.0 if self._learning else WIDE_DOUBT)
-        live.threshold = doubt * false_alarm_evidence(self.interval)
+    @property
+    def steps(self) -> dict[str, tuple[Step, ...]]:
+        """Steps of the forces that were found by component, instants since the stream began [s]."""
+        return {name: part.steps for name, part in self._named_parts()}
 
-    def _change_process(self, live: LiveFilter) -> None:
-        """Run the last readings through the filter of the process at hand, and go on with it."""
-        start = max(0, live.taken - HISTORY * self.lag)
-        values = live.readings(start, live.filled)
-        fresh = self._made(values[: live.taken - start], first=start)
-        fresh.feed(values)
-        fresh.run(live.taken, watch=False, give=False)
-        fresh.start_giving(live.next_final)
-        kept = self._steps.move(fresh, since=start + 2)
-        # what was not explained before may have been a step
-        fresh.look_again(after=fresh.taken if kept else fresh.taken - self.lag)
-        self._filter = fresh
+    @property
+    def health(self) -> dict[str, Health]:
+        """State of health of the components; none before there is a force."""
+        return {
+            name: part.health(
+                samples=self._samples, missing=int(self._missing[place]), saturated=int(self._saturated[place])
+            )
+            for place, (name, part) in enumerate(self._named_parts())
+        }
 
-    def _answer_strangeness(self, live: LiveFilter) -> None:
-        """Readings are not explained: place the steps again that still ring, or else fall back on a wide band."""
-        young = self._steps.young(live.taken, lag=self.lag)
-        if young and live.taken > self._placed_for + STEP_LAGS * self.lag:
-            self._placed_for = live.taken
-            for one in young:
-                self._steps.place_again(live, one, lag=self.lag)
-        else:
-            self._fall_back(live)
+    def _named_parts(self) -> list[tuple[str, ComponentSmoother]]:
+        parts = None if self._columns is None else self._parts
+        return [] if parts is None else list(zip(self.components, parts, strict=True))
 
-    def _fall_back(self, live: LiveFilter, *, without: Collection[Followed] = ()) -> None:
-        """Take the force for a wide band, of a strength judged anew, and some steps for a part of it."""
-        if live.taken < self._wide_again:
-            live.look_again(after=live.taken)
-            return
-        self._wide_again = self._widen_at = live.taken + 2 * self.lag
-        self._steps.take_back(without)
-        if self._learning is not None:
-            self._learning, self._process = None, "fallback"
-            self._learn_from = max(live.taken - self.lag, 0)
-            self._learn_at = None if self._auto is None else live.taken + self._auto
-        self._change_process(live)
+    # ---- learning
 
-    def snapshot(self) -> Snapshot:
-        """The last readings; `Snapshot.learn` may run in another thread, its result goes to `adopt`.
+    def due(self) -> Snapshot | None:
+        """Return readings of a component from which it is time to learn, for `Snapshot.learn` elsewhere; None else."""
+        for _, part in self._named_parts():
+            if part.state.due:
+                snapshot = part.due()
+                if snapshot is not None:
+                    return self._named(snapshot)
+        return None
+
+    def snapshot(self, component: str | None = None) -> Snapshot:
+        """Return the last decoupled readings of a component, to learn from elsewhere.
 
         Raises
         ------
         FitError
             There are too few readings yet.
         """
-        taken = 0 if self._filter is None else self._filter.taken
-        first = max(self._learn_from, taken - self._span)
-        values = self._recent.between(first, taken)
-        if np.count_nonzero(np.isfinite(values)) < 2 * SHORTEST:
-            raise FitError(
-                f"{values.size} readings so far; learning the force's process needs at least {2 * SHORTEST}"
-            )
-        return Snapshot(Observation(values, self.interval, self.dynamics, self._input_density, self._noise), first)
+        name = self.components[0] if component is None else component
+        parts = dict(self._named_parts())
+        if name not in parts:
+            raise FitError(f"there are no readings of {name} yet; components: {', '.join(self.components)}")
+        return self._named(parts[name].snapshot())
 
     def adopt(self, learning: Learning) -> None:
-        """Go on with a process that was learned; it holds for all samples that are not final yet.
+        """Go on with what was learned; it holds for all samples that are not final yet.
 
-        Call it where `push` is called, between two pushes.
-
-        Raises
-        ------
-        ValueError
-            No reading was pushed yet.
+        What was learned of a stream that has ended serves the next start. Call it between two pushes.
         """
-        if self._filter is None:
-            raise ValueError("too few readings were pushed; give the process when the LiveForce is made")
-        self._learning, self._process = learning, "learned"
-        self._change_process(self._filter)
-        self._steps.add_new(self._filter, learning.steps)
-        self._filter.look_again(after=self._filter.taken)
+        self._learned[learning.component] = learning.learned
+        if learning.generation == self.generation:
+            dict(self._named_parts())[learning.component].adopt(learning)
 
-    def relearn(self) -> None:
-        """Learn from the last readings and go on with that; takes as long as it takes."""
-        self.adopt(self.snapshot().learn())
+    def _named(self, snapshot: Snapshot) -> Snapshot:
+        return Snapshot(snapshot.reading, snapshot.first, self.generation)
 
-    def _learn_alone(self, taken: int) -> None:
-        """Learn within the stream; next when there are twice as many readings, until there are `span`."""
-        count = taken - self._learn_from
-        self._learn_at = taken + count if self._auto is not None and count < self._span else None
-        try:
-            self.relearn()
-        except FitError:
-            self._learn_at = taken + (self._auto or STRETCH)
+    # ---- the columns
 
-    # ---- health
+    def _set_up(self, channels: Sequence[LiveChannel | str]) -> None:
+        given = [LiveChannel(one) if isinstance(one, str) else one for one in channels]
+        self._columns = Columns.of(self.dynamics, given, mass_known=bool(self._equation.mass.any()))
+        self._reset(0)
 
-    def _draw_up(self, live: LiveFilter) -> None:
-        """State of health from the last stretch; a step that no longer rings is counted with the constant."""
-        self._watch.look(*live.residuals(live.taken - STRETCH, live.taken), stop=live.taken)
-        self._set_evidence(live)
-        if self._jolted:
-            values = live.readings(max(live.oldest, live.taken - STRETCH), live.taken)
-            known = values[np.isfinite(values)]
-            largest = float(np.ptp(known)) ** 2 if known.size else 0.0
-            live.jolt[live.jolt > 0] = max(float(live.jolt.max()), largest)
-        self._steps.let_go(live)
+    def _rows(self, block: ArrayLike | Mapping[str, ArrayLike]) -> Array:
+        """Columns that are used, shape (m, ...): loads, sensors of the non-metric end, angles."""
+        if self._columns is None:
+            self._set_up(list(block) if isinstance(block, Mapping) else self.components)
+        columns = self._columns
+        if columns is None:
+            raise AssertionError
+        if isinstance(block, Mapping):
+            lacking = [name for name in columns.names if name not in block]
+            if lacking or len(block) < len(columns.all_names):
+                raise ValueError(
+                    f"a block lacks {', '.join(lacking) or 'columns'}; every block must have the same columns as the "
+                    f"first: {', '.join(columns.all_names)}"
+                )
+            parts = [np.asarray(block[name], dtype=np.float64) for name in columns.names]
+            if any(part.shape != parts[0].shape or part.ndim != 1 for part in parts):
+                shapes = ", ".join(f"{name} {part.shape}" for name, part in zip(columns.names, parts, strict=True))
+                raise ValueError(f"the columns of a block must have equally many samples, shape (m,), not {shapes}")
+            return np.column_stack(parts)
+        table = np.asarray(block, dtype=np.float64)
+        table = table[:, None] if table.ndim == 1 else table
+        if table.ndim != 2 or table.shape[1] != len(columns.all_names):
+            raise ValueError(
+                f"a block must have a column for each of {', '.join(columns.all_names)}: shape "
+                f"(m, {len(columns.all_names)}), not {np.shape(block)}"
+            )
+        return np.ascontiguousarray(table[:, columns.places])
+
+    def _without_saturated(self, rows: Array) -> Array:
+        """Count readings, and take those at a limit as missing."""
+        columns = self._columns
+        if columns is None:
+            raise AssertionError
+        loads = rows[:, : len(self.components)]
+        present = np.isfinite(loads)
+        at_limit = present & (np.abs(np.where(present, loads, 0.0)) >= columns.limits)
+        self._samples += rows.shape[0]
+        self._missing += np.count_nonzero(~present, axis=0)
+        self._saturated += np.count_nonzero(at_limit, axis=0)
+        if at_limit.any():
+            rows = rows.copy()
+            rows[:, : len(self.components)][at_limit] = np.nan
+        return rows
+
+    # ---- beginning, and beginning anew
+
+    def _reset(self, first: int) -> None:
+        """Begin with the sample of a number."""
+        columns, n = self._columns, len(self.components)
+        if columns is None:
+            raise AssertionError
+        width = len(columns.names)
+        self._aligner = Aligner([late * self.rate for late in columns.late])
+        self._decimator = Decimator(width, self.factor)
+        self._test = MotionTest(columns.noises, interval=self.interval, settings=self.settings.motion)
+        self._origin, self._begun = first, 0
+        self._waiting = np.empty((0, width))
+        self._last = np.zeros(width)
+        self._samples = 0
+        self._missing, self._saturated = np.zeros((2, n), dtype=np.int64)
+        self._out: list[tuple[int, Array, Array, Array]] = []
+        self._forget_stream()
+
+    def _forget_stream(self) -> None:
+        self._running, self._pushed, self._latency = False, 0, 0
+        self._parts: list[ComponentSmoother] | None = None
+        self._decoupler: Decoupler | None = None
+        self._early: list[tuple[Array, Array]] = []
+        self._held = np.zeros(0)
+        self.generation += 1
+
+    def _begin_again(self) -> None:
+        """Begin another stream with the next sample; what is not final by then has no force."""
+        lost = self._pushed - self._pending.released
+        if lost:
+            nothing = np.full((lost, len(self.components)), np.nan)
+            self._out.append((self._begun + self._pending.released, nothing, nothing, nothing))
+        self._begun += self._pushed
+        self._forget_stream()
+        self._begin()
+
+    def _begin(self) -> None:
+        self._running = True
+        self._pending = Pending(self._equation, interval=self.interval)
+        if self._noise is not None:
+            self._make()
 
     @property
-    def health(self) -> Health:
-        """State of health at the last stretch that is complete."""
-        live, learning = self._filter, self._learning
-        noise = now = float("nan")
-        if live is not None:
-            noise = float(np.sqrt(live.system.noise_variance))
-            now = float(np.sqrt(max(noise**2 + live.innovation_variance * (self._watch.mean_square - 1), 0.0)))
-        return Health(
-            process=self._process,
-            learned_from=(learning.first, learning.stop) if learning and learning.stop else None,
-            samples=self._readings.samples,
-            missing=self._readings.missing,
-            saturated=self._readings.saturated,
-            mean_square=self._watch.mean_square,
-            resonance=self._watch.resonance,
-            noise=noise,
-            noise_now=now,
+    def _bridged(self) -> int:
+        """Longest gap that is bridged, in readings."""
+        return self._latency * self.factor if self._running else 0
+
+    def _make(self) -> None:
+        """The decoupled channels and their smoothers, now that the noise is known."""
+        columns = self._columns
+        if columns is None or self._noise is None:
+            raise AssertionError
+        channels = decoupled(self.dynamics, noise=self._noise)
+        moves = self.moving or columns.pitch is not None
+        self._decoupler = Decoupler(channels, interval=self.interval, moves=moves, delay=self._equation.delay)
+        self._parts = self._smoothers(channels, ahead=self._decoupler.ahead)
+        self._latency = self._decoupler.ahead + max(part.settings.lag for part in self._parts)
+
+    def _smoothers(self, channels: Sequence[DecoupledChannel], *, ahead: int) -> list[ComponentSmoother]:
+        settings, interval = self.settings, self.interval
+        covariance = np.zeros((6, 6))
+        if self._columns is not None:
+            covariance = self._columns.platform.covariance(self._columns.beside_specific(self._test.noise))
+        made = []
+        for place, channel in enumerate(channels):
+            row = self._equation.mass[place]
+            slowest = max(channel.dynamics.natural_frequency, SLOWEST * min(self._frequencies, default=0.0))
+            time = settings.lag_periods / slowest if settings.lag is None else settings.lag
+            lag = round(time / interval) - ahead
+            first = max(round(settings.first_learning / interval), FEWEST_TO_LEARN)
+            chosen = SmootherSettings(
+                interval=interval,
+                lag=max(lag, SHORTEST) if settings.lag is None and not channel.alone else lag,
+                settling=2 * (lag if not channel.alone else lag + ahead),
+                learned=self._learned.get(self.components[place]),
+                input_noise=float(max(row @ covariance @ row, 0.0)) * interval,
+                free_after_gap=not channel.alone,
+                highest=max(self._frequencies, default=channel.dynamics.natural_frequency),
+                learn_inside=settings.learn_inside,
+                first_learning=first,
+                last_learning=round(settings.last_learning / interval),
+                learned_from=settings.learned_from,
+            )
+            made.append(ComponentSmoother(channel.dynamics, chosen))
+        return made
+
+    # ---- from samples to forces
+
+    def _take(self, rows: Array) -> None:
+        """Take decimated samples, up to the next look at the motion at a time."""
+        columns = self._columns
+        while rows.shape[0] and columns is not None:
+            count = min(rows.shape[0], self._test.room()) if columns.watched else rows.shape[0]
+            part, rows = rows[:count], rows[count:]
+            looked = columns.watched and count == self._test.room()
+            changed = bool(columns.watched) and self._test.push(part[:, columns.watched])
+            if not self._running:
+                self._waiting = np.concatenate((self._waiting, part))
+                if columns.watched and not looked:
+                    return
+                part, self._waiting = self._waiting, self._waiting[:0]
+                self._begin()
+                changed = False
+            self._follow(part)
+            if changed:
+                self._drain()
+                self._begin_again()
+
+    def _follow(self, rows: Array) -> None:
+        """Work out forces from samples; where no filter can follow them, begin anew without what was learned."""
+        self._pushed += rows.shape[0]
+        try:
+            self._estimate(rows)
+        except (ArithmeticError, np.linalg.LinAlgError, FitError):
+            self._learned, self._noise = {}, self._given_noise
+            self._begin_again()
+
+    def _estimate(self, rows: Array) -> None:
+        columns, n = self._columns, len(self.components)
+        if columns is None:
+            raise AssertionError
+        loads = rows[:, :n]
+        force = self._specific_force(rows, columns)
+        net = self._equation.net_load(force, self._turn_rate(rows, columns))
+        self._pending.push(loads, net, force)
+        if self._decoupler is None:
+            self._early.append((loads, net))
+            if self._pushed >= JUDGED:
+                self._judge_noise()
+        else:
+            self._smooth(self._decoupler.push(loads, net))
+
+    def _judge_noise(self) -> None:
+        """Judge the noise from the first samples, and go on with all that are there."""
+        loads, net = (np.concatenate([part[which] for part in self._early]) for which in (0, 1))
+        self._early = []
+        self._noise = judged_noise(self.components, loads[:JUDGED])
+        self._make()
+        if self._decoupler is not None:
+            self._smooth(self._decoupler.push(loads, net))
+
+    def _smooth(self, readings: Array, *, last: bool = False) -> None:
+        for place, part in enumerate(self._parts or ()):
+            final: FinalSamples = part.push(np.ascontiguousarray(readings[:, place]), last=last)
+            self._pending.take(place, final)
+        first, force, variance, loads = self._pending.release()
+        if force.shape[0]:
+            self._out.append((self._begun + first, force, np.sqrt(variance), loads))
+
+    def _found(self) -> dict[str, LiveEstimate]:
+        """What has become final since the last time."""
+        parts, self._out = (self._out, []) if self._columns is not None else ([], [])
+        n = len(self.components)
+        number = self._begun
+        if parts:
+            number = parts[0][0]
+        elif self._columns is not None and self._running:
+            number = self._begun + self._pending.released
+        force, deviation, loads = (
+            np.concatenate([np.zeros((0, n)), *(part[which] for part in parts)]) for which in (1, 2, 3)
         )
+        first = self._origin + self._decimator.first + number * self.factor
+        return {
+            name: LiveEstimate(
+                first, self.factor, 1 / self.rate, force[:, place], deviation[:, place], loads[:, place]
+            )
+            for place, name in enumerate(self.components)
+        }
+
+    # ---- motion of the non-metric end
+
+    def _specific_force(self, rows: Array, columns: Columns) -> Array:
+        """Acceleration of the non-metric end less gravity, shape (m, 6) [m/s^2, rad/s^2]; missing samples are held."""
+        if not self.moving and columns.pitch is None:
+            return np.zeros((rows.shape[0], 6))
+        n = len(self.components)
+        if not self._held.size:
+            self._held = np.zeros(rows.shape[1] - n)
+        known = hold_over_gaps(rows[:, n:], self._held)
+        self._held = known[-1]
+        pull = None
+        if columns.pitch is not None:
+            roll = 0.0 if columns.roll is None else known[:, columns.roll - n]
+            pull = gravity_components(known[:, columns.pitch - n], roll, gravity=self.gravity)
+        if not self.moving:
+            return np.zeros((rows.shape[0], 6)) if pull is None else -pull
+        used = columns.beside_specific(self._test.moves.astype(np.float64), others=1.0)
+        platform = columns.platform.seen(used > 0)
+        return platform.specific_force(known[:, : used.size] * used, pull=pull)
+
+    def _turn_rate(self, rows: Array, columns: Columns) -> Array | None:
+        if not self.moving:
+            return None
+        n = len(self.components)
+        used = columns.beside_specific(self._test.moves.astype(np.float64), others=1.0)
+        return columns.platform.turn_rate(rows[:, n : n + used.size] * used)
 
 
-def _reached(values: Array, wanted: int) -> int:
-    """Samples from the first until so many of them are present; 0 if there are not so many."""
-    place = int(np.searchsorted(np.cumsum(np.isfinite(values)), wanted))
-    return place + 1 if place < values.size else 0
+def _natural_frequencies(dynamics: Dynamics | CoupledDynamics) -> list[float]:
+    if isinstance(dynamics, Dynamics):
+        return [dynamics.natural_frequency]
+    return [mode.natural_frequency for mode in dynamics.modes]

@@ -1,4 +1,4 @@
-"""The motion of the ground end in six degrees of freedom while its sensors' readings come in.
+"""The motion of the non-metric ("ground") end, block by block: from the readings of its sensors to six accelerations.
 
 Accelerometers and angular accelerations are fitted sample by sample with equal weights; a rate of turn serves for what
 keeps a mass turning, and is not differentiated. `aerobalance.motion.platform` does the same for a whole record, with
@@ -8,40 +8,42 @@ weights by frequency.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.motion.sensors import least_squares, observable_motions, row_of, sensor_kind
-from aerobalance.recording.channel import AXES_BY_NAME, Array
-from aerobalance.recording.components import IS_FORCE, MOMENTS, STANDARD_GRAVITY
-from aerobalance.recording.gravity import gravity_components
+from aerobalance.recording.channel import AXES_BY_NAME, Array, SensorSpec
+from aerobalance.recording.components import AXES, FORCE_ROWS, IS_FORCE, MOMENTS, driving_axis
 
 UNIT_LEVER: Final = 0.1
 """Length by which a turn is compared with an acceleration [m]."""
 
 
-class Mounted(NamedTuple):
-    """A sensor on the ground end.
+@dataclass(frozen=True, slots=True)
+class LiveChannel(SensorSpec):
+    """A column of the readings in SI units, and what is known of its sensor.
+
+    Of that, delays are used, and of accelerometers noise, coupling (``"dc"`` or not), axis and place.
 
     Attributes
     ----------
     name
-        Its channel: ``ground_acceleration`` with any ending, ``ground_turn_PM`` or ``ground_turn_rate_PM`` and their
-        like.
-    axis, place
-        Direction and place of an accelerometer along aft, right, up [1, m]; None for those of its name and for the
-        balance's centre.
-    specific
-        Whether it reads specific force.
+        A component; ``pitch`` or ``roll``; or a sensor on the non-metric end: ``ground_acceleration`` with any ending,
+        ``ground_turn_PM`` (angular acceleration) or ``ground_turn_rate_PM`` and their like. Others are not used.
+    limit
+        Load at which a component's channel saturates [N, N*m]; such readings count as missing.
     """
 
     name: str
-    axis: tuple[float, float, float] | None = None
-    place: tuple[float, float, float] | None = None
-    specific: bool = False
+    limit: float = field(default=np.inf, kw_only=True)
+
+    @property
+    def specific(self) -> bool:
+        """Whether it reads specific force."""
+        return self.coupling == "dc"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +65,7 @@ class LivePlatform:
     rates: tuple[int | None, ...]
 
     @classmethod
-    def of(cls, sensors: Sequence[Mounted]) -> LivePlatform:
+    def of(cls, sensors: Sequence[LiveChannel]) -> LivePlatform:
         """Fit the motions that these sensors tell apart; sensors that have no axis are left out."""
         rows = np.array([_row(sensor) for sensor in sensors]).reshape(-1, 6)
         used = np.asarray(rows.any(axis=1))
@@ -77,15 +79,27 @@ class LivePlatform:
         rates = tuple(names.index(name) if name in names else None for name in turns)
         return cls(gains, rows * IS_FORCE * specific[:, None], rates)
 
-    def acceleration(self, readings: Array, *, pitch: Array | None = None, roll: Array | None = None) -> Array:
-        """Acceleration of the balance's centre and turning, shape (k, 6), from readings of shape (k, m).
+    @classmethod
+    def along(cls, component: str, sensor: LiveChannel) -> LivePlatform:
+        """Take one accelerometer for the motion along the axis that drives a component."""
+        gains = np.zeros((6, 1))
+        gains[FORCE_ROWS[AXES.index(driving_axis(component))]] = 1.0
+        return cls(gains, gains.T * float(sensor.specific), (None, None, None))
 
-        Without a pitch, what sensors of specific force read of gravity stays in it: then none must be taken off again.
+    def specific_force(self, readings: Array, *, pull: Array | None) -> Array:
+        """Return acceleration of the balance's centre and turning, less gravity, shape (k, 6) [m/s^2, rad/s^2].
+
+        Parameters
+        ----------
+        readings
+            Shape (k, m).
+        pull
+            Pull of gravity along the components, shape (k, 6) [m/s^2]; without it, sensors of specific force are taken
+            as they are and none is taken off.
         """
-        if pitch is not None and self.gravity.any():
-            pull = gravity_components(pitch, 0.0 if roll is None else roll, gravity=STANDARD_GRAVITY)
-            readings = readings + pull @ self.gravity.T
-        return np.asarray(readings @ self.gains.T)
+        if pull is None:
+            return np.asarray(readings @ self.gains.T)
+        return np.asarray((readings + pull @ self.gravity.T) @ self.gains.T - pull)
 
     def turn_rate(self, readings: Array) -> Array | None:
         """Rate of turn in the signs of PM, YM and RM, shape (k, 3) [rad/s]; None where none is read."""
@@ -103,7 +117,7 @@ class LivePlatform:
         return LivePlatform(self.gains * moving, self.gravity, self.rates)
 
 
-def _row(sensor: Mounted) -> Array:
+def _row(sensor: LiveChannel) -> Array:
     """What a sensor reads of the six motions, shape (6,); zero for rates and for those without an axis."""
     kind = sensor_kind(sensor.name)
     axis = AXES_BY_NAME.get(sensor.name) if sensor.axis is None else sensor.axis

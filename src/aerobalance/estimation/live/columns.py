@@ -1,0 +1,139 @@
+"""The columns of the readings that a live force uses, and the noise of those of the components."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.coupled_record import noise_covariance
+from aerobalance.estimation.live.platform import LiveChannel, LivePlatform
+from aerobalance.motion.sensors import sensor_kind
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import acceleration_name, si_unit
+from aerobalance.recording.resampling import hold_over_gaps
+
+QUIET: Final = 0.01
+"""Noise that a channel has at least, over the median of all."""
+
+STILL: Final = 1e-8
+"""Noise over the largest reading, below which a channel does not move at all."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """Where the channels are that are used: loads first, then sensors of the non-metric end, then angles.
+
+    Attributes
+    ----------
+    all_names, names
+        Names of all columns, and of those that are used, c of them.
+    places
+        Where the latter are among the former.
+    late
+        Time by which each of them lags the first load [s], shape (c,).
+    limits
+        Loads at which the channels of the n components saturate, shape (n,) [N, N*m].
+    platform
+        How the m sensors' readings become motion.
+    specific
+        Which of them read specific force, shape (m,).
+    watched, noises
+        Columns, among those used, of the others, and standard uncertainty of a sample of each; None to estimate it.
+    pitch, roll
+        Columns of the angles; None where not read.
+    """
+
+    all_names: tuple[str, ...]
+    names: tuple[str, ...]
+    places: list[int]
+    late: list[float]
+    limits: Array
+    platform: LivePlatform
+    specific: Array
+    watched: list[int]
+    noises: list[float | None]
+    pitch: int | None
+    roll: int | None
+
+    @classmethod
+    def of(
+        cls,
+        dynamics: Dynamics | CoupledDynamics,
+        channels: Sequence[LiveChannel],
+        *,
+        mass_known: bool,
+    ) -> Columns:
+        """Find the columns.
+
+        Raises
+        ------
+        ValueError
+            There is no channel of a component, or the non-metric end moves and the mass is not known.
+        """
+        components = (dynamics.component,) if isinstance(dynamics, Dynamics) else dynamics.components
+        all_names = tuple(channel.name for channel in channels)
+        lacking = [name for name in components if name not in all_names]
+        if lacking:
+            raise ValueError(
+                f"there is no {', '.join(lacking)} among {', '.join(all_names)}; the force of each component needs "
+                f"the readings of all: {', '.join(components)}"
+            )
+        by_name = {channel.name: channel for channel in channels}
+        sensors = [one for one in channels if sensor_kind(one.name) is not None]
+        if isinstance(dynamics, Dynamics):
+            name = acceleration_name("ground", dynamics.component)
+            one = by_name.get(name, by_name.get("ground_acceleration"))
+            sensors = [] if one is None else [one]
+        platform = (
+            LivePlatform.along(dynamics.component, sensors[0])
+            if isinstance(dynamics, Dynamics) and sensors
+            else LivePlatform.of(sensors)
+        )
+        angles = [name for name in ("pitch", "roll") if name in by_name and "pitch" in by_name]
+        if (sensors or angles) and not mass_known:
+            out = ", ".join([*(one.name for one in sensors), *angles])
+            raise ValueError(
+                "the ground end moves or pitches, but the dynamics hold no mass: give mass, centre of gravity and "
+                f"inertia when they are identified, or leave out {out}"
+            )
+        n = len(components)
+        names = (*components, *(one.name for one in sensors), *angles)
+        own = by_name[components[0]].delay
+        delays = [by_name[name].delay - own for name in names[: n + len(sensors)]]
+        return cls(
+            all_names=all_names,
+            names=names,
+            places=[all_names.index(name) for name in names],
+            late=[*delays, *(0.0 for _ in angles)],
+            limits=np.array([by_name[name].limit for name in components]),
+            platform=platform,
+            specific=np.array([one.specific for one in sensors], dtype=np.bool_),
+            watched=[n + place for place, one in enumerate(sensors) if not one.specific],
+            noises=[one.noise for one in sensors if not one.specific],
+            pitch=names.index("pitch") if "pitch" in angles else None,
+            roll=names.index("roll") if "roll" in angles else None,
+        )
+
+    def beside_specific(self, watched: Array, *, others: float = 0.0) -> Array:
+        """A value of every watched sensor put beside another one for those of specific force, shape (m,)."""
+        whole = np.full(self.specific.size, others)
+        whole[np.logical_not(self.specific)] = watched
+        return whole
+
+
+def judged_noise(components: Sequence[str], loads: Array) -> Array:
+    """Return the covariance of the noise of readings of shape (m, n), shape (n, n) [N^2, N^2*m, N^2*m^2]."""
+    first = np.array([column[np.isfinite(column)][:1].sum() for column in loads.T])
+    filled = hold_over_gaps(loads, first)
+    channels = [Channel(name, column, si_unit(name)) for name, column in zip(components, filled.T, strict=True)]
+    found = noise_covariance(channels, filled)
+    deviation = np.sqrt(np.diag(found))
+    # a channel that stands still must not seem to be known beyond all others
+    alive = deviation[deviation > STILL * np.max(np.abs(filled), axis=0)]
+    least = QUIET * float(np.median(alive)) if alive.size else 1.0
+    return np.asarray(found + np.diag(np.where(deviation < least, least**2, 0.0)))

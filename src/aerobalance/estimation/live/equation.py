@@ -1,0 +1,125 @@
+"""The equation of motion of the balance with its model, as the live force takes it, for one component or several.
+
+Eq. (17) of [Gorbushin2020]_ with matrices, F = X + D X' + A X'' - W + M x1'': X balance loads, F applied forces, W
+weight, x1'' acceleration of the non-metric end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.decoupled_record import mass_rows, mass_slopes
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import AXES, COMPONENTS, FORCE_ROWS, driving_axis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Equation:
+    """Coefficients of the equation of motion of n components.
+
+    Attributes
+    ----------
+    components
+        The components, in the order of rows and columns.
+    damping, inertia
+        D [s] and A [s^2], shape (n, n).
+    mass
+        Load by a unit of each acceleration of the non-metric end, shape (n, 6); zero where the mass is not known.
+    covariance
+        Covariance of a row of A, D and `mass`, one below the other, for each component: shape (n, 2n + 6, 2n + 6).
+    delay
+        Time by which the loads lag the acceleration beside the delays of the channels [s].
+    turning
+        The moving mass, whose turning loads it too; None where there is no such term.
+    """
+
+    components: tuple[str, ...]
+    damping: Array
+    inertia: Array
+    mass: Array
+    covariance: Array
+    delay: float = 0.0
+    turning: RigidMass | None = None
+
+    def net_load(self, specific_force: Array, turn_rate: Array | None) -> Array:
+        """Return the loads on the moving mass by gravity and motion, W - M x1'', shape (m, n) [N, N*m].
+
+        Parameters
+        ----------
+        specific_force
+            Acceleration of the non-metric end less gravity, shape (m, 6) [m/s^2, rad/s^2].
+        turn_rate
+            Its rate of turn in the signs of PM, YM and RM, shape (m, 3) [rad/s]; None where none is measured.
+        """
+        net = -specific_force @ self.mass.T
+        if turn_rate is not None and self.turning is not None:
+            rows = [COMPONENTS.index(name) for name in self.components]
+            net = net - self.turning.turning_load(np.nan_to_num(turn_rate))[:, rows]
+        return np.asarray(net)
+
+    def variance(self, force: Array, loads: Array, rates: Array, net: Array, specific_force: Array) -> Array:
+        """Return the variance of the forces by the coefficients, shape (m, n) [N^2, N^2*m^2].
+
+        Parameters
+        ----------
+        force, loads, rates, net
+            F, X (NaN where missing), X' and W - M x1'', shape (m, n).
+        specific_force
+            Acceleration of the non-metric end less gravity, shape (m, 6).
+        """
+        if not self.covariance.any():
+            return np.zeros(force.shape)
+        left = force + net - np.where(np.isfinite(loads), loads, force + net) - rates @ self.damping.T
+        J = np.hstack([np.linalg.solve(self.inertia, left.T).T, rates, specific_force])
+        variance = np.einsum("mi,nij,mj->mn", J, self.covariance, J, optimize=True)
+        return np.asarray(np.maximum(variance, 0.0))
+
+
+def equation_of(dynamics: Dynamics | CoupledDynamics) -> Equation:
+    """Return the equation of motion of one component or of coupled ones."""
+    return _coupled(dynamics) if isinstance(dynamics, CoupledDynamics) else _single(dynamics)
+
+
+def _single(dynamics: Dynamics) -> Equation:
+    """A = M / k, D = b / k, and M along the axis that drives the component."""
+    M, k, b = dynamics.mass, dynamics.stiffness, dynamics.damping
+    column = FORCE_ROWS[AXES.index(driving_axis(dynamics.component))]
+    slopes = np.zeros((8, 3))  # of A, D and the row of M by mass, stiffness and damping
+    slopes[0, :2] = 1 / k, -M / k**2
+    slopes[1, 1:] = -b / k**2, 1 / k
+    slopes[2 + column, 0] = 1.0
+    mass = np.zeros((1, len(COMPONENTS)))
+    mass[0, column] = M
+    return Equation(
+        components=(dynamics.component,),
+        damping=np.array([[b / k]]),
+        inertia=np.array([[M / k]]),
+        mass=mass,
+        covariance=(slopes @ dynamics.covariance[:3, :3] @ slopes.T)[None],
+        delay=dynamics.delay,
+    )
+
+
+def _coupled(dynamics: CoupledDynamics) -> Equation:
+    n, size, mass = len(dynamics.components), len(dynamics.inertia), dynamics.mass
+    element = np.arange(2 * size * size).reshape(2, size, size)
+    covariance = np.zeros((n, 2 * n + 6, 2 * n + 6))
+    slopes = np.array([]) if mass is None else np.array(mass_slopes(mass))
+    for row, name in enumerate(dynamics.components):
+        own = element[:, row, :n].ravel()
+        covariance[row, : 2 * n, : 2 * n] = dynamics.covariance[np.ix_(own, own)]
+        if mass is not None:
+            by_mass = slopes[:, COMPONENTS.index(name)]
+            covariance[row, 2 * n :, 2 * n :] = by_mass.T @ mass.covariance @ by_mass
+    return Equation(
+        components=dynamics.components,
+        damping=dynamics.damping[:n, :n],
+        inertia=dynamics.inertia[:n, :n],
+        mass=mass_rows(dynamics),
+        covariance=covariance,
+        turning=mass,
+    )
