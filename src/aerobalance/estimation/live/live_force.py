@@ -170,6 +170,7 @@ class LiveForce:
         self.generation = 0
         self._columns: Columns | None = None
         self._expected: int | None = None
+        self._last: Array = np.zeros(0)
         self._finished = False
         if channels is not None:
             self._set_up(channels)
