@@ -1,4 +1,4 @@
-"""The commands on components that ring together, from files to files."""
+"""The commands on coupled components, from files to files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forces and moments of components that ring together, on the simulated balance of six components."""
+"""Forces and moments of coupled components, on the simulated balance of six components."""
 
 from __future__ import annotations
 

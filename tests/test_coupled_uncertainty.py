@@ -1,4 +1,4 @@
-"""Monte Carlo and records of noise for components that ring together."""
+"""Monte Carlo and records of noise for coupled components."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Coupled components taken apart: closed forms and an independent inverse as oracles."""
+"""Coupled decoupled components: closed forms and an independent inverse as oracles."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import matrix_balance
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.decoupling import LoneComponent
+from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import fractional_delay, upsample_compensated
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
@@ -46,7 +46,7 @@ def test_the_lone_balance_has_the_noise_of_the_coupled_inverse(
     frequency = np.geomspace(1, RATE / 2, 200)
     inverse = dynamics.inverse_response(frequency)
     for place, name in enumerate(dynamics.components):
-        lone = LoneComponent.of(dynamics, name, noise=noise)
+        lone = DecoupledChannel.of(dynamics, name, noise=noise)
         row = inverse[:, place]
         through_all = np.sqrt(np.real(np.einsum("mi,ij,mj->m", row, noise, row.conj())))
         alone = np.sqrt(noise[place, place]) / np.abs(lone.dynamics.response(frequency))
@@ -57,7 +57,7 @@ def test_the_lone_balance_has_the_noise_of_the_coupled_inverse(
 def test_a_component_by_itself_is_left_as_it_is() -> None:
     dynamics = CoupledDynamics(("NF", "AF"), np.diag([1e-6, 4e-6]), np.diag([1e-5, 2e-5]))
     loads = np.random.default_rng(1).normal(size=(100, 2))
-    lone = LoneComponent.of(dynamics, "AF", noise=np.diag([9.0, 1.0]))
+    lone = DecoupledChannel.of(dynamics, "AF", noise=np.diag([9.0, 1.0]))
     assert lone.alone
     assert (lone.dynamics.mass, lone.dynamics.damping) == pytest.approx((4e-6, 2e-5), rel=1e-13)
     assert (lone.reading(loads, interval=1e-4) == loads[:, 1]).all()
@@ -74,7 +74,7 @@ def test_the_lone_reading_knows_its_own_force_only(drawn: Drawn, rng) -> None:
     lines[~inside] = 0
     felt = np.fft.irfft(np.einsum("mij,mj->mi", dynamics.response(frequency), lines), count, axis=0)
     for place, name in enumerate(dynamics.components):
-        lone = LoneComponent.of(dynamics, name, noise=_noise(balance))
+        lone = DecoupledChannel.of(dynamics, name, noise=_noise(balance))
         # the free oscillation of the start has to die away to exp(-17) = 4e-8, and then a period and the end follow
         periods = int(np.ceil(17 / lone.dynamics.decay_rate / (count / RATE))) + 2
         found = lone.reading(np.tile(felt, (periods, 1)), interval=1 / RATE)[-2 * count : -count]
@@ -94,7 +94,7 @@ def test_slopes_are_those_of_differences(drawn: Drawn, rng) -> None:
     lines = rng.normal(size=(frequency.size, 6, 2)) @ np.array([1, 1j]) * balance.half_range
     lines[~inside] = 0
     loads = np.fft.irfft(lines, count, axis=0)
-    lone = LoneComponent.of(dynamics, "YM", noise=_noise(balance))
+    lone = DecoupledChannel.of(dynamics, "YM", noise=_noise(balance))
     decays = [mode.damping_ratio * mode.angular_frequency for mode in (*lone.dynamics.modes, *lone.still)]
     periods = int(np.ceil(17 / min(decays) / (count / RATE))) + 2
     slopes = lone.parameter_slopes(np.tile(loads, (periods, 1)), interval=1 / RATE)[-2 * count : -count]
@@ -142,7 +142,7 @@ def test_the_ends_of_a_record_are_as_good_as_its_middle(drawn: Drawn, rng) -> No
     turning = np.exp(2j * np.pi * 600 * time)[:, None]
     felt = np.real(turning * (response @ (size * np.exp(1j * phase))))
     for place, name in enumerate(dynamics.components):
-        lone = LoneComponent.of(dynamics, name, noise=_noise(balance))
+        lone = DecoupledChannel.of(dynamics, name, noise=_noise(balance))
         own = lone.dynamics.response(np.array([600.0]))[0] * size[place] * np.exp(1j * phase[place])
         error = lone.reading(felt, interval=1 / RATE) - np.real(turning[:, 0] * own)
         if lone.dynamics.decay_rate * time[-1] < 17:

@@ -205,7 +205,7 @@ def test_what_is_no_shaking_is_refused(rng):
     loads = {name: recording.channel(name) for name in COMPONENTS}
     with pytest.raises(FitError, match="no motion of the ground end is recorded"):
         identified(Recording.from_columns(recording.time, loads, name="loads alone"))
-    with pytest.raises(FitError, match="has no AF; components that ring together"):
+    with pytest.raises(FitError, match="has no AF; coupled components"):
         without = {name: channel for name, channel in recording.channels.items() if name != "AF"}
         identified(Recording.from_columns(recording.time, without, name="five"))
     with pytest.raises(FitError, match=r"the ground end does not move|shake harder"):  # noise may stand out by chance

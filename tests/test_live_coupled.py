@@ -1,10 +1,10 @@
-"""Live forces of components that ring together, against the whole-record way and for any chunking."""
+"""Live forces of coupled components, against the whole-record way and for any chunking."""
 
 import numpy as np
 import pytest
 
 from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
-from aerobalance.dynamics.decoupling import LoneComponent
+from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.estimation.decoupled_record import load_felt
 from aerobalance.estimation.live.decoupling import MARGIN, Decoupler
 from aerobalance.estimation.live.live_force import JUDGED, LiveForce, LiveSettings
@@ -38,9 +38,9 @@ def noise_of(balance: CoupledBalance) -> np.ndarray:
     return balance.noise * balance.half_range
 
 
-def lones_of(balance: CoupledBalance) -> list[LoneComponent]:
+def lones_of(balance: CoupledBalance) -> list[DecoupledChannel]:
     noise = np.diag(noise_of(balance) ** 2)
-    return [LoneComponent.of(balance.dynamics, name, noise=noise) for name in COMPONENTS]
+    return [DecoupledChannel.of(balance.dynamics, name, noise=noise) for name in COMPONENTS]
 
 
 def chunks(generator: np.random.Generator, count: int, most: int) -> list[slice]:
@@ -87,7 +87,7 @@ def test_hidden_coordinates_are_taken_apart_too(rng):
     force = broadband(rng, Band(0, 150), rms=np.full(6, 50.0), period=1.0)(np.arange(4000) / RATE)[:, :2]
     force *= from_rest(4000)
     readings = load_felt(dynamics, force, interval=1 / RATE)
-    lones = [LoneComponent.of(dynamics, name, noise=np.diag([1.0, 0.01])) for name in dynamics.components]
+    lones = [DecoupledChannel.of(dynamics, name, noise=np.diag([1.0, 0.01])) for name in dynamics.components]
     found, freed = apart(rng, lones, readings), apart(rng, lones, readings, force)
     for place, lone in enumerate(lones):
         assert len(lone.dynamics.modes) == 2
@@ -199,7 +199,7 @@ def test_live_is_the_smoother_of_the_lone_reading(rng):
 
 
 def pair() -> CoupledDynamics:
-    """Two components that ring together at some 60 and 170 Hz."""
+    """Two coupled components at some 60 and 170 Hz."""
     mass = RigidMass(20.0, np.array([0.05, 0.0, 0.01]), np.diag([0.1, 0.6, 0.6]))
     inertia = mass.matrix[:2, :2] @ np.linalg.inv(np.array([[9e6, 4e4], [4e4, 1.2e5]]))
     return CoupledDynamics(("NF", "PM"), inertia, 2e-2 * inertia * 2 * np.pi * 100, mass=mass)

@@ -1,4 +1,4 @@
-"""Noise that components taken apart have in common: the algebra, what is left, and the forces that are the better."""
+"""Noise that decoupled components have in common: the algebra, what is left, and the forces that are the better."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ def test_wrong_matrices_are_counted_in_all_rows_that_have_a_part(rng, seed) -> N
     found = estimate_force(recording, known, hum="keep")
     assert found["NF"].shared is not None
     part = next(part for part in found["NF"].contributions if part.source == "dynamics")
-    # every draw takes the record apart anew; the eight numbers drawn have their covariance but for 24 of 25
+    # every draw decouples the record anew; the eight numbers drawn have their covariance but for 24 of 25
     checked = monte_carlo(found, draws=25, seed=int(seed % 2**32))["NF"]
     drawn = next(row for row in checked.contributions if row.name == part.name)
     assert drawn.ratio == pytest.approx(np.sqrt(24 / 25), rel=0.03)

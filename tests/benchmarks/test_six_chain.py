@@ -1,4 +1,4 @@
-"""Six components that ring together, from mV/V with calibration noise: calibrate, weigh, identify, force.
+"""Six coupled components, from mV/V with calibration noise: calibrate, weigh, identify, force.
 
 Random coupled balances as in test_six.py, but nothing of them is known: matrix, mass, A and D come from simulated
 experiments. Loads of a broad band are as large as a balance can bear: 15 % rms of half range in the component that

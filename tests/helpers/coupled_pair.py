@@ -1,4 +1,4 @@
-"""Two components that ring together, shaken."""
+"""Two coupled components, shaken."""
 
 from __future__ import annotations
 

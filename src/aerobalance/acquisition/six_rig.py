@@ -1,4 +1,4 @@
-"""The simulated rig whose six components ring together, in closed form from block to block."""
+"""The simulated rig whose six components are coupled, in closed form from block to block."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-r"""Several components that ring together: F = X + D X' + A X'' with matrices for D and A.
+r"""Several coupled components: F = X + D X' + A X'' with matrices for D and A.
 
 X are the loads felt and F the loads applied, both in the order of the components. A = M K^-1 and D = C K^-1 carry the
 mass, damping and stiffness matrices of Eq. (8) of [Gorbushin2020]_ written for several components, so that F is
@@ -201,7 +201,7 @@ class CoupledDynamics:
 
     @classmethod
     def of_components(cls, parts: Sequence[Dynamics]) -> CoupledDynamics:
-        """Components that do not ring together, one mode each: the paper's way, with diagonal matrices."""
+        """Components that are not coupled, one mode each: the paper's way, with diagonal matrices."""
         if any(part.further_modes for part in parts):
             raise ValueError("components with further modes of their own cannot be put into one set of matrices")
         parts = sorted(parts, key=lambda part: COMPONENTS.index(part.component))

@@ -1,4 +1,4 @@
-r"""Coupled components taken apart: readings of which each is that of a balance with one component.
+r"""Coupled decoupled components: readings of which each is that of a balance with one component.
 
 Row i of F = X + D X' + A X'' gives F_i with noise of the spectrum N_i = r R r*, r_j = delta_ij + D_ij s + A_ij s^2,
 and R the covariance of the channels' noise. It is a polynomial of second degree in the square of the frequency, so it
@@ -70,7 +70,7 @@ class Fractions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoneComponent:
+class DecoupledChannel:
     """The balance of one component that gives its force with the same noise as the coupled one.
 
     Attributes
@@ -98,7 +98,7 @@ class LoneComponent:
     carried: Array
 
     @classmethod
-    def of(cls, dynamics: CoupledDynamics, component: str, *, noise: Array) -> LoneComponent:
+    def of(cls, dynamics: CoupledDynamics, component: str, *, noise: Array) -> DecoupledChannel:
         """Find it for a component.
 
         Parameters

@@ -14,13 +14,13 @@ import numpy as np
 from aerobalance.estimation.direct import band_limited, central_differences
 from aerobalance.estimation.force_smoother import LinearSmoother, SignalModel, SmootherResult, fit_signal_model
 from aerobalance.estimation.prior import Observation, SpectralPrior
-from aerobalance.estimation.record import Job
+from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.line_noise import Hum, Line
 from aerobalance.estimation.spectra.noise_floor import departure_of
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, NoiseSpectrum
-from aerobalance.motion.single_axis import Unknown
+from aerobalance.motion.single_axis import SystematicParameter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.errors import FitError, argument, warn_quality
@@ -40,7 +40,7 @@ SLOW: Final = 0.5
 """Frequency over the natural one below which noise that rises at low frequency has most of its power."""
 
 
-def noise_of_job(job: Job) -> NoiseSpectrum:
+def noise_of_job(job: ComponentRecord) -> NoiseSpectrum:
     """Spectrum of the noise of a component that has been made ready, its record being one of noise alone."""
     reading = job.reading()
     return noise_spectrum_of(
@@ -52,7 +52,7 @@ def noise_of_job(job: Job) -> NoiseSpectrum:
     )
 
 
-def estimated(job: Job, *, method: Method, bandwidth: float | None, hum: Hum) -> ComponentForce:
+def estimated(job: ComponentRecord, *, method: Method, bandwidth: float | None, hum: Hum) -> ComponentForce:
     """Work out the force of one component that has been made ready."""
     if by_smoother(method=method, bandwidth=bandwidth):
         return Fitted.of(job, hum=hum).estimate()
@@ -76,7 +76,7 @@ def by_smoother(*, method: Method, bandwidth: float | None) -> bool:
     return method == "smoother" and bandwidth is None
 
 
-def _check(job: Job) -> None:
+def _check(job: ComponentRecord) -> None:
     if not np.isfinite(job.dynamics.natural_frequency):
         raise FitError(
             f"mass and stiffness of {job.dynamics.component} leave the range that can be calculated with; check the "
@@ -105,13 +105,13 @@ class Fitted:
         The force.
     """
 
-    job: Job
+    job: ComponentRecord
     hum: Hum
     apart: SignalModel
     smoothed: SmootherResult
 
     @classmethod
-    def of(cls, job: Job, *, hum: Hum) -> Fitted:
+    def of(cls, job: ComponentRecord, *, hum: Hum) -> Fitted:
         """Work out the force of a component that has been made ready.
 
         Raises
@@ -144,11 +144,11 @@ class Fitted:
         def through(series: Array) -> Array:
             return estimator.run(np.where(reading.present[:, None], series, 0.0))
 
-        def again(other: Job) -> Array:
+        def again(other: ComponentRecord) -> Array:
             changed = other.reading(hum=reading.hum)
             return LinearSmoother.of(changed, learned=learned, steps=steps).run(changed.filled[:, None])[:, 0]
 
-        def moved(item: Unknown) -> Array:
+        def moved(item: SystematicParameter) -> Array:
             return -through(job.felt_under(item)[:, None])[:, 0]
 
         noise = learned.noise if job.shared is None else job.shared.before
@@ -172,7 +172,7 @@ class Fitted:
         )
 
 
-def _words_on_noise(job: Job, learned: SpectralPrior) -> str:
+def _words_on_noise(job: ComponentRecord, learned: SpectralPrior) -> str:
     """What the noise of the readings is taken for, where that is said or seen."""
     if job.noise is not None:
         return f"; noise of the record of noise: {job.noise}"
@@ -183,11 +183,11 @@ def _words_on_noise(job: Job, learned: SpectralPrior) -> str:
     return ""
 
 
-def _doubt(job: Job, text: str) -> None:
+def _doubt(job: ComponentRecord, text: str) -> None:
     warn_quality(f"{job.recording.name}: {text}")
 
 
-def _with_noise(job: Job) -> Observation:
+def _with_noise(job: ComponentRecord) -> Observation:
     """The reading with the noise that was given, unless its white part is not that of the run."""
     reading = job.reading()
     ratio = None if job.noise is None else departure_of(reading)
@@ -202,7 +202,7 @@ def _with_noise(job: Job) -> Observation:
     return replace(reading, noise=None)
 
 
-def _tell_of_faint(job: Job, learned: SpectralPrior) -> None:
+def _tell_of_faint(job: ComponentRecord, learned: SpectralPrior) -> None:
     """Say that a force which is fainter than the noise may be noise with a color."""
     frequency = np.linspace(0, 0.5 / job.interval, FREQUENCIES)[1:]
     felt = np.abs(job.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
@@ -220,7 +220,7 @@ def _tell_of_faint(job: Job, learned: SpectralPrior) -> None:
     )
 
 
-def _tell_of_hum(job: Job, lines: tuple[Line, ...], *, large: tuple[Line, ...]) -> None:
+def _tell_of_hum(job: ComponentRecord, lines: tuple[Line, ...], *, large: tuple[Line, ...]) -> None:
     """Say which lines at frequencies of the mains are not in the force, and which are because they are large."""
     told = (
         (
@@ -247,7 +247,7 @@ def _tell_of_hum(job: Job, lines: tuple[Line, ...], *, large: tuple[Line, ...]) 
             )
 
 
-def _unexplained(job: Job, white: Array) -> Array:
+def _unexplained(job: ComponentRecord, white: Array) -> Array:
     """Variance of the innovations over what is expected, 1 where chance explains it, shape (n,); warns elsewhere."""
     count = max(white.size // EXPLAINED_BLOCK, 1)
     blocks = np.array_split(white, count)

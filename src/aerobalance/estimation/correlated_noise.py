@@ -1,6 +1,6 @@
-r"""Noise that components taken apart have in common, taken off the one by what the others show of it.
+r"""Noise that decoupled components have in common, taken off the one by what the others show of it.
 
-The readings of all channels have a part in every component that has been taken apart, z_i = G_i F_i + e_i, and so has
+The readings of all channels have a part in every component that has been decoupled, z_i = G_i F_i + e_i, and so has
 their noise. Above the band of its own force component j shows little but noise, some of which is in z_i as well. With
 E the spectra of e, and Phi = G S G* those of the forces in the readings, a diagonal, the best linear estimate of F_i
 from all readings is that from
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import oaconvolve
 
-from aerobalance.dynamics.decoupling import LoneComponent
+from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.prior import BESIDE_A_GAP, Observation, SpectralPrior
 from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
@@ -119,7 +119,7 @@ def filtered(weights: Array, series: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseMatrix:
-    """Spectra of the noise of all components taken apart, and of their forces in the readings.
+    """Spectra of the noise of all decoupled components, and of their forces in the readings.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ class NoiseMatrix:
     @classmethod
     def of(
         cls,
-        lones: Sequence[LoneComponent],
+        lones: Sequence[DecoupledChannel],
         learned: Sequence[SpectralPrior],
         *,
         interval: float,

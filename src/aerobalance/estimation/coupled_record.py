@@ -1,4 +1,4 @@
-"""A recording of components that ring together, made ready for the estimator of one component.
+"""A recording of coupled components, made ready for the estimator of one component.
 
 The load that ground motion and gravity put on the moving mass is taken off, and every component is taken apart from
 the others (`aerobalance.dynamics.decoupling`).
@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.decoupling import LoneComponent
+from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.correlated_noise import SharedNoise
-from aerobalance.estimation.decoupled_record import LoneJob, load_felt, mass_rows
+from aerobalance.estimation.decoupled_record import DecoupledRecord, load_felt, mass_rows
 from aerobalance.estimation.record import FEWEST_SAMPLES
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.platform import PlatformMotion
@@ -65,7 +65,7 @@ class CoupledRecord:
     noise: Array
     from_ground: Array
     on_zero: Array
-    lones: tuple[LoneComponent, ...]
+    lones: tuple[DecoupledChannel, ...]
 
     @classmethod
     def of(
@@ -102,7 +102,7 @@ class CoupledRecord:
             dynamics=dynamics,
             noise=noise,
             from_ground=fractional_delay(from_ground, delay=-self.platform.delay, interval=self.interval) + shift,
-            lones=tuple(LoneComponent.of(dynamics, name, noise=noise) for name in dynamics.components),
+            lones=tuple(DecoupledChannel.of(dynamics, name, noise=noise) for name in dynamics.components),
         )
 
     @property
@@ -120,8 +120,8 @@ class CoupledRecord:
         """True where readings are missing that the force of another component needs."""
         return self.rings_together and not np.isfinite(self.loads).all()
 
-    def jobs(self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None) -> dict[str, LoneJob]:
-        """The components taken apart, by name.
+    def jobs(self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None) -> dict[str, DecoupledRecord]:
+        """The decoupled components, by name.
 
         Parameters
         ----------
@@ -129,7 +129,7 @@ class CoupledRecord:
             The readings with something in the place of those that are missing, shape (samples, n). A component's
             reading stays missing where one that has a part in it is.
         noises
-            Spectra of the noise of the components taken apart, where they are known.
+            Spectra of the noise of the decoupled components, where they are known.
         """
         spectra = {} if noises is None else noises
         return {name: self.job(name, filled, noise=spectra.get(name)) for name in self.dynamics.components}
@@ -141,8 +141,8 @@ class CoupledRecord:
         *,
         noise: NoiseSpectrum | None = None,
         shared: SharedNoise | None = None,
-    ) -> LoneJob:
-        """One component taken apart; the arguments are those of `jobs`, and the noise that is to be taken off."""
+    ) -> DecoupledRecord:
+        """One decoupled component; the arguments are those of `jobs`, and the noise that is to be taken off."""
         filled = interpolate_gaps(self.loads) if filled is None else filled
         lone = self.lones[self.dynamics.components.index(component)]
         channel = self.channels[lone.place]
@@ -158,7 +158,7 @@ class CoupledRecord:
             reading = reading - shared.of(np.column_stack(theirs))
         values = np.where(gap, np.nan, reading)
         apart = Channel(name=channel.name, values=values, unit=channel.unit, noise=channel.noise)
-        return LoneJob(
+        return DecoupledRecord(
             recording=replace(self.recording, channels={channel.name: apart}),
             dynamics=lone.dynamics,
             motion=_at_rest(self.platform, self.dynamics, lone),
@@ -244,7 +244,7 @@ def _channels(recording: Recording, dynamics: CoupledDynamics) -> tuple[Channel,
     lacking = [name for name in dynamics.components if name not in recording]
     if lacking:
         raise FitError(
-            f"{recording.name} has no {', '.join(lacking)}; the components ring together, so the force of each needs "
+            f"{recording.name} has no {', '.join(lacking)}; the components are coupled, so the force of each needs "
             f"the readings of all: {', '.join(dynamics.components)}"
         )
     channels = tuple(recording.channel(name) for name in dynamics.components)
@@ -282,7 +282,7 @@ def noise_covariance(channels: Sequence[Channel], filled: Array) -> Array:
     return np.outer(deviation, deviation) * correlation
 
 
-def _at_rest(platform: PlatformMotion, dynamics: CoupledDynamics, lone: LoneComponent) -> GroundMotion:
+def _at_rest(platform: PlatformMotion, dynamics: CoupledDynamics, lone: DecoupledChannel) -> GroundMotion:
     """No motion, but the noise that the motion taken off has brought into the component's force."""
     rows = mass_rows(dynamics)[lone.place]
     force_noise = float(np.sqrt(max(rows @ platform.covariance @ rows, 0.0)))

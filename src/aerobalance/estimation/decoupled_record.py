@@ -1,4 +1,4 @@
-"""One of several components that ring together, taken apart from the others: a job for the estimator of one component.
+"""One of several coupled components, decoupled from the others: a job for the estimator of one component.
 
 What a unit of anything that is not known does to the readings of the coupled balance becomes here what it does to the
 reading of the component's own balance, and less the noise that the others show, where that is taken off.
@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
-from aerobalance.dynamics.decoupling import LoneComponent
+from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.estimation.error_sources import Contribution, Systematic
-from aerobalance.estimation.record import Job, Through
+from aerobalance.estimation.record import ComponentRecord, Through
 from aerobalance.motion.platform import PlatformMotion
-from aerobalance.motion.single_axis import Unknown
+from aerobalance.motion.single_axis import SystematicParameter
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.linalg import covariance_root
@@ -32,8 +32,8 @@ SMALL: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class LoneJob(Job):
-    """One of several components that ring together, taken apart from the others.
+class DecoupledRecord(ComponentRecord):
+    """One of several coupled components, decoupled from the others.
 
     `recording` holds what a balance of this component alone would read under its force, and no motion of the ground.
 
@@ -54,11 +54,11 @@ class LoneJob(Job):
     """
 
     coupled: CoupledDynamics
-    lone: LoneComponent
+    lone: DecoupledChannel
     loads: Array
     channels: tuple[Channel, ...]
     platform: PlatformMotion
-    others: tuple[LoneComponent, ...] = ()
+    others: tuple[DecoupledChannel, ...] = ()
 
     @property
     def motion_source(self) -> str:
@@ -71,7 +71,9 @@ class LoneJob(Job):
         parts = [lone.rows(self.coupled) for lone in (self.lone, *self.others)]
         return np.unique(np.concatenate(parts))
 
-    def parameter_errors(self, values: Array, again: Callable[[Job], Array], through: Through) -> Systematic:
+    def parameter_errors(
+        self, values: Array, again: Callable[[ComponentRecord], Array], through: Through
+    ) -> Systematic:
         """What a wrong element of inertia, damping or mass does to the force."""
         rows = self.rows
         name, mass = "inertia, damping and mass", self.coupled.mass
@@ -109,7 +111,7 @@ class LoneJob(Job):
             slopes[:, theirs] -= self._taken_off(series, other)
         return slopes
 
-    def _taken_off(self, series: Array, other: LoneComponent) -> Array:
+    def _taken_off(self, series: Array, other: DecoupledChannel) -> Array:
         return np.zeros_like(series) if self.shared is None else self.shared.slopes(series, other.place)
 
     def _read(self, felt: Array) -> Array:
@@ -123,16 +125,16 @@ class LoneJob(Job):
         """What the component reads when loads act on the moving mass of the coupled balance, both (samples, ...)."""
         return self._read(load_felt(self.coupled, net, interval=self.interval))
 
-    def felt_under(self, item: Unknown) -> Array:
+    def felt_under(self, item: SystematicParameter) -> Array:
         """Load felt under a unit of an unknown of the ground's motion, shape (samples,)."""
         return self._felt(-item.slope @ mass_rows(self.coupled).T)
 
-    def as_force(self, item: Unknown) -> Array:
+    def as_force(self, item: SystematicParameter) -> Array:
         """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, (samples,)."""
         return np.asarray((item.slope @ mass_rows(self.coupled).T)[:, self.lone.place])
 
     @property
-    def unknowns(self) -> tuple[Unknown, ...]:
+    def unknowns(self) -> tuple[SystematicParameter, ...]:
         """What holds along the ground's motion and is not known exactly."""
         return self.platform.unknowns
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.error_sources import Noise
-from aerobalance.estimation.record import Job
+from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
@@ -26,7 +26,7 @@ BAND_ORDER: Final = 8
 """Order of the zero-phase Butterworth roll-off of the band-limited inverse."""
 
 
-def _without_gaps(job: Job, what: str) -> Array:
+def _without_gaps(job: ComponentRecord, what: str) -> Array:
     load = job.load
     missing = int(np.count_nonzero(~np.isfinite(load)))
     if missing:
@@ -37,7 +37,7 @@ def _without_gaps(job: Job, what: str) -> Array:
     return load
 
 
-def central_differences(job: Job) -> ComponentForce:
+def central_differences(job: ComponentRecord) -> ComponentForce:
     """Eq. (17) of [Gorbushin2020]_ as it stands: AF' and AF'' by three-point central differences.
 
     The first and last sample have one neighbour only. The load is continued there by odd reflection, which makes AF''
@@ -89,7 +89,7 @@ def _differences(load: Array, dynamics: Dynamics, *, interval: float) -> Array:
     return np.asarray(load + b / k * load_rate + M / k * load_acceleration)
 
 
-def _delayed_force(job: Job) -> Array:
+def _delayed_force(job: ComponentRecord) -> Array:
     """Known force of the ground's motion at the load's sampling instants, shape (n,) [N]."""
     known = job.motion.force(job.dynamics.mass)
     lag = job.dynamics.delay + job.recording.channel(job.dynamics.component).delay - job.motion.delay
@@ -98,7 +98,7 @@ def _delayed_force(job: Job) -> Array:
     return _filtered(known, job.interval, lambda f: np.exp(-2j * np.pi * f * lag))[0]
 
 
-def band_limited(job: Job, bandwidth: float) -> ComponentForce:
+def band_limited(job: ComponentRecord, bandwidth: float) -> ComponentForce:
     """Eq. (17) of [Gorbushin2020]_ in the frequency domain, times a zero-phase Butterworth roll-off."""
     d, h = job.dynamics, job.interval
     if not 0 < bandwidth <= 0.5 / h:

@@ -1,6 +1,6 @@
 r"""From the gauge outputs or balance loads of a run to the forces and moments applied, Eq. (17) of [Gorbushin2020]_.
 
-With several components it is F = X + D X' + A X'' - W + M x1''. Where they ring together, each is decoupled from the
+With several components it is F = X + D X' + A X'' - W + M x1''. Where they are coupled, each is decoupled from the
 others (`aerobalance.dynamics.decoupling`) and then worked out as one component is: same estimator, same steps, same
 warnings.
 """
@@ -27,7 +27,7 @@ from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.decoupled_record import mass_rows
 from aerobalance.estimation.display import html, plot, summary, to_dataframe, to_xarray
-from aerobalance.estimation.record import IndependentRecord, Job
+from aerobalance.estimation.record import ComponentRecord, IndependentRecord
 from aerobalance.estimation.result import ComponentForce, with_balance
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
@@ -341,7 +341,7 @@ Answer = TypeVar("Answer")
 
 def _with_gaps_filled(
     record: ForceRecord,
-    work: Callable[[Job], Answer],
+    work: Callable[[ComponentRecord], Answer],
     known: Callable[[Answer], tuple[Array, float]],
     *,
     noises: Mapping[str, NoiseSpectrum] | None,
@@ -353,11 +353,11 @@ def _with_gaps_filled(
     record
         The record.
     work
-        Makes an answer of a component taken apart.
+        Makes an answer of a decoupled component.
     known
         Force and noise of a reading, of an answer.
     noises
-        Spectra of the noise of the components taken apart, where they are known.
+        Spectra of the noise of the decoupled components, where they are known.
     """
     filled = interpolate_gaps(record.loads)
     found = {name: work(job) for name, job in record.jobs(filled, noises=noises).items()}

@@ -15,7 +15,7 @@ from aerobalance.estimation.error_sources import Contribution, Systematic, total
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
-from aerobalance.motion.single_axis import GroundMotion, Unknown, load_from_ground
+from aerobalance.motion.single_axis import GroundMotion, SystematicParameter, load_from_ground
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, acceleration_name
 from aerobalance.recording.errors import FitError
@@ -37,7 +37,7 @@ Through = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Job:
+class ComponentRecord:
     """One component of a recording with the balance and the ground's motion that go with it.
 
     Attributes
@@ -59,7 +59,7 @@ class Job:
     @classmethod
     def of(
         cls, recording: Recording, dynamics: Dynamics, motion: GroundMotion, *, noise: NoiseSpectrum | None = None
-    ) -> Job:
+    ) -> ComponentRecord:
         """Take a recording as it was written: what its channels' filters have done is undone first."""
         return cls(corrected(recording), dynamics, motion, noise=noise)
 
@@ -107,7 +107,7 @@ class Job:
             return replace(reading, noise=self.shared.white, color=self.shared.color)
         return reading
 
-    def with_dynamics(self, other: Dynamics) -> Job:
+    def with_dynamics(self, other: Dynamics) -> ComponentRecord:
         """The same record with other dynamics, whose mass has another weight in the zero that the load counts from."""
         shift = (other.mass - self.dynamics.mass) * self.motion.gravity_on_zero
         channel = self.recording.channel(self.dynamics.component)
@@ -115,7 +115,9 @@ class Job:
         recording = replace(self.recording, channels={**self.recording.channels, channel.name: moved})
         return replace(self, recording=recording, dynamics=other)
 
-    def parameter_errors(self, values: Array, again: Callable[[Job], Array], through: Through) -> Systematic:
+    def parameter_errors(
+        self, values: Array, again: Callable[[ComponentRecord], Array], through: Through
+    ) -> Systematic:
         """What the parameters of the dynamics do to the force: the method is run again with each of them changed.
 
         The slopes of Eq. (17) of [Gorbushin2020]_ would say too much where the smoother's prior has no force at a
@@ -131,21 +133,21 @@ class Job:
                 slopes[:, place] = (moved - values) / (PROBE * deviation)
         return Systematic(PARAMETERS_NAME, "dynamics", d.parameters, slopes, d.covariance)
 
-    def felt_under(self, item: Unknown) -> Array:
+    def felt_under(self, item: SystematicParameter) -> Array:
         """Load felt under a unit of an unknown of the ground's motion, shape (n,)."""
         unit, delay = replace(self.motion, specific_force=item.slope), self.recording.channel(self.dynamics.component)
         return load_from_ground(unit, self.dynamics, rate=self.recording.rate, load_delay=delay.delay)
 
-    def as_force(self, item: Unknown) -> Array:
+    def as_force(self, item: SystematicParameter) -> Array:
         """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, shape (n,)."""
         return self.dynamics.mass * item.slope
 
     @property
-    def unknowns(self) -> tuple[Unknown, ...]:
+    def unknowns(self) -> tuple[SystematicParameter, ...]:
         """What holds along the ground's motion and is not known exactly."""
         return self.motion.unknowns
 
-    def motion_errors(self, slope: Callable[[Unknown], Array]) -> list[Contribution]:
+    def motion_errors(self, slope: Callable[[SystematicParameter], Array]) -> list[Contribution]:
         """What holds along the ground's motion and is not known, by what a unit of it does to the force, (n,)."""
         return [
             Systematic(item.name, item.source, (item.name,), slope(item)[:, None], np.array([[item.uncertainty**2]]))
@@ -243,7 +245,7 @@ class IndependentRecord:
         """The same record, of noise alone: it needs nothing of the run."""
         return self
 
-    def jobs(self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None) -> dict[str, Job]:
+    def jobs(self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None) -> dict[str, ComponentRecord]:
         """The components made ready, by name; arguments as `CoupledRecord.jobs` has them, but gaps stay gaps."""
         spectra = {} if noises is None else noises
         return {name: self.job(name, filled, noise=spectra.get(name)) for name in self.dynamics}
@@ -255,6 +257,8 @@ class IndependentRecord:
         *,
         noise: NoiseSpectrum | None = None,
         shared: SharedNoise | None = None,
-    ) -> Job:
+    ) -> ComponentRecord:
         """One component made ready."""
-        return Job(self.recording, self.dynamics[component], self.motions[component], noise=noise, shared=shared)
+        return ComponentRecord(
+            self.recording, self.dynamics[component], self.motions[component], noise=noise, shared=shared
+        )

@@ -13,7 +13,7 @@ from aerobalance.motion.consistency import Effect, check_agreement
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.rotation import Turning
 from aerobalance.motion.sensors import ground_sensors, motion_name, unseen
-from aerobalance.motion.single_axis import AT_REST, Unknown, tones, without_gaps
+from aerobalance.motion.single_axis import AT_REST, SystematicParameter, tones, without_gaps
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, COMPONENTS, DIRECTIONS, IS_FORCE, MOMENT_ROWS, STANDARD_GRAVITY
 from aerobalance.recording.gravity import Gravity
@@ -66,7 +66,7 @@ class PlatformMotion:
     turn_rate: Array
     delay: float
     assumptions: tuple[str, ...]
-    unknowns: tuple[Unknown, ...] = ()
+    unknowns: tuple[SystematicParameter, ...] = ()
     gravity_on_zero: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
 
     @classmethod
@@ -265,7 +265,7 @@ class _Job:
         felt = _felt(self.first, pull)
         return {index: felt[:, index] for index, sensor in enumerate(self.first.sensors) if sensor.reads_gravity}
 
-    def _unknowns(self, fit: GroundFit, effects: list[Effect], known: Array) -> Iterator[Unknown]:
+    def _unknowns(self, fit: GroundFit, effects: list[Effect], known: Array) -> Iterator[SystematicParameter]:
         for effect in effects:
             if effect.uncertainty <= 0:
                 continue
@@ -275,7 +275,7 @@ class _Job:
             if effect.name in GAINS and known.any():
                 slope = slope + self._share(effect.source) * known
             if slope.any():
-                yield Unknown(effect.name, effect.source, slope, effect.uncertainty)
+                yield SystematicParameter(effect.name, effect.source, slope, effect.uncertainty)
 
     def _share(self, name: str) -> Array:
         """Share of a sensor in every motion, shape (6,): by so much the gain of its tones is its own."""

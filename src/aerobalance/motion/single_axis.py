@@ -33,7 +33,7 @@ CHANCE: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Unknown:
+class SystematicParameter:
     """A number behind the ground's motion that holds along the record and is not known exactly.
 
     Attributes
@@ -85,7 +85,7 @@ class GroundMotion:
     relative_uncertainty: float
     delay: float
     assumptions: tuple[str, ...]
-    unknowns: tuple[Unknown, ...] = ()
+    unknowns: tuple[SystematicParameter, ...] = ()
     gravity_on_zero: float = 0.0
 
     @classmethod
@@ -116,7 +116,7 @@ class GroundMotion:
         noise = relative = delay = 0.0
         coupling = "kinematic"
         assumptions = []
-        unknowns: list[Unknown] = []
+        unknowns: list[SystematicParameter] = []
         if name in recording:
             channel = recording.channel(name)
             acceleration = without_gaps(channel)
@@ -132,8 +132,8 @@ class GroundMotion:
                 acceleration = divided(acceleration, high_pass(channel.corner), rate=recording.rate)
             one = np.ones(recording.samples)
             unknowns += [
-                Unknown("accelerometer gain", name, acceleration, relative),
-                Unknown("accelerometer zero", name, one, channel.zero_uncertainty),
+                SystematicParameter("accelerometer gain", name, acceleration, relative),
+                SystematicParameter("accelerometer zero", name, one, channel.zero_uncertainty),
                 *_across(recording, channel),
             ]
             if coupling == "ac":
@@ -214,7 +214,7 @@ def _gravity(recording: Recording, component: str, gravity: float, assumptions: 
 
 def _of_gravity(
     recording: Recording, component: str, along: _GravityAlong, *, gravity: float, gravity_uncertainty: float
-) -> Iterator[Unknown]:
+) -> Iterator[SystematicParameter]:
     """What is not known of the angles and of gravity: what it does in the run, less that in the zero of the loads."""
     nothing, zero, column = np.zeros(recording.samples), recording.gravity_on_zero, _column(component)
     for name in ("pitch", "roll"):
@@ -224,9 +224,9 @@ def _of_gravity(
         for word, uncertainty in (("zero", channel.zero_uncertainty), ("gain", channel.relative_uncertainty)):
             what = f"{name} {word}"
             slope = zero.slope(what)[column] - along.changes.get(what, nothing)
-            yield Unknown(what, name, slope, uncertainty)
+            yield SystematicParameter(what, name, slope, uncertainty)
     slope = (zero.acceleration[column] - along.acceleration) / gravity
-    yield Unknown("gravity", "gravity", slope, gravity_uncertainty)
+    yield SystematicParameter("gravity", "gravity", slope, gravity_uncertainty)
 
 
 def _column(component: str) -> int:
@@ -234,10 +234,10 @@ def _column(component: str) -> int:
     return FORCE_ROWS[AXES.index(driving_axis(component))]
 
 
-def _across(recording: Recording, channel: Channel) -> list[Unknown]:
+def _across(recording: Recording, channel: Channel) -> list[SystematicParameter]:
     """Cross-axis sensitivities of an accelerometer, whose values have been taken off."""
     return [
-        Unknown(
+        SystematicParameter(
             f"cross-axis sensitivity to {part.channel}",
             channel.name,
             -np.nan_to_num(recording.channel(part.channel).values),

@@ -1,4 +1,4 @@
-"""A balance with a rigid model whose six components ring together, and random ones of a sensible size."""
+"""A balance with a rigid model whose six components are coupled, and random ones of a sensible size."""
 
 from __future__ import annotations
 

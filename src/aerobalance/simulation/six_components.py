@@ -1,4 +1,4 @@
-"""Six components that ring together: an elastic balance with a rigid model, on a sting that moves.
+"""Six coupled components: an elastic balance with a rigid model, on a sting that moves.
 
 K q = X are the loads felt and q the motion of the live end against the ground end, so that
 

@@ -26,12 +26,12 @@ import numpy as np
 
 from aerobalance.estimation.component_force import Method, estimated
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.decoupled_record import LoneJob
+from aerobalance.estimation.decoupled_record import DecoupledRecord
 from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.force import Force, ForceRecord
 from aerobalance.estimation.force_smoother import LinearSmoother
 from aerobalance.estimation.prior import Observation, SpectralPrior
-from aerobalance.estimation.record import Job
+from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import Step, shape_of
 from aerobalance.recording.channel import Array
@@ -160,10 +160,10 @@ def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, M
 
 
 def _changed(
-    record: ForceRecord, job: Job, filled: Array, draws: int, generator: np.random.Generator
-) -> Iterator[Job]:
+    record: ForceRecord, job: ComponentRecord, filled: Array, draws: int, generator: np.random.Generator
+) -> Iterator[ComponentRecord]:
     """The component made ready with one draw of the dynamics after the other."""
-    if not isinstance(record, CoupledRecord) or not isinstance(job, LoneJob):
+    if not isinstance(record, CoupledRecord) or not isinstance(job, DecoupledRecord):
         if not job.dynamics.covariance.any():
             return repeat(job, draws)
         return (job.with_dynamics(other) for other in drawn_dynamics(generator, job.dynamics, draws))
@@ -180,9 +180,9 @@ def _changed(
 class _Trial:
     """An estimate, what it was worked out from, and where the draws come from."""
 
-    job: Job
+    job: ComponentRecord
     estimate: ComponentForce
-    changed: Callable[[np.random.Generator], Iterator[Job]]
+    changed: Callable[[np.random.Generator], Iterator[ComponentRecord]]
     draws: int
     generator: np.random.Generator
 
@@ -228,7 +228,7 @@ class _Trial:
         noise, first = self.estimate.noise, self.estimate.values
         zero = np.zeros(first.size)
 
-        def run(job: Job, more: Array, shaking: Array) -> Array:
+        def run(job: ComponentRecord, more: Array, shaking: Array) -> Array:
             load = job.recording.channel(job.dynamics.component)
             channel = replace(load, values=load.values + more, noise=noise)
             noisy = replace(job.recording, channels={**job.recording.channels, load.name: channel})

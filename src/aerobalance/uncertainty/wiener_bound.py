@@ -29,7 +29,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.decoupling import LoneComponent
+from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS
@@ -171,7 +171,7 @@ class WienerBound:
             )
         names = dynamics.components
         covariance = np.diag([noise[name] ** 2 for name in names])
-        channels = [LoneComponent.of(dynamics, name, noise=covariance) for name in names]
+        channels = [DecoupledChannel.of(dynamics, name, noise=covariance) for name in names]
         still = [pole for mode in channels[0].still for pole in mode.poles]
         return cls(
             names,
@@ -294,7 +294,7 @@ def _density_of_one(dynamics: Dynamics, frequency: Array, size: Array) -> Array:
 
 
 def _density_of_coupled(
-    dynamics: CoupledDynamics, channels: Sequence[LoneComponent], frequency: Array, size: Array
+    dynamics: CoupledDynamics, channels: Sequence[DecoupledChannel], frequency: Array, size: Array
 ) -> Array:
     """Return the variance by inertia and damping of forces of the density size^2, shape (m, n)."""
     n, s = len(dynamics.components), 2j * np.pi * frequency

@@ -1,4 +1,4 @@
-"""The other ways from load felt to force, on components that ring together.
+"""The other ways from load felt to force, on coupled components.
 
 What knows one component is given the best of one component: its own reading, with what gravity and the ground's motion
 put on the balance taken off by the coupled dynamics, and its own response to its own load with all modes in it. The
@@ -20,7 +20,7 @@ from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.prior import fit_prior
-from aerobalance.estimation.record import Job
+from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import columns_of
 from aerobalance.motion.single_axis import GroundMotion
@@ -182,7 +182,7 @@ class _Component:
         self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings
     ) -> BaselineEstimate:
         """The smoother with the diagonals of the matrices; what they leave ringing would be taken for steps."""
-        job = Job.of(recording, self.diagonal, GroundMotion.of(recording, self.name))
+        job = ComponentRecord.of(recording, self.diagonal, GroundMotion.of(recording, self.name))
         reading = job.reading()
         learned = fit_prior(reading, columns=columns_of([], reading))
         values = SmootherResult.of(reading, learned=learned, steps=()).force

@@ -17,7 +17,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.force import Force
 from aerobalance.estimation.prior import Observation
-from aerobalance.estimation.record import FEWEST_SAMPLES, Job
+from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord
 from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
 from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.identification.free_decay.event import first_look
@@ -144,7 +144,7 @@ def contradictions(force: Force) -> list[str]:
     return [text for job, misfit in misfits for text in misfit.sentences(job.dynamics)]
 
 
-def misfit_of(job: Job, *, noise: float, steps: Sequence[Step] = (), hum: Sequence[Line] = ()) -> Misfit:
+def misfit_of(job: ComponentRecord, *, noise: float, steps: Sequence[Step] = (), hum: Sequence[Line] = ()) -> Misfit:
     """A mode of a record that the dynamics lack, and a frequency or damping that has changed.
 
     Parameters
@@ -169,7 +169,7 @@ def misfit_of(job: Job, *, noise: float, steps: Sequence[Step] = (), hum: Sequen
     return _possible(found, most=float(np.nanstd(known)))
 
 
-def _peaks(job: Job, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]) -> list[Peak]:
+def _peaks(job: ComponentRecord, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]) -> list[Peak]:
     """A narrow peak in the reading of a decoupled component, in which no mode of the dynamics shows."""
     seen = _unbroken(job, steps, hum)
     if seen is None:
@@ -180,7 +180,9 @@ def _peaks(job: Job, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]
     return [] if mode is None else [Peak(job.dynamics.component, mode.mode.natural_frequency, mode.u_frequency)]
 
 
-def _unbroken(job: Job, steps: Sequence[Step], hum: Sequence[Line]) -> tuple[Observation, list[Step]] | None:
+def _unbroken(
+    job: ComponentRecord, steps: Sequence[Step], hum: Sequence[Line]
+) -> tuple[Observation, list[Step]] | None:
     """The longest stretch of a reading without a gap, hum taken out, and the steps within; None where it is still."""
     reading = job.reading()
     lines = reading_of_lines(tuple(hum), count=reading.values.size, interval=reading.interval) if hum else 0.0
@@ -210,7 +212,7 @@ def _possible(found: Misfit, *, most: float) -> Misfit:
     return found if found.size is None or found.size <= most else replace(found, size=None)
 
 
-def _release(job: Job, values: Array, *, noise: float) -> DecayFit | None:
+def _release(job: ComponentRecord, values: Array, *, noise: float) -> DecayFit | None:
     """The record as a free decay, where that explains it down to its noise."""
     recording, dynamics = job.recording, job.dynamics
     name = dynamics.component

@@ -200,7 +200,7 @@ def identify_decay(
         typer.Option(
             "--component",
             callback=capital,
-            help="NF, PM, SF, YM, RM or AF; all for six that ring together, from releases.",
+            help="NF, PM, SF, YM, RM or AF; all for six coupled ones, from releases.",
         ),
     ] = "AF",
     modes: Annotated[
@@ -275,9 +275,7 @@ def identify_rig(
     out: Out = None,
     component: Annotated[
         str,
-        typer.Option(
-            "--component", callback=capital, help="NF, PM, SF, YM, RM or AF; all for six that ring together."
-        ),
+        typer.Option("--component", callback=capital, help="NF, PM, SF, YM, RM or AF; all for six coupled ones."),
     ] = "AF",
     modes: Modes = "1",
     half_range: HalfRange = None,

@@ -59,7 +59,7 @@ def demo(
         bool, typer.Option("--tables", help="Make the paper's Tables 1 and 2 instead, with every rival (tables.html).")
     ] = False,
     six: Annotated[
-        bool, typer.Option("--six", help="Six components that ring together instead, from mV/V to forces (six.html).")
+        bool, typer.Option("--six", help="Six coupled components instead, from mV/V to forces (six.html).")
     ] = False,
     as_json: Json = False,
     verbose: Verbose = False,

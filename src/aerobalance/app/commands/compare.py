@@ -121,7 +121,7 @@ def _half_ranges(
     if given is None or isinstance(given, Mapping):
         return given or {}
     if coupled:
-        raise ValueError("--half-range of components that ring together is given by component: NF=2000")
+        raise ValueError("--half-range of coupled components is given by component: NF=2000")
     return dict.fromkeys(names, given)
 
 
@@ -215,7 +215,7 @@ def coupled_summary(account: Account) -> str:
     keys = [f"{row['name']}{' *' if row['setting'] != 'customary' else ''}" for row in rows]
     width = max(len(key) for key in keys)
     modes = ", ".join(f"{mode['natural_frequency']:.4g}" for mode in account["modes"])
-    lines = [f"{account['file']}: components that ring together, modes at {modes} Hz", account["table_holds"]]
+    lines = [f"{account['file']}: coupled components, modes at {modes} Hz", account["table_holds"]]
     lines += ["*: its one tuning number chosen on the truth, which no user has", ""]
     lines += [" ".join([" " * width, *(f"{name:>9}" for name in names)])]
     for key, row in zip(keys, rows, strict=True):

@@ -1,4 +1,4 @@
-"""Command that identifies components that ring together, from several releases."""
+"""Command that identifies coupled components, from several releases."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def identify_decays(
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
 ) -> Account:
-    """A and D of components that ring together, from a release in every recording.
+    """A and D of coupled components, from a release in every recording.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def identify_decays(
     mass
         Weighed mass: a number [kg] or mass.json; None leaves the mass matrix out.
     components
-        Components that ring together.
+        Coupled components.
     half_range
         Half of range by component [N, N*m]; None takes the largest change of load in the recordings.
     modes

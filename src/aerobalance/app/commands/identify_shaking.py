@@ -1,4 +1,4 @@
-"""Command that identifies components that ring together from a shaken ground end."""
+"""Command that identifies coupled components from a shaken ground end."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def identify_shaken(
     half_range: Mapping[str, float] | None = None,
     channel_map: Path | None = None,
 ) -> Account:
-    """A, D and the mass of components that ring together, from recordings with a shaken ground end.
+    """A, D and the mass of coupled components, from recordings with a shaken ground end.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A balance of six components that ring together, from the calibration stand to the forces of a run.
+"""A balance of six coupled components, from the calibration stand to the forces of a run.
 
 A random balance with a rigid model is calibrated, weighed, identified from six releases, and then run: gusts on all
 components, a release and a sting that shakes. Everything is recorded as gauge outputs in mV/V, and every step reads

@@ -31,7 +31,7 @@ class Task:
     number
         What to call it.
     verb
-        ``info``, ``decay``, ``rig``, ``force`` or ``together``, which identifies all components that ring together.
+        ``info``, ``decay``, ``rig``, ``force`` or ``together``, which identifies all coupled components.
     recordings
         The recordings; all but ``together`` take one.
     settings

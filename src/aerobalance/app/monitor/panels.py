@@ -59,7 +59,7 @@ def panel_of(setup: Setup, info: SourceInfo, folder: Path, zeros: Mapping[str, f
     if isinstance(dynamics, CoupledDynamics) and not panel.components:
         lacking = [name for name in dynamics.components if name not in panel.names]
         raise FitError(
-            f"the components of the dynamics ring together, so the force of each needs the readings of all: there is "
+            f"the components of the dynamics are coupled, so the force of each needs the readings of all: there is "
             f"no {', '.join(lacking)} among {', '.join(panel.names)}"
         )
     return panel

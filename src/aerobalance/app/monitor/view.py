@@ -126,7 +126,7 @@ class Panel:
 
     @property
     def masses(self) -> Mapping[str, float]:
-        """Moving mass of components that do not ring together [kg, kg*m^2]."""
+        """Moving mass of components that are not coupled [kg, kg*m^2]."""
         dynamics = self.dynamics
         return {} if isinstance(dynamics, CoupledDynamics) else {name: one.mass for name, one in dynamics.items()}
 

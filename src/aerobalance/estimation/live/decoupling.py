@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.decoupling import Fractions, LoneComponent
+from aerobalance.dynamics.decoupling import DecoupledChannel, Fractions
 from aerobalance.dynamics.driven_modes import DrivenModes
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
@@ -27,7 +27,7 @@ MARGIN: Final = REACH
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DecoupledChannel:
+class LiveDecoupledChannel:
     """The balance of one component that gives its force, and how its reading comes from all.
 
     Attributes
@@ -48,14 +48,14 @@ class DecoupledChannel:
     alone: bool
 
 
-def decoupled(dynamics: Dynamics | CoupledDynamics, *, noise: Array) -> list[DecoupledChannel]:
+def decoupled(dynamics: Dynamics | CoupledDynamics, *, noise: Array) -> list[LiveDecoupledChannel]:
     """Return the decoupled channels of n components; `noise` is the covariance of a reading, shape (n, n)."""
     if isinstance(dynamics, CoupledDynamics):
-        lones = [LoneComponent.of(dynamics, name, noise=noise) for name in dynamics.components]
-        return [DecoupledChannel(one.dynamics, one.fractions, one.partners, one.alone) for one in lones]
+        lones = [DecoupledChannel.of(dynamics, name, noise=noise) for name in dynamics.components]
+        return [LiveDecoupledChannel(one.dynamics, one.fractions, one.partners, one.alone) for one in lones]
     none = np.zeros((len(dynamics.modes), 1))
     own = Fractions(np.ones(1), dynamics.modes, none, none)
-    return [DecoupledChannel(dynamics, own, np.ones(1, dtype=np.bool_), alone=True)]
+    return [LiveDecoupledChannel(dynamics, own, np.ones(1, dtype=np.bool_), alone=True)]
 
 
 class Decoupler:
@@ -79,7 +79,7 @@ class Decoupler:
     """
 
     def __init__(
-        self, channels: Sequence[DecoupledChannel], *, interval: float, moves: bool, delay: float = 0.0
+        self, channels: Sequence[LiveDecoupledChannel], *, interval: float, moves: bool, delay: float = 0.0
     ) -> None:
         n = len(channels)
         self._partners = np.array([channel.partners for channel in channels])

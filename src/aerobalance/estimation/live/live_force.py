@@ -30,7 +30,7 @@ from aerobalance.estimation.live.alignment import Aligner
 from aerobalance.estimation.live.columns import Columns, judged_noise
 from aerobalance.estimation.live.component_smoother import ComponentSmoother, FinalSamples, SmootherSettings
 from aerobalance.estimation.live.decimation import Decimator
-from aerobalance.estimation.live.decoupling import DecoupledChannel, Decoupler, decoupled
+from aerobalance.estimation.live.decoupling import Decoupler, LiveDecoupledChannel, decoupled
 from aerobalance.estimation.live.equation import equation_of
 from aerobalance.estimation.live.health import SHORTEST, Health, Learning, LiveEstimate, Snapshot
 from aerobalance.estimation.live.motion_test import MotionTest, MotionTestSettings
@@ -431,7 +431,7 @@ class LiveForce:
         self._parts = self._smoothers(channels, ahead=self._decoupler.ahead)
         self._latency = self._decoupler.ahead + max(part.settings.lag for part in self._parts)
 
-    def _smoothers(self, channels: Sequence[DecoupledChannel], *, ahead: int) -> list[ComponentSmoother]:
+    def _smoothers(self, channels: Sequence[LiveDecoupledChannel], *, ahead: int) -> list[ComponentSmoother]:
         settings, interval = self.settings, self.interval
         covariance = np.zeros((6, 6))
         if self._columns is not None:

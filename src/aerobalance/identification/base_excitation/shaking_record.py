@@ -202,7 +202,7 @@ def _whole(recording: Recording) -> Recording:
     lacking = [name for name in COMPONENTS if name not in recording]
     if lacking:
         raise FitError(
-            f"{recording.name} has no {', '.join(lacking)}; components that ring together are identified from the "
+            f"{recording.name} has no {', '.join(lacking)}; coupled components are identified from the "
             f"loads of all: {', '.join(COMPONENTS)}"
         )
     loads = [recording.channel(name) for name in COMPONENTS]

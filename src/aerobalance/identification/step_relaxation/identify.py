@@ -64,7 +64,7 @@ def identify_releases(
         One release in each, anywhere in it; readings before it tie the decay to the loads that were let go. All at
         the same sampling rate.
     components
-        Components that ring together, some of `COMPONENTS`.
+        Coupled components, some of `COMPONENTS`.
     mass
         Weighed mass [kg], exact or with its standard uncertainty; with all six components it gives the mass matrix.
     half_range
