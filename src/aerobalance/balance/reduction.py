@@ -336,6 +336,12 @@ def _weight(
         raise FitError(
             f"the weighing has {', '.join(weighing.components)}, and the balance none of them but {', '.join(names)}"
         )
+    left = [name for name in names if name in COMPONENTS and name not in weighing.components]
+    if left:
+        warn_quality(
+            f"{recording.name}: the weighing knows the weight along {', '.join(weighing.components)} only; that along "
+            f"{', '.join(left)} stays in the loads"
+        )
     nothing = np.zeros_like(pitch)
     return (
         np.column_stack([nothing if k is None else loads[:, k] for k in columns]),
