@@ -117,6 +117,9 @@ def test_six_components_from_outputs_of_the_bridges(rng):
         ab.Zero(zero)
     with pytest.raises(ValueError, match="lack the weight of the model"):
         ab.estimate_force(ab.reduce_outputs(run, matrix, zero=ab.Zero(zero, model_on=True)), dynamics)
+    lighter = replace(dynamics, mass=replace(balance.mass, mass=0.9 * balance.mass.mass))
+    with pytest.raises(ValueError, match="with the same dynamics as their model"):
+        ab.estimate_force(ab.reduce_outputs(run, matrix, zero=ab.Zero(zero, model_on=True), model=lighter), dynamics)
     with pytest.raises(FitError, match="gauge outputs become loads"):
         ab.estimate_force(run, dynamics)
     with pytest.warns(UserWarning, match="the errors of the balance matrix"):

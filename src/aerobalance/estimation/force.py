@@ -32,7 +32,7 @@ from aerobalance.estimation.result import ComponentForce, with_balance
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import STANDARD_GRAVITY, is_gauge
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge
 from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, warn_quality
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import align_channels, interpolate_gaps
@@ -47,6 +47,9 @@ PASSES: Final = 2
 
 SETTLED: Final = 5.0
 """Change of what fills a gap, over the noise of a reading, which no force would notice."""
+
+SAME_WEIGHT: Final = 1e-3
+"""Difference of two weights, over the largest, that attitudes which are averaged may make."""
 
 ForceRecord = IndependentRecord | CoupledRecord
 """A recording with the dynamics of its components, made ready for the estimator."""
@@ -248,10 +251,11 @@ def force_record(
     ValueError
         The loads count from the weight of a model and do not say what it is.
     """
+    model = dynamics_of(dynamics)
     if isinstance(run, Loads):
         run.check_ready()
+        _check_mass(run, model)
         run = run.recording
-    model = dynamics_of(dynamics)
     if not any(name in run for name in model.components):
         gauges = any(is_gauge(name) for name in run.channels)
         raise FitError(
@@ -262,6 +266,24 @@ def force_record(
     if isinstance(model, CoupledDynamics):
         return CoupledRecord.of(run, model, **settings)
     return IndependentRecord.of(run, model, **settings)
+
+
+def _check_mass(loads: Loads, model: IndependentDynamics | CoupledDynamics) -> None:
+    """Refuse loads whose zero was read under the weight of another mass than the dynamics have."""
+    put_back, gravity = loads.zero.weight, loads.zero.pull.acceleration
+    size = float(np.linalg.norm(gravity))
+    if not put_back.any() or size == 0:
+        return
+    aft, right, up = (float(gravity[COMPONENTS.index(name)]) for name in ("AF", "SF", "NF"))
+    pitch, roll = np.array([np.arcsin(aft / size)]), np.array([np.arctan2(right, -up)])
+    for name in model.components:
+        own = float(model.weight(name, pitch=pitch, roll=roll, gravity=size)[0])
+        there = float(put_back[COMPONENTS.index(name)])
+        if abs(own - there) > SAME_WEIGHT * float(np.max(np.abs(put_back))):
+            raise ValueError(
+                f"{loads.recording.name}: the zero of these loads was taken to hold a weight of {there:.5g} along "
+                f"{name}, and these dynamics weigh {own:.5g}; work the loads out with the same dynamics as their model"
+            )
 
 
 def noise_spectra(
