@@ -17,7 +17,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
 from aerobalance.simulation import CableCut, Sensor, band_noise
 from aerobalance.uncertainty.regression import regress
-from aerobalance.validation.baselines import Settings, low_pass, raw_reading
+from aerobalance.validation.baselines import BaselineSettings, low_pass, raw_reading
 
 RATE, DURATION = 25_000.0, 0.05  # Hz, s
 BALANCE = Dynamics("AF", mass=4.0, stiffness=4.0 * (2 * np.pi * 320) ** 2, damping=0.005 * 2 * 4.0 * 2 * np.pi * 320)
@@ -57,7 +57,7 @@ def main(seed=1, *, figure=None):
 
     force = estimate_force(test.recording, BALANCE, hum="keep").only  # no mains in a record of 50 ms
     mean = regress(force, {"mean": 1.0}, span=window)
-    rivals = {way.__name__: way(test.recording, BALANCE, Settings()).values for way in (raw_reading, low_pass)}
+    rivals = {way.__name__: way(test.recording, BALANCE, BaselineSettings()).values for way in (raw_reading, low_pass)}
 
     truth = float(test.applied[window].mean())
     value, u = float(mean.values[0]), float(mean.measured_uncertainty[0])

@@ -56,7 +56,7 @@ def test_force_takes_a_file_of_coupled_dynamics(
 def test_force_says_which_component_lacks(
     cut: tuple[Path, CoupledBalance, SixSimulation], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    folder, _, simulation, _ = cut
+    folder, _, simulation = cut
     recording = simulation.recording
     channels = {name: channel for name, channel in recording.channels.items() if name != "RM"}
     write_recording(tmp_path / "five.h5", replace(recording, channels=channels))

@@ -14,7 +14,7 @@ import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.demos.six_demo import PULLED, Folder, bearable, still, weighed
+from aerobalance.app.demos.six_demo import PULLED, DemoFolder, bearable, still, weighed
 from aerobalance.io import read
 from aerobalance.io.balance_file import write_balance
 from aerobalance.io.dynamics_file import read_coupled
@@ -42,7 +42,7 @@ class Found(NamedTuple):
 def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
     rng = np.random.default_rng(new_seed())
     balance = random_balance(rng)
-    folder = Folder(tmp_path_factory.mktemp("calibration"), rng)
+    folder = DemoFolder(tmp_path_factory.mktemp("calibration"), rng)
     count = len(balance.matrix.terms)
     known = replace(balance.matrix, covariance=np.tile(LEFT**2 * np.eye(count), (6, 1, 1)))
     for name in ("balance", "other"):

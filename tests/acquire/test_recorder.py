@@ -339,7 +339,7 @@ from aerobalance.io.hdf5_layout import Provenance, StoredChannel
 recorder.shutil.disk_usage = lambda _: SimpleNamespace(free=2**40)
 channels = tuple(StoredChannel(f"c{i}", "N") for i in range(12))
 plan = Plan(channels, 25000.0, 2500)
-take = recorder.Take(recorder.Job(sys.argv[1], plan, False, recorder.Provenance("test"), 0))
+take = recorder.Take(recorder.RecordJob(sys.argv[1], plan, False, recorder.Provenance("test"), 0))
 number = 0
 while not take.progress.over:
     take.feed(Block(number * 2500, np.random.default_rng(number).normal(size=(2500, 12)), 0.0))

@@ -682,7 +682,10 @@ def test_table_in_volts_needs_the_excitation(tmp_path):
 
 
 BAD_TABLE = {
-    "no pairs": ("time [s],AF [N]\n0,1\n", ["header", "line 1 has 'time [s]; AF [N]'", "rNAME", "--map", ".vol"]),
+    "no pairs": (
+        "time [s],AF [N]\n0,1\n",
+        ["header", "line 1 has 'time [s]; AF [N]'", "rNAME", "channel_map", ".vol"],
+    ),
     "output in volts": ("AF [N],rAF [mV]\n1,2\n", ["column 2", "a gauge output", "excitation [V]"]),
     "zero excitation": ("AF [N],rAF [mV],excitation [V]\n1,2,5\n1,2,0\n", ["line 3", "excitation is 0 V"]),
     "load missing": ("AF [N],rAF [mV/V]\n1,2\n,2\n", ["line 3, column 1", "missing"]),
