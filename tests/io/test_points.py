@@ -74,7 +74,7 @@ SIX = "pitch [deg],roll [deg],NF [N],PM [N*m],SF [N],YM [N*m],RM [N*m],AF [N],u_
 def test_all_loads_of_a_table(tmp_path):
     path = table(tmp_path, SIX + "0,90,1,2,3,4,5,6,0.5\n10,180,7,8,9,10,11,12,0.25\n")
     points = read_points([path])
-    assert points.components == ("NF", "PM", "SF", "YM", "RM", ("AF",))
+    assert points.components == ("NF", "PM", "SF", "YM", "RM", "AF")
     np.testing.assert_allclose(points.roll, np.radians([90, 180]))
     assert points.loads.tolist() == [[1, 2, 3, 4, 5, 6], [7, 8, 9, 10, 11, 12]]
     assert points.noise[:, 1].tolist() == [0.5, 0.25]
@@ -89,7 +89,7 @@ def test_all_loads_of_a_recording_and_a_table(tmp_path):
     rows = "".join(f"{i / 100},{5 + (-1) ** i},{-2 + (-1) ** i},30\n" for i in range(400))
     recording = table(tmp_path, "time [s],AF [N],NF [N],pitch [deg]\n" + rows, "run.csv")
     points = read_points([recording, table(tmp_path, "pitch [deg],AF [N],NF [kN]\n0,1,2\n")])
-    assert points.components == ("NF", ("AF",))
+    assert points.components == ("NF", "AF")
     assert points.roll is None
     np.testing.assert_allclose(points.loads, [[-2, 5], [2000, 1]])
 
