@@ -76,7 +76,7 @@ def live(readings: np.ndarray) -> list[np.ndarray]:
     """All that the live kernels give: a step is found and followed, and readings that are not explained come last."""
     step = BALANCE.step_response((np.arange(2 * LAG) + 1) * INTERVAL)
     one = LiveFilter(system(), interval=INTERVAL, lag=LAG, first=0, step=step)
-    one.jolt[[LOAD, LOAD_RATE]] = 9.0
+    one.inflation[[LOAD, LOAD_RATE]] = 9.0
     happened, parts = [], []
     for begin in range(0, readings.size, 50):
         one.feed(readings[begin : begin + 50])

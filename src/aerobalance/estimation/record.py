@@ -101,7 +101,7 @@ class ComponentRecord:
             hum=hum,
         )
         if self.noise is not None:
-            color = self.noise.states(channel.values.size * self.interval)
+            color = self.noise.colored_part(channel.values.size * self.interval)
             return replace(reading, noise=self.noise.deviation, color=color)
         if self.shared is not None:
             return replace(reading, noise=self.shared.white, color=self.shared.color)

@@ -1,4 +1,7 @@
-"""Gravity along the components: at the attitudes of a run, and of the zero that its loads count from."""
+"""Gravity along the axes of the balance: at the attitudes of a run, and at those of the zero its loads count from.
+
+Components are in the order NF PM SF YM RM AF. "Gravity" is the force of gravity per mass [m/s^2].
+"""
 
 from __future__ import annotations
 
@@ -21,21 +24,24 @@ class Attitudes(NamedTuple):
 
 
 def weight_direction(pitch: ArrayLike, roll: ArrayLike) -> Array:
-    """Share of gravity along aft, right and up, shape (n, 3) [1], for angles of shape (n,) [rad].
+    """Direction of gravity along aft, right and up, a unit vector, shape (n, 3) [1], for angles of shape (n,) [rad].
 
-    Along the balance it is sin(pitch), to the right cos(pitch) sin(roll), up -cos(pitch) cos(roll).
+    It is sin(pitch) aft, cos(pitch) sin(roll) to the right, and -cos(pitch) cos(roll) up.
     """
     theta, phi = np.broadcast_arrays(np.asarray(pitch, dtype=np.float64), np.asarray(roll, dtype=np.float64))
     return np.stack([np.sin(theta), np.cos(theta) * np.sin(phi), -np.cos(theta) * np.cos(phi)], axis=-1)
 
 
 def gravity_share(component: str, *, pitch: Array, roll: Array) -> Array:
-    """Share of gravity along a component, of the shape of the angles [1]; moments are driven along the balance."""
+    """Share of gravity along the axis that drives a component, of the shape of the angles [1].
+
+    A force is driven along its own axis, a moment of a single component along aft.
+    """
     return weight_direction(pitch, roll)[..., AXES.index(driving_axis(component))]
 
 
 def gravity_components(pitch: ArrayLike, roll: ArrayLike, *, gravity: float) -> Array:
-    """Gravity, per mass, in the order of the components, shape (n, 6) [m/s^2]; 0 for moments."""
+    """Gravity in the order of the components, shape (n, 6) [m/s^2], for angles of shape (n,) [rad]; 0 for moments."""
     shares = np.atleast_2d(weight_direction(pitch, roll))
     pull = np.zeros((shares.shape[0], len(COMPONENTS)))
     pull[:, FORCE_ROWS] = gravity * shares
@@ -43,12 +49,12 @@ def gravity_components(pitch: ArrayLike, roll: ArrayLike, *, gravity: float) -> 
 
 
 class Gravity(NamedTuple):
-    """Gravity, per mass, in the order of the components; 0 for moments.
+    """Gravity in the order of the components, 0 for moments, and its derivatives by the angles.
 
     Attributes
     ----------
     acceleration
-        Shape (n, 6) [m/s^2].
+        Gravity, shape (n, 6) [m/s^2].
     slopes
         Its derivatives by ``pitch`` and ``roll``, shape (n, 6) each [m/s^2 per rad].
     """
@@ -58,53 +64,55 @@ class Gravity(NamedTuple):
 
     @classmethod
     def of(cls, pitch: Array, roll: Array, *, gravity: float) -> Gravity:
-        """Take angles of shape (n,) [rad] and the local acceleration of gravity [m/s^2]."""
+        """Return it for angles of shape (n,) [rad] and the local acceleration of gravity [m/s^2]."""
         by_pitch, by_roll = np.zeros((2, pitch.size, len(COMPONENTS)))
-        sine, cosine, nothing = np.sin(pitch), np.cos(pitch), np.zeros_like(pitch)
+        sine, cosine, zero = np.sin(pitch), np.cos(pitch), np.zeros_like(pitch)
         by_pitch[:, FORCE_ROWS] = np.column_stack([cosine, -sine * np.sin(roll), sine * np.cos(roll)])
-        by_roll[:, FORCE_ROWS] = np.column_stack([nothing, cosine * np.cos(roll), cosine * np.sin(roll)])
+        by_roll[:, FORCE_ROWS] = np.column_stack([zero, cosine * np.cos(roll), cosine * np.sin(roll)])
         slopes = {"pitch": gravity * by_pitch, "roll": gravity * by_roll}
         return cls(gravity_components(pitch, roll, gravity=gravity), slopes)
 
 
-def _nothing() -> Array:
+def _no_gravity() -> Array:
+    """Zero for each component, shape (6,) [m/s^2]."""
     return np.zeros(len(COMPONENTS))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GravityOnZero:
-    """Gravity on the mass whose weight was taken out of the zero of loads; nothing where none was.
+    """Mean gravity at the attitudes of the zero of the loads, where the weight of the mass was taken out of that zero.
 
-    What is wrong with the weight there is wrong in the loads too, with the other sign: it cancels as far as run and
-    zero have the same attitude.
+    It is zero where no weight was taken out. An error of the weight at the zero is in the loads too, with the other
+    sign; so it cancels an error of the weight in the run as far as run and zero have the same attitude.
 
     Attributes
     ----------
     acceleration
-        Along NF PM SF YM RM AF, shape (6,) [m/s^2].
+        Mean gravity, shape (6,) [m/s^2].
     slopes
-        Its change with ``pitch zero``, ``pitch gain``, ``roll zero`` and ``roll gain``, shape (6,) each.
+        Its derivatives by an error of the zero of an angle, ``pitch zero`` and ``roll zero`` [m/s^2 per rad], and by a
+        relative error of its gain, ``pitch gain`` and ``roll gain`` [m/s^2], shape (6,) each.
     """
 
-    acceleration: Array = field(default_factory=_nothing)
+    acceleration: Array = field(default_factory=_no_gravity)
     slopes: Mapping[str, Array] = field(default_factory=dict)
 
     @classmethod
     def of(cls, attitudes: Sequence[Attitudes], *, gravity: float) -> GravityOnZero:
-        """Take the mean over recordings."""
+        """Return the mean over the recordings of the zero, of equal weight, NaN left out; gravity in [m/s^2]."""
         accelerations, slopes = [], []
         for pitch, roll in attitudes:
             pull = Gravity.of(pitch, roll, gravity=gravity)
-            by = {"pitch zero": pull.slopes["pitch"], "pitch gain": pull.slopes["pitch"] * pitch[:, None]}
-            by |= {"roll zero": pull.slopes["roll"], "roll gain": pull.slopes["roll"] * roll[:, None]}
+            by_error = {"pitch zero": pull.slopes["pitch"], "pitch gain": pull.slopes["pitch"] * pitch[:, None]}
+            by_error |= {"roll zero": pull.slopes["roll"], "roll gain": pull.slopes["roll"] * roll[:, None]}
             accelerations.append(np.nanmean(pull.acceleration, axis=0))
-            slopes.append({name: np.nanmean(slope, axis=0) for name, slope in by.items()})
+            slopes.append({name: np.nanmean(slope, axis=0) for name, slope in by_error.items()})
         names = slopes[0] if slopes else {}
         return cls(
-            np.mean(accelerations, axis=0) if accelerations else _nothing(),
+            np.mean(accelerations, axis=0) if accelerations else _no_gravity(),
             {name: np.mean([slope[name] for slope in slopes], axis=0) for name in names},
         )
 
     def slope(self, name: str) -> Array:
-        """Change with something of the angles, shape (6,)."""
-        return self.slopes.get(name, _nothing())
+        """Return the derivative by an error of an angle, a name of `slopes`, shape (6,); zero for another name."""
+        return self.slopes.get(name, _no_gravity())

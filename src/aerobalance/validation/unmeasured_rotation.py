@@ -1,8 +1,9 @@
-"""Turning of the ground end that only its angles show: what its angular acceleration would do to the forces.
+"""Check for rotation of the non-metric ("ground") end that only pitch and roll show, and its load in the forces.
 
 Pitch and roll are used for the weight. They are not differentiated: their noise would grow with the square of the
-frequency. So where no sensor shows the angular acceleration, inertia times it is taken for force. Here the angles are
-differentiated over windows long enough to rise above their noise, which tells at least how much that is.
+frequency. So where no sensor measures the angular acceleration, its inertial load (inertia times it) is taken for
+force. Here the angles are differentiated twice over windows long enough for the result to stand out of their noise;
+that gives a lower bound of the load.
 """
 
 from __future__ import annotations
@@ -26,49 +27,51 @@ from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
 HALF_WINDOW: Final = 4
-"""Samples on either side of the one at which a parabola gives the second derivative."""
+"""Samples on either side of the one at which a fitted parabola gives the second derivative."""
 
 PASSED: Final = 0.108
-"""Frequency at which such a second derivative is half of the true one, over the sampling rate."""
+"""Frequency at which such a second derivative is half of the true one, over the sampling rate [1]."""
 
 FEWEST: Final = 64
-"""Samples of a halved record below which it is not halved again."""
+"""Samples that a decimated record must have to be used."""
 
 CLEAR: Final = 2.0
-"""Mean square of a second derivative over that of its noise, and its rms over that of a count, that show turning."""
+"""Mean square of a second derivative over that of its noise, and its rms over the largest error by the resolution of
+the angle, above which it shows rotation."""
 
 SPREAD: Final = 5.0
-"""Standard deviations by which it has to pass that as well."""
+"""Standard deviations of the mean square of pure noise by which it has to exceed that of the noise as well."""
 
 MATTERS: Final = 0.5
-"""Rms of the load over the uncertainty of the force from which it is told: the latter is then a tenth too small."""
+"""Rms of the load over the uncertainty of the force above which it is reported: the latter is then a tenth too low."""
 
 BLOCKS: Final = 16
-"""Parts of a record from which it is told how much of the load is in the force."""
+"""Parts of a record from whose scatter the uncertainty of the share of the load in the force is found."""
 
 HELD: Final = 0.25
-"""Share of the load in the force below which the angle shows no turning, or the estimator has left it out."""
+"""Share of the load in the force below which the angle shows no rotation, or the estimator has left the load out."""
 
 _OFFSETS: Final[Array] = np.arange(-HALF_WINDOW, HALF_WINDOW + 1.0)
 _PARABOLA: Final[Array] = _OFFSETS**2 - np.mean(_OFFSETS**2)
-_BEND: Final[Array] = 2 * _PARABOLA / np.sum(_PARABOLA * _OFFSETS**2)
-"""Weights of the second derivative of a parabola through a window, times the square of the interval."""
+_WEIGHTS: Final[Array] = 2 * _PARABOLA / np.sum(_PARABOLA * _OFFSETS**2)
+"""Weights by which the samples of a window give the second derivative of the parabola fitted to them by least squares,
+times the square of the interval, shape (2 `HALF_WINDOW` + 1,) [1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bend:
-    """Second derivative of an angle over one length of window.
+class SecondDerivative:
+    """Second derivative of an angle, from parabolas fitted over windows of one length.
 
     Attributes
     ----------
     values
-        Shape (m,) [rad/s^2].
+        Second derivative, shape (m,) [rad/s^2].
     factor
-        Samples of the record in one of its own.
+        Samples of the record that are averaged into one before the fit.
     signal
         Share of its mean square that is not noise of the angle [1].
     frequency
-        Frequency up to which it shows turning [Hz].
+        Frequency up to which it shows rotation [Hz].
     """
 
     values: Array
@@ -77,7 +80,7 @@ class Bend:
     frequency: float
 
     def averaged(self, series: Array) -> Array:
-        """A series of the record's clock, shape (n, ...), on the clock of the second derivative, (m, ...)."""
+        """Return a series at the record's samples, shape (n, ...), averaged to those of `values`, shape (m, ...)."""
         count = series.shape[0] // self.factor
         means = series[: count * self.factor].reshape(count, self.factor, *series.shape[1:]).mean(axis=1)
         return np.asarray(means[HALF_WINDOW : HALF_WINDOW + self.values.shape[0]])
@@ -86,124 +89,137 @@ class Bend:
 def turning_by_angles(
     recording: Recording, dynamics: CoupledDynamics, estimates: Mapping[str, ComponentForce]
 ) -> list[str]:
-    """Say which forces hold a load of angular acceleration that only pitch or roll shows.
+    """Return warnings of forces that hold the inertial load of a rotation that only pitch or roll shows.
 
     Parameters
     ----------
     recording
         The record.
     dynamics
-        The balance with its mass.
+        The balance with its mass matrix; without one nothing can be said.
     estimates
-        The forces that were found, with their uncertainty.
+        Estimated forces with their uncertainty, by component.
 
     Returns
     -------
     sentences
-        One for each angle; none where it does not matter.
+        One for each angle whose rotation matters; an empty list where none does.
     """
     if dynamics.mass is None:
         return []
     recording = corrected(recording)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # said when the force was worked out
-        seen = GroundFit.of(ground_sensors(recording), rate=recording.rate).columns
+        warnings.simplefilter("ignore")  # they were given when the force was estimated
+        measured = GroundFit.of(ground_sensors(recording), rate=recording.rate).columns
     roll = without_gaps(recording.channel("roll")) if "roll" in recording else np.zeros(recording.samples)
-    nothing = np.zeros_like(roll)
+    zero = np.zeros_like(roll)
+    # axis of each angle, along PM, YM and RM: pitch turns about the level lateral axis, roll about the balance
+    axes = {"pitch": (np.cos(roll), -np.sin(roll), zero), "roll": (zero, zero, zero + 1)}
     found = []
-    for angle, turns in (("pitch", (np.cos(roll), -np.sin(roll), nothing)), ("roll", (nothing, nothing, nothing + 1))):
-        unseen = np.zeros((recording.samples, len(COMPONENTS)))
-        for name, turn in zip(MOMENTS, turns, strict=True):
-            if COMPONENTS.index(name) not in seen:
-                unseen[:, COMPONENTS.index(name)] = turn
-        bend = _bend(recording, angle) if angle in recording and unseen.any() else None
-        if bend is not None:
-            loads = bend.averaged(unseen @ dynamics.mass.matrix.T) * bend.values[:, None]
-            parts = list(_told(bend, loads, estimates))
-            found += [_sentence(angle, bend, parts)] if parts else []
+    for angle, axis in axes.items():
+        unmeasured = np.zeros((recording.samples, len(COMPONENTS)))
+        for name, part in zip(MOMENTS, axis, strict=True):
+            if COMPONENTS.index(name) not in measured:
+                unmeasured[:, COMPONENTS.index(name)] = part
+        second = _second_derivative(recording, angle) if angle in recording and unmeasured.any() else None
+        if second is not None:
+            loads = second.averaged(unmeasured @ dynamics.mass.matrix.T) * second.values[:, None]
+            affected = list(_affected(second, loads, estimates))
+            found += [_sentence(angle, second, affected)] if affected else []
     return found
 
 
-def _bend(recording: Recording, angle: str) -> Bend | None:
-    """The second derivative of an angle over the window that shows most of it; None where none stands out of noise."""
+def _second_derivative(recording: Recording, angle: str) -> SecondDerivative | None:
+    """Second derivative of an angle over the window that shows most rotation; None where none shows any.
+
+    The window is made longer by decimation: the record is halved, by means of two samples, as long as it has `FEWEST`.
+    """
     channel = recording.channel(angle)
     values, noise, factor = without_gaps(channel), channel_noise(channel), 1
     resolution = _resolution(values)
-    best: Bend | None = None
+    best: SecondDerivative | None = None
     most = 0.0
     while values.size >= FEWEST:
         scale = (recording.rate / factor) ** 2
-        bend = np.convolve(values, _BEND, "valid") * scale
-        size = float(np.mean(bend**2))
-        white = float(np.sum(_BEND**2)) * (noise * scale) ** 2 / factor
+        second = np.convolve(values, _WEIGHTS, "valid") * scale
+        size = float(np.mean(second**2))
+        white = float(np.sum(_WEIGHTS**2)) * (noise * scale) ** 2 / factor
         # a reading is off by half a count at most, all of them the worst way
-        coarse = (0.5 * resolution * scale * float(np.sum(np.abs(_BEND)))) ** 2
-        chance = 1 + SPREAD * np.sqrt(2 * _BEND.size / bend.size)
+        coarse = (0.5 * resolution * scale * float(np.sum(np.abs(_WEIGHTS)))) ** 2
+        # windows overlap, so that about one value in a window's length is independent
+        chance = 1 + SPREAD * np.sqrt(2 * _WEIGHTS.size / second.size)
         if size > max(CLEAR * white * chance, CLEAR**2 * coarse) and size - white > most:
             most = size - white
-            best = Bend(bend, factor, 1 - white / size, PASSED * recording.rate / factor)
+            best = SecondDerivative(second, factor, 1 - white / size, PASSED * recording.rate / factor)
         count = values.size // 2
         values, factor = values[: 2 * count].reshape(count, 2).mean(axis=1), 2 * factor
     return best
 
 
 def _resolution(values: Array) -> float:
-    """Rms of the steps of readings that stand still in between: counts of an encoder, or values that are held."""
+    """Resolution of readings [rad]: rms of their steps where most do not change (encoder, held values); else 0."""
     steps = np.diff(values)
     steps = steps[steps != 0]
     return 0.0 if 2 * steps.size > values.size or not steps.size else float(np.sqrt(np.mean(steps**2)))
 
 
-class Load(NamedTuple):
-    """What turning does to one component.
+class AffectedForce(NamedTuple):
+    """One component whose force holds the inertial load of the rotation.
 
     Attributes
     ----------
     text
-        Its size and what it is of the uncertainty, in words.
+        Rms of the load, and its ratio to the uncertainty of the force, in words.
     clear
-        Whether the force shows it: else the angle may have shown noise of its sensor.
+        Whether the force shows the load for certain: else the angle may have shown coloured noise of its sensor.
     """
 
     text: str
     clear: bool
 
 
-def _told(bend: Bend, loads: Array, estimates: Mapping[str, ComponentForce]) -> Iterator[Load]:
-    """Components whose force may hold so much of the loads, shape (m, 6), that its uncertainty is too small."""
+def _affected(
+    second: SecondDerivative, loads: Array, estimates: Mapping[str, ComponentForce]
+) -> Iterator[AffectedForce]:
+    """Components whose force may hold so much of the loads, shape (m, 6) [N, N*m], that its uncertainty is too low."""
     for name, estimate in estimates.items():
         load = loads[:, COMPONENTS.index(name)]
-        size = float(np.sqrt(bend.signal * np.mean(load**2)))
+        size = float(np.sqrt(second.signal * np.mean(load**2)))
         u = float(np.sqrt(np.mean(estimate.uncertainty**2)))
         if not size > MATTERS * u:
             continue
-        share, doubt = _share(bend, load, bend.averaged(estimate.values))
-        if share + 4 * doubt > HELD:
+        share, u_share = _share_in_force(second, load, second.averaged(estimate.values))
+        # left out only where the share is surely below, called clear only where it is surely above
+        if share + 4 * u_share > HELD:
             times = f" ({float(f'{size / u:.2g}'):g} times its uncertainty)" if u > 0 else ""
-            yield Load(f"{size:.2g} {si_unit(name)} rms in {name}{times}", share - 4 * doubt > HELD)
+            yield AffectedForce(f"{size:.2g} {si_unit(name)} rms in {name}{times}", share - 4 * u_share > HELD)
 
 
-def _share(bend: Bend, load: Array, force: Array) -> tuple[float, float]:
-    """Share of a load in the force, as a size, and its standard uncertainty.
+def _share_in_force(second: SecondDerivative, load: Array, force: Array) -> tuple[float, float]:
+    """Absolute share of a load in the force, both of shape (m,) [N, N*m], and its standard uncertainty [1].
 
-    It is 1 for a load that was not taken off, and 0 where the estimator took it for hum or the sensor of the angle is
-    at fault. A true force may go with the angle, as the moment of the flow does, so that other values tell little.
+    It is the slope of a regression of the force on the load, both freed of a straight line, and corrected for the
+    noise of the angle, which makes a slope too small. It is 1 for a load that was not taken off, and 0 where the
+    estimator took it for hum or the sensor of the angle is at fault. A true force may go with the angle, as the moment
+    of the flow does, so that other values tell little.
     """
     line = np.vander(np.linspace(-1, 1, load.size), 2)
     both = np.column_stack([load, force])
-    alone, held = (both - line @ np.linalg.lstsq(line, both)[0]).T
-    part = float(alone @ held) / float(alone @ alone)
-    rest = [float(block.sum()) for block in np.array_split(alone * (held - part * alone), BLOCKS)]
-    doubt = float(np.std(rest, ddof=1)) * np.sqrt(BLOCKS) / float(alone @ alone)
-    return abs(part) / bend.signal, doubt / bend.signal
+    x, y = (both - line @ np.linalg.lstsq(line, both)[0]).T
+    slope = float(x @ y) / float(x @ x)
+    # residuals are correlated from sample to sample; their sums over long blocks are hardly
+    sums = [float(block.sum()) for block in np.array_split(x * (y - slope * x), BLOCKS)]
+    u = float(np.std(sums, ddof=1)) * np.sqrt(BLOCKS) / float(x @ x)
+    return abs(slope) / second.signal, u / second.signal
 
 
-def _sentence(angle: str, bend: Bend, loads: list[Load]) -> str:
+def _sentence(angle: str, second: SecondDerivative, affected: list[AffectedForce]) -> str:
+    """Warning of the rotation that one angle shows, with what to record."""
     turn = "PM" if angle == "pitch" else "RM"
-    noise = "" if any(load.clear for load in loads) else f", unless it is noise of {angle} that a filter has coloured"
+    noise = "" if any(one.clear for one in affected) else f", unless it is noise of {angle} that a filter has coloured"
     return (
         f"{angle} shows turning{noise}, and no sensor its angular acceleration: inertia times that is at least "
-        f"{', '.join(load.text for load in loads)}, and stands in the forces but not in their uncertainty, as {angle} "
-        f"serves for the weight only; above {bend.frequency:.3g} Hz more may hide in the noise or the resolution of "
-        f"{angle}. Record ground_turn_{turn}, ground_turn_rate_{turn} or accelerometers at two places"
+        f"{', '.join(one.text for one in affected)}, and stands in the forces but not in their uncertainty, as "
+        f"{angle} serves for the weight only; above {second.frequency:.3g} Hz more may hide in the noise or the "
+        f"resolution of {angle}. Record ground_turn_{turn}, ground_turn_rate_{turn} or accelerometers at two places"
     )

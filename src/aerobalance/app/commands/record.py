@@ -1,4 +1,4 @@
-"""The command record: a source, one record of it, and a line that shows how it goes."""
+"""The command `record`: start a source, record it into one file, and show the progress in a line."""
 
 from __future__ import annotations
 
@@ -22,11 +22,28 @@ from aerobalance.io.safe_write import OUTPUTS
 from aerobalance.recording.errors import FitError, warn_quality
 
 _TICK = 0.1
+"""Longest wait for news of the recorder, and time between two lines of progress [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wishes:
-    """What the command line sets, over what the set-up says; None where it says nothing."""
+    """Settings of the command line, which take the place of those in the set-up; None where none is given.
+
+    Attributes
+    ----------
+    source
+        Kind of the source, one of `SOURCES`.
+    file
+        Recording that is replayed.
+    rig
+        Rig that is simulated.
+    seconds
+        Length of the record [s].
+    speed
+        Speed over that of real time [1].
+    seed
+        Seed of the random numbers of a simulation.
+    """
 
     source: str | None = None
     file: Path | None = None
@@ -44,25 +61,30 @@ def record(
     replace: bool = False,
     show: Callable[[str], None] | None = None,
 ) -> Account:
-    """Record a source until its end, the end of the set time, a limit, a full disk, Ctrl-C or SIGTERM.
+    """Record a source until it ends, its time is over, a limit, a full disk, Ctrl-C or SIGTERM; return a summary.
 
     Parameters
     ----------
     out
         The file to write; it is readable from its first block on.
     setup
-        Test set-up.
+        File of the test set-up; its folder is where the set-up's own paths begin.
     wishes
-        What replaces it in the set-up.
+        Settings that take the place of those in the set-up.
     replace
         Whether an old file of this name may be deleted.
     show
-        Takes a line about how it goes, a few times a second.
+        Takes a line of progress, a few times a second.
+
+    Returns
+    -------
+    account
+        File, reason of the end, duration [s], numbers of blocks, samples, gaps and events, and a text in `summary`.
 
     Raises
     ------
     FitError
-        Nothing was recorded, or what ended the record was no wish of the operator's.
+        Nothing was recorded, or a fault ended the record (a crash, a full disk), and not the operator or the set-up.
     ReadError, ValueError
         The set-up or the call is wrong.
     """
@@ -73,34 +95,34 @@ def record(
     for found in recover_all(out.parent):
         text = "its record was broken off by a kill after it had lost its name; what was written is in it"
         warn_quality(f"{found.name} is back: {text}")
-    for name in close_all_broken_off(out.parent):  # those that are back as well
+    for name in close_all_broken_off(out.parent):  # after the recovery, so that recovered files are closed too
         warn_quality(closed_text(name))
-    with _told(out) as told, Session(chosen, folder.resolve()) as session:
+    with _catching_signals(out) as signals, Session(chosen, folder.resolve()) as session:
         recorder = session.record(out, replace=replace)
         recorder.ready()
-        told.begun = True
+        signals.begun = True  # from here on a signal ends the record, and its file is closed
         OUTPUTS.note(out, replaced=False)  # from its first block on
         session.start()
-        progress = _follow(recorder, session, told, show or (lambda _: None))
+        progress = _follow(recorder, session, signals, show or (lambda _: None))
     if progress.mishap and not progress.unkept:
         warn_quality(progress.mishap)
-    return _account(progress, bool(told), [said.text for said in session.said if said.kind == "refused"])
+    return _account(progress, bool(signals), [said.text for said in session.said if said.kind == "refused"])
 
 
 def wished(setup: Path | None, wishes: Wishes) -> Setup:
-    """Return the set-up with the wishes of the command line in it.
+    """Return the set-up with the settings of the command line in it.
 
     Raises
     ------
     ReadError, ValueError
-        The set-up is wrong, or a wish does not suit the source.
+        The set-up is wrong, or a setting does not suit the source.
     """
     given: dict[str, Any] = {}
     if setup is not None:
         given = load_setup(setup).model_dump(exclude_none=True, exclude_unset=True)
     source = dict(given.get("source", {}))
     if wishes.source is not None and source.get("kind", wishes.source) != wishes.source:
-        source = {}
+        source = {}  # settings of another kind of source would not fit
     source["kind"] = wishes.source or source.get("kind", "simulated")
     if source["kind"] not in SOURCES:
         raise ValueError(f"--source must be one of {', '.join(SOURCES)}, not {source['kind']}")
@@ -120,42 +142,42 @@ def wished(setup: Path | None, wishes: Wishes) -> Setup:
 
 
 class _StoppedError(BaseException):
-    """A signal came before the record began. No `Exception`, as those are caught on the way."""
+    """A signal came before the record began. No `Exception`, as those are caught on the way up."""
 
 
-class _Told(list[str]):
-    """What was said; before the record has begun, it ends the program at once."""
+class _Signals(list[str]):
+    """Signals received, in words; one that comes before the record has `begun` ends the program at once."""
 
     begun = False
 
 
 @contextmanager
-def _told(out: Path) -> Iterator[_Told]:
-    """Collect what the operator or the system says by signals, instead of being ended by it."""
-    said = _Told()
+def _catching_signals(out: Path) -> Iterator[_Signals]:
+    """Collect SIGINT and SIGTERM in place of being ended by them, so that the file can be closed."""
+    received = _Signals()
 
     def note(number: int, _: FrameType | None) -> None:
-        said.append("stopped by the operator" if number == signal.SIGINT else "told to end (SIGTERM)")
-        if not said.begun:
+        received.append("stopped by the operator" if number == signal.SIGINT else "told to end (SIGTERM)")
+        if not received.begun:
             raise _StoppedError
 
     before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield said
+        yield received
     except _StoppedError:
-        raise FitError(f"{said[0]} before the record began; {out.name} holds no sample") from None
+        raise FitError(f"{received[0]} before the record began; {out.name} holds no sample") from None
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
 
 
-def _follow(recorder: Recorder, session: Session, told: list[str], show: Callable[[str], None]) -> Progress:
-    """Show the record until it is over."""
+def _follow(recorder: Recorder, session: Session, signals: list[str], show: Callable[[str], None]) -> Progress:
+    """Show the progress of a record until it is over or a signal comes; return how it ended."""
     shown = 0.0
     while not recorder.poll(_TICK).over:
-        session.news()
-        if told:
-            return recorder.stop(told[0])
+        session.news()  # reads what the source says, which is kept in `session.said`
+        if signals:
+            return recorder.stop(signals[0])
         if time.monotonic() - shown >= _TICK:
             shown = time.monotonic()
             show(line(recorder.progress))
@@ -164,7 +186,7 @@ def _follow(recorder: Recorder, session: Session, told: list[str], show: Callabl
 
 
 def line(progress: Progress) -> str:
-    """Say in one line how a record stands."""
+    """Return one line of text about the progress of a record."""
     if progress.state == "waiting":
         return f"waiting for the trigger ({progress.reason}); disk left {progress.free / 1e9:.1f} GB"
     left = f"disk left {progress.free / 1e9:.1f} GB"
@@ -173,14 +195,22 @@ def line(progress: Progress) -> str:
 
 
 def gaps_text(progress: Progress) -> str:
-    """Say what is missing of a record."""
+    """Return how much of a record is missing, in words."""
     return f"{progress.gaps} gap(s), {progress.lost} samples lost" if progress.gaps else "no gaps"
 
 
-def _account(progress: Progress, told: bool, refused: list[str]) -> Account:
+def _account(progress: Progress, stopped: bool, refused: list[str]) -> Account:
+    """Summary of a record that has ended; `stopped` by a signal it may be empty.
+
+    Raises
+    ------
+    FitError
+        A fault ended the record, or nothing was recorded.
+    """
     out = Path(progress.path)
+    # a record that no signal, set time or limit ended tells so in its reason only
     crashed = "gone without a word" in progress.reason or "failed" in progress.reason
-    if crashed or progress.full or progress.unkept or not (progress.samples or told):
+    if crashed or progress.full or progress.unkept or not (progress.samples or stopped):
         kept = f"{progress.blocks} block(s), {progress.samples} samples of each channel are in {out.name}"
         raise FitError(f"the record ended early: {progress.reason}; {kept}")
     return {

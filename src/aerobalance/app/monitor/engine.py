@@ -1,4 +1,9 @@
-"""The process that follows the source and works out what is shown."""
+"""The process behind the page: it takes the blocks of a source, computes the live forces, and sends what is shown.
+
+It talks to three others: the server, which gives orders and gets every answer (`messages`); the process of the source,
+which sends blocks; and a learner, a process that fits spectral priors and noise in the background, so that the charts
+do not wait for it.
+"""
 
 from __future__ import annotations
 
@@ -47,46 +52,62 @@ PERIOD: Final = 0.035
 """Time from one update to the next [s]."""
 
 _TICK: Final = 0.25
+"""Longest wait for an order or a block [s]."""
+
 _AT_ONCE: Final = 128
-_AGAIN: Final = 5.0
+"""Blocks that are taken at most before an update is sent."""
+
+_RETRY: Final = 5.0
+"""Time between two requests for a learner [s]."""
 
 
 class _Engine:
-    """Follows one source after the other."""
+    """Follows one source after the other.
+
+    Parameters
+    ----------
+    control
+        Pipe to the server.
+    """
 
     def __init__(self, control: Pipe) -> None:
         self._control = control
         self._learner: Pipe | None = None
-        self._wanted = -math.inf
-        self._lost = False
+        self._learner_requested = -math.inf  # when, on the steady clock [s]
+        self._learner_lost = False
         self._feed: Feed | None = None
         self._view: View | None = None
         self._number = 0
-        self._asked: tuple[int, str] | None = None
-        self._turn = 0.0
+        self._pending: tuple[int, str] | None = None  # source and force that the learner works on
+        self._updated = 0.0  # when the last blocks were taken, on the steady clock [s]
 
     def run(self) -> None:
-        """Work until the server is gone: at each turn, take all that has come since the last one."""
+        """Work until the server is gone (`EOFError`): obey orders at once, and take blocks once every `PERIOD`.
+
+        Until the period is over the connection to the source is not among the pipes waited for, so that many small
+        blocks are taken together.
+        """
         while True:
             pipes = [pipe for pipe in (self._control, self._learner) if pipe is not None]
             if self._feed is None:
                 ready = wait(pipes, _TICK)
             else:
-                left = self._turn + PERIOD - time.monotonic()
+                left = self._updated + PERIOD - time.monotonic()
                 ready = wait(pipes, left) if left > 0 else wait([*pipes, self._feed.connection], _TICK)
             if self._control in ready:
                 self._obey(self._control.recv())
             if self._learner is not None and self._learner in ready:
                 self._adopt(self._learner)
             if self._feed is not None and self._feed.connection in ready:
-                self._turn = time.monotonic()
+                self._updated = time.monotonic()
                 self._follow(self._feed)
 
     def _obey(self, order: object) -> None:
+        """Do what the server orders; an order about a source is passed over where none is followed."""
         if isinstance(order, FollowSource):
             self._watch(order)
         elif isinstance(order, Learner):
-            self._learner, self._asked = type(self._control)(recv_handle(self._control)), None
+            self._learner, self._pending = type(self._control)(recv_handle(self._control)), None
         elif isinstance(order, SetZeros) and self._view is not None:
             self._view.set_zeros(order.zeros)
         elif isinstance(order, TakeMeans) and self._view is not None:
@@ -99,6 +120,7 @@ class _Engine:
                 self._control.send(Trouble(self._number, str(problem)))
 
     def _watch(self, order: FollowSource) -> None:
+        """Leave the source that is followed and follow another; tell the server what is watched, or why it is not."""
         self._leave()
         self._number = order.number
         try:
@@ -126,14 +148,16 @@ class _Engine:
         )
 
     def _leave(self) -> None:
+        """Close the connection to the source, if there is one."""
         if self._feed is not None:
             self._feed.close()
         self._feed = self._view = None
 
     def _follow(self, feed: Feed) -> None:
+        """Take the blocks that have come, work them in, and send an update; leave a source that has ended."""
         blocks: list[Block] = []
         ended = ""
-        while len(blocks) < _AT_ONCE and not ended:
+        while len(blocks) < _AT_ONCE:
             try:
                 got = feed.take()
             except (EOFError, OSError):
@@ -147,62 +171,70 @@ class _Engine:
         if self._view is not None:
             for block in joined(blocks):
                 self._view.feed(block)
-        self._send()
-        self._ask()
+        self._send_update()
+        self._give_to_learn()
         if ended:
             self._leave()
             self._control.send(Trouble(self._number, f"the source ended: {ended}"))
 
-    def _send(self) -> None:
+    def _send_update(self) -> None:
+        """Send what is new since the last update, if there is anything."""
         if self._view is None:
             return
         update = self._view.take()
         if update.raw:
             self._control.send(News(self._number, update, dict(self._view.saturated)))
             if self._learner is None:  # not before: the first seconds belong to the charts
-                self._want()
+                self._request_learner()
 
-    def _want(self) -> None:
-        """Ask for a learner; for another one not too soon, as what ended the first may end it too."""
-        if time.monotonic() - self._wanted > _AGAIN:
-            self._wanted = time.monotonic()
-            self._control.send(LearnerWanted(self._lost))
+    def _request_learner(self) -> None:
+        """Ask the server for a learner; for another one not too soon, as what ended the first may end it too."""
+        if time.monotonic() - self._learner_requested > _RETRY:
+            self._learner_requested = time.monotonic()
+            self._control.send(LearnerWanted(self._learner_lost))
 
     def _leave_learner(self) -> None:
-        """The learner is gone: the force goes on as it is, and what it was asked is asked again when it is due."""
+        """Close the pipe to a learner that is gone, and ask for another.
+
+        The force goes on with the spectra that it has; what the learner was asked is asked again when it is due.
+        """
         if self._learner is not None:
             self._learner.close()
-        self._learner, self._asked, self._lost = None, None, True
-        self._want()
+        self._learner, self._pending, self._learner_lost = None, None, True
+        self._request_learner()
 
-    def _ask(self) -> None:
-        """Have something learned, one thing at a time."""
-        if self._asked is not None or self._view is None or self._learner is None:
+    def _give_to_learn(self) -> None:
+        """Send the learner the first record that is due, one at a time."""
+        if self._pending is not None or self._view is None or self._learner is None:
             return
         for name, live in self._view.lines.items():
             snapshot = live.due()
             if snapshot is not None:
-                self._asked = (self._number, name)
+                self._pending = (self._number, name)
                 try:
-                    self._learner.send((self._asked, snapshot))
+                    self._learner.send((self._pending, snapshot))
                 except OSError:
                     self._leave_learner()
                 return
 
     def _adopt(self, learner: Pipe) -> None:
+        """Take what the learner has found into the force that it is for, unless another source is followed by now."""
         try:
             (number, name), learning = learner.recv()
         except (EOFError, OSError):
             self._leave_learner()
             return
-        self._asked = None
+        self._pending = None
         if learning is not None and number == self._number and self._view is not None:
-            with contextlib.suppress(ValueError):
+            with contextlib.suppress(ValueError):  # a force that has just begun anew has nothing to apply it to
                 self._view.lines[name].adopt(learning)
 
 
 def joined(blocks: Sequence[Block]) -> list[Block]:
-    """Make one block of those that follow each other without a gap or a remark: one is sooner done than many."""
+    """Return the blocks with those merged that follow each other without a gap: one large block is computed faster.
+
+    A block with a remark begins a new one, as its remark belongs to its first tick.
+    """
     made: list[list[Block]] = []
     for block in blocks:
         if made and block.tick == made[-1][-1].end and not block.remark:
@@ -218,15 +250,18 @@ def joined(blocks: Sequence[Block]) -> list[Block]:
 
 
 def warm_up() -> None:
-    """Load the compiled loops before there is something to follow; the first time, they are compiled."""
+    """Load the compiled loops before there is a source; on the first run of all they are compiled, which takes long.
+
+    Without this the first seconds of a source would be shown late.
+    """
     live = LiveForce(CABLE_CUT.dynamics, rate=CABLE_CUT.rate.value, settings=LiveSettings(learn_inside=False))
     noise = np.random.default_rng(0).standard_normal(600)
     live.push({"AF": noise, "ground_acceleration": noise, "pitch": np.zeros(600)})
 
 
 def run_engine(control: Pipe) -> None:
-    """Follow sources as told: the body of a process. It ends with the server."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Follow sources as the server orders, until the server is gone: the body of a process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this process
     end_with_starter()
     warm_up()
     with contextlib.suppress(EOFError, OSError):

@@ -300,8 +300,8 @@ class ComponentSmoother:
         )
         if self.settings.free_after_gap:
             further = FORCE + learned.shaping.order
-            live.jolt[[LOAD, LOAD_RATE]] = reading.swing**2
-            live.jolt[further : further + 2 * len(self.dynamics.further_modes)] = reading.swing**2
+            live.inflation[[LOAD, LOAD_RATE]] = reading.swing**2
+            live.inflation[further : further + 2 * len(self.dynamics.further_modes)] = reading.swing**2
         self._set_evidence(live)
         return live
 
@@ -423,7 +423,7 @@ class ComponentSmoother:
             values = live.readings(max(live.oldest, live.taken - STRETCH), live.taken)
             known = values[np.isfinite(values)]
             largest = float(np.ptp(known)) ** 2 if known.size else 0.0
-            live.jolt[live.jolt > 0] = max(float(live.jolt.max()), largest)
+            live.inflation[live.inflation > 0] = max(float(live.inflation.max()), largest)
         self._steps.let_go(live)
 
     def health(self, *, samples: int, missing: int, saturated: int) -> Health:

@@ -560,7 +560,7 @@ class LiveForce:
         if not self.moving:
             return np.zeros((rows.shape[0], 6)) if pull is None else -pull
         used = columns.beside_specific(self._test.moves.astype(np.float64), others=1.0)
-        platform = columns.platform.seen(used > 0)
+        platform = columns.platform.masked(used > 0)
         return platform.specific_force(known[:, : used.size] * used, pull=pull)
 
     def _turn_rate(self, rows: Array, columns: Columns) -> Array | None:

@@ -1,7 +1,10 @@
-r"""The spectrum of the noise of a reading: white, more below a corner (1/f), and broad humps.
+r"""Power spectral density of the noise of a reading: a white part, a 1/f part below a corner, and broad humps.
 
-The density is R (1 + (f_c / f)^a) and the humps. For the estimator the 1/f part becomes a sum of relaxations,
-processes of one state each whose corners are a factor `APART` apart [Keshner1982]_, and a hump an oscillator.
+The two-sided density is R (1 + (f_c / f)^a) plus the humps. For the estimator, which needs processes of few states,
+the 1/f part becomes a sum of relaxations (first-order Markov processes, one state each) whose corners are a factor
+`CORNER_RATIO` apart [Keshner1982]_, and a hump becomes an oscillator of two states.
+
+Readings are written in N; for a moment, read N*m.
 
 References
 ----------
@@ -20,30 +23,30 @@ from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.channel import Array
 
 EXPONENTS: Final = (0.3, 2.0)
-"""Exponents a of 1/f^a: 2 is a random walk."""
+"""Least and largest exponent a of 1/f^a [1]; 2 is a random walk."""
 
-APART: Final = 3.0
-"""Ratio of the corners of two relaxations: their sum departs from a power of frequency by under 1 %."""
+CORNER_RATIO: Final = 3.0
+"""Ratio of the corners of neighbouring relaxations [1]: their sum departs from a power of frequency by under 1 %."""
 
 SLOWEST: Final = 1 / 3
-"""Frequency below which 1/f noise is taken as level, over that which a record resolves."""
+"""Frequency below which the density of 1/f noise is taken as constant, over 1 / duration of the record [1]."""
 
 NEGLIGIBLE: Final = 0.01
-"""Density of the 1/f noise, over the white, from which on up it needs no relaxation of its own."""
+"""Density of the 1/f part over the white one [1]; at frequencies where it is lower it needs no relaxation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hump:
-    """A broad rise of the noise: the density level (w f f_h)^2 / ((f_h^2 - f^2)^2 + (w f f_h)^2).
+    """A broad peak of the noise: a two-sided density of level (w f f_h)^2 / ((f_h^2 - f^2)^2 + (w f f_h)^2).
 
     Attributes
     ----------
     frequency
-        Where it is highest, f_h [Hz].
+        Centre frequency f_h [Hz].
     width
-        Width at half of its height over its frequency, w [1].
+        Width at half of its height over its centre frequency, w [1].
     level
-        Two-sided density at the top, above what else there is [N^2/Hz].
+        Its two-sided density at the centre, added to that of the other parts [N^2/Hz].
     """
 
     frequency: float
@@ -51,17 +54,17 @@ class Hump:
     level: float
 
     def density(self, frequency: Array) -> Array:
-        """Two-sided density of the process in continuous time [N^2/Hz]."""
+        """Two-sided density of the process in continuous time at frequencies [Hz], of their shape [N^2/Hz]."""
         across = self.width * frequency * self.frequency
         return np.asarray(self.level * across**2 / ((self.frequency**2 - frequency**2) ** 2 + across**2))
 
     def sampled(self, frequency: Array, interval: float) -> Array:
-        """Two-sided density of its samples [N^2/Hz], the first two foldings included."""
+        """Two-sided density of its samples at frequencies [Hz], with the aliases from either side [N^2/Hz]."""
         return np.asarray(sum(self.density(frequency + shift / interval) for shift in (0, -1, 1)))
 
     @property
     def shaping(self) -> ShapingFilter:
-        """The oscillator whose rate it is."""
+        """Shaping filter of two states: a damped oscillator, of which the noise is the velocity [N]."""
         w = 2 * np.pi * self.frequency
         drift = np.array([[-self.width * w, -w], [w, 0.0]])
         return ShapingFilter(drift, np.array([self.width * w * np.sqrt(self.level), 0.0]))
@@ -69,14 +72,14 @@ class Hump:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColoredNoise:
-    """What a noise has beyond its white part, as the estimator takes it: independent processes of few states.
+    """Coloured part of a noise as a state-space model: independent processes of one or two states each.
 
     Attributes
     ----------
     corners, variances
         Corner frequencies [Hz] and variances [N^2] of the relaxations, shape (r,) each.
     humps
-        The humps.
+        Its broad peaks.
     interval
         Time between samples [s].
     """
@@ -88,16 +91,20 @@ class ColoredNoise:
 
     @property
     def shapings(self) -> tuple[ShapingFilter, ...]:
-        """What makes each process out of white noise."""
+        """Shaping filters that make the processes out of white noise: relaxations first, then humps."""
         rates = 2 * np.pi * self.corners
-        slow = (
+        relaxations = (
             ShapingFilter(np.array([[-rate]]), np.array([np.sqrt(2 * rate * variance)]))
             for rate, variance in zip(rates, self.variances, strict=True)
         )
-        return (*slow, *(hump.shaping for hump in self.humps))
+        return (*relaxations, *(hump.shaping for hump in self.humps))
 
     def density(self, frequency: Array, *, width: float = 0.0) -> Array:
-        """Two-sided density of the samples at frequencies [Hz], or its mean over a width around each, [N^2/Hz]."""
+        """Two-sided density of the samples at frequencies [Hz], of their shape [N^2/Hz].
+
+        With a `width` [Hz], the part of the relaxations is its mean over that width around each frequency: it may
+        change much within an ordinate of a periodogram. Humps are too broad for that.
+        """
         frequency = np.asarray(frequency, dtype=np.float64)
         whole = np.zeros(frequency.shape)
         for corner, variance in zip(self.corners, self.variances, strict=True):
@@ -116,12 +123,12 @@ class ColoredNoise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapedNoise:
-    """What a noise has beyond its white part, as one process of any spectrum.
+    """Coloured part of a noise as a state-space model: one process of any spectrum.
 
     Attributes
     ----------
     shaping
-        What makes it out of white noise.
+        Shaping filter that makes it out of white noise.
     interval
         Time between samples [s].
     """
@@ -131,13 +138,13 @@ class ShapedNoise:
 
     @property
     def shapings(self) -> tuple[ShapingFilter, ...]:
-        """What makes each process out of white noise."""
+        """Shaping filters that make the processes out of white noise: one."""
         return (self.shaping,)
 
     def density(self, frequency: Array, *, width: float = 0.0) -> Array:
-        """Two-sided density of the samples at frequencies [Hz], the first two foldings included, [N^2/Hz].
+        """Two-sided density of the samples at frequencies [Hz], with the aliases from either side [N^2/Hz].
 
-        It hardly changes within the width of an ordinate, over which a mean is asked for.
+        The `width` over which a mean is asked for is not used: the density hardly changes within an ordinate.
         """
         frequency = np.asarray(frequency, dtype=np.float64)
         shifts = (0.0, -1 / self.interval, 1 / self.interval)
@@ -145,42 +152,42 @@ class ShapedNoise:
 
 
 def _relaxation(frequency: Array, corner: float, interval: float) -> Array:
-    """Density of the samples of a relaxation of variance 1 [1/Hz]."""
-    kept = np.exp(-2 * np.pi * corner * interval)
-    turn = 4 * kept * np.sin(np.pi * frequency * interval) ** 2
-    return np.asarray(interval * (1 - kept**2) / ((1 - kept) ** 2 + turn))
+    """Two-sided density of the samples of a relaxation of variance 1 [1/Hz]: an AR(1) process."""
+    correlation = np.exp(-2 * np.pi * corner * interval)
+    sine_term = 4 * correlation * np.sin(np.pi * frequency * interval) ** 2
+    return np.asarray(interval * (1 - correlation**2) / ((1 - correlation) ** 2 + sine_term))
 
 
 def _power_below(frequency: Array, corner: float, interval: float) -> Array:
-    """Integral of that from 0 to a frequency [1], odd in it; up to half the sampling rate it is 1/2."""
-    kept = np.exp(-2 * np.pi * corner * interval)
+    """Integral of `_relaxation` from 0 to a frequency [1]: odd, and 1/2 from half the sampling rate on."""
+    correlation = np.exp(-2 * np.pi * corner * interval)
     inside = np.clip(frequency * interval, -0.5, 0.5)
     angle = np.pi * inside
-    return np.asarray(np.arctan2((1 + kept) * np.sin(angle), (1 - kept) * np.cos(angle)) / np.pi)
+    return np.asarray(np.arctan2((1 + correlation) * np.sin(angle), (1 - correlation) * np.cos(angle)) / np.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseSpectrum:
-    """Two-sided power spectral density of the noise of a reading, R (1 + (f_c / f)^a) and humps.
+    """Two-sided power spectral density of the noise of a reading, R (1 + (f_c / f)^a) plus humps.
 
     Attributes
     ----------
     white
         Density R of the white part [N^2/Hz].
     corner
-        Frequency f_c at which the 1/f part is as strong [Hz]; 0 where there is none.
+        Frequency f_c at which the 1/f part is as strong as the white one [Hz]; 0 for no 1/f part.
     exponent
         Exponent a [1].
     humps
-        Broad rises above that.
+        Broad peaks that are added.
     interval
         Time between the samples of the readings [s].
     covariance
-        Covariance of the logarithm of the 1/f part at 1 Hz and of the exponent, shape (2, 2) [1].
+        Covariance of the estimates of the logarithm of the 1/f part at 1 Hz and of the exponent, shape (2, 2) [1].
     u_white
         Relative standard uncertainty of the white density [1].
     left_out
-        Frequencies at which the record shows lines that are no noise [Hz].
+        Frequencies of lines of the record that are no noise, and that the density leaves out [Hz].
     """
 
     white: float
@@ -205,11 +212,11 @@ class NoiseSpectrum:
 
     @property
     def colored(self) -> bool:
-        """Whether there is more than a white part."""
+        """Whether there is a 1/f part or a hump."""
         return bool(self.corner > 0 or self.humps)
 
     def __str__(self) -> str:
-        """What it is, for a reader."""
+        """The parts in words."""
         parts = ["white noise"]
         if self.corner:
             parts.append(f"1/f^{self.exponent:.2g} below {self.corner:.3g} Hz")
@@ -217,7 +224,7 @@ class NoiseSpectrum:
         return ", ".join(parts)
 
     def density(self, frequency: Array) -> Array:
-        """Two-sided density at frequencies above 0 [Hz], its best value, [N^2/Hz]."""
+        """Best estimate of the two-sided density at frequencies above 0 [Hz], of their shape [N^2/Hz]."""
         frequency = np.asarray(frequency, dtype=np.float64)
         whole = np.full(frequency.shape, self.white)
         if self.corner:
@@ -227,16 +234,17 @@ class NoiseSpectrum:
         return whole
 
     def relative_uncertainty(self, frequency: Array) -> Array:
-        """Relative standard uncertainty of the 1/f part at frequencies above 0 [Hz], [1]."""
-        slopes = np.stack([np.ones(np.shape(frequency)), -np.log(frequency)])
+        """Relative standard uncertainty of the 1/f part at frequencies above 0 [Hz], of their shape [1]."""
+        slopes = np.stack([np.ones(np.shape(frequency)), -np.log(frequency)])  # of the logarithm of the 1/f part
         return np.asarray(np.sqrt(np.einsum("i...,ij,j...->...", slopes, self.covariance, slopes)))
 
-    def states(self, duration: float) -> ColoredNoise | None:
-        """What is beyond the white part, for a record of a duration [s]; None if there is nothing.
+    def colored_part(self, duration: float) -> ColoredNoise | None:
+        """State-space model of all but the white part, for a record of a duration [s]; None for white noise.
 
-        The expected density is taken, exp(u^2 / 2) times the best one where that is known to u: the variance of an
-        error is linear in it. Below `SLOWEST` of the frequency that the record resolves it is level: what is slower is
-        the zero of the reading, which neither record tells.
+        The variances of the relaxations are fitted, none below zero, to the expected density: exp(u^2 / 2) times the
+        best estimate where that has the relative uncertainty u, as the variance of an error of the force is linear in
+        the density. Below `SLOWEST` / duration the density is constant: what is slower is the zero of the reading,
+        of which neither the noise record nor this one tells anything.
         """
         if not self.colored:
             return None
@@ -244,16 +252,16 @@ class NoiseSpectrum:
         if self.corner:
             slowest = SLOWEST / duration
             fastest = min(max(self.corner * NEGLIGIBLE ** (-1 / self.exponent), 4 * slowest), 0.5 / self.interval)
-            count = int(np.ceil(np.log(fastest / slowest) / np.log(APART))) + 1
+            count = int(np.ceil(np.log(fastest / slowest) / np.log(CORNER_RATIO))) + 1
             corners = np.geomspace(slowest, fastest, count)
             frequency = np.geomspace(slowest / 10, 0.5 / self.interval, 40 * count)
-            known = np.sqrt(frequency**2 + slowest**2)
-            wanted = self.white * (self.corner / known) ** self.exponent
-            wanted *= np.exp(np.minimum(self.relative_uncertainty(known), 1.0) ** 2 / 2)
-            parts = np.column_stack([_relaxation(frequency, corner, self.interval) for corner in corners])
-            weight = 1 / (wanted + self.white)
-            scale = np.linalg.norm(parts * weight[:, None], axis=0)
-            sizes, _ = nnls(parts * weight[:, None] / scale, wanted * weight)
+            flattened = np.sqrt(frequency**2 + slowest**2)
+            target = self.white * (self.corner / flattened) ** self.exponent
+            target *= np.exp(np.minimum(self.relative_uncertainty(flattened), 1.0) ** 2 / 2)
+            densities = np.column_stack([_relaxation(frequency, corner, self.interval) for corner in corners])
+            weight = 1 / (target + self.white)  # an error matters relative to the whole density
+            scale = np.linalg.norm(densities * weight[:, None], axis=0)
+            sizes, _ = nnls(densities * weight[:, None] / scale, target * weight)
             kept = sizes > 0
             corners, variances = corners[kept], (sizes / scale)[kept]
         return ColoredNoise(corners, variances, self.humps, self.interval)

@@ -1,4 +1,8 @@
-"""Identification from a table of the response AF/F, as sine calibrations of force transducers are published."""
+"""Identification of one component from a table of its frequency response AF/F, as sine calibrations publish it.
+
+The model is exp(-i w tau) / (1 - r^2 + i r d) with r = w / w0. It is fitted by weighted least squares to amplitude and
+phase in the parameters log w0, loss factor d = b w0 / k and delay tau [s], in this order.
+"""
 
 from __future__ import annotations
 
@@ -15,24 +19,24 @@ from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.wording import damping_text
 
 DOUBTFUL_DAMPING: Final = 0.1
-"""Relative standard uncertainty of the damping above which it is called hardly identifiable."""
+"""Relative standard uncertainty of the damping above which it is called hardly identifiable [1]."""
 
 LEAST_PROBABILITY: Final = 0.01
-"""Probability of a sum of squares as large or larger, below which model or stated uncertainties are doubted."""
+"""Probability of a chi2 as large or larger [1], below which model or stated uncertainties are doubted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResponseTable:
-    """Response AF/F at some frequencies, with standard uncertainties.
+    """Frequency response AF/F, balance load over force, at n frequencies, with standard uncertainties.
 
     Attributes
     ----------
     frequency
         Frequencies, shape (n,) [Hz].
     amplitude, u_amplitude
-        Modulus of the response and its standard uncertainty, shape (n,) [1].
+        Modulus of the response and its standard uncertainty, shape (n,) each [1].
     phase, u_phase
-        Phase of the response, lag negative, and its standard uncertainty, shape (n,) [rad].
+        Phase of the response, lag negative, and its standard uncertainty, shape (n,) each [rad].
     name
         What to call the table in messages.
     """
@@ -61,24 +65,24 @@ class ResponseTable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrfFit:
-    """What a response table tells about one component.
+    """Dynamics of one component fitted to a response table, with residuals and a chi2 test.
 
     Attributes
     ----------
     dynamics
         Mass, stiffness, damping and delay with their covariance.
     delay_found
-        Whether the table asks for a delay; otherwise it is zero.
+        Whether Bayes' information criterion asks for a delay; otherwise the delay is zero.
     chi2, degrees_of_freedom
-        Weighted sum of squares against the stated uncertainties, and the number expected of it.
+        Sum of squared residuals over their stated uncertainties, and its expected value [1].
     probability
         Probability of a chi2 as large or larger if model and stated uncertainties hold [1].
     scale
-        Factor by which the covariance was enlarged because chi2 is too large; 1 where it is not.
+        Factor by which the covariance was enlarged because chi2 is too large; 1 where it is not [1].
     amplitude_residual, phase_residual
         Table less fit, shape (n,) [1] and [rad].
     notes
-        What a reader of the result should know, each a sentence.
+        Warnings about the result, each a sentence.
     """
 
     dynamics: Dynamics
@@ -93,7 +97,7 @@ class FrfFit:
 
 
 def identify_frf(table: ResponseTable, *, component: str = "AF", mass: float | tuple[float, float]) -> FrfFit:
-    """Fit natural frequency, damping and, where the evidence asks for it, a delay to a response table.
+    """Return the dynamics fitted to a response table: natural frequency, damping and, on evidence, a delay.
 
     Parameters
     ----------
@@ -102,17 +106,20 @@ def identify_frf(table: ResponseTable, *, component: str = "AF", mass: float | t
     component
         Which component it belongs to.
     mass
-        Moving mass [kg; kg*m for a moment], exact, or with its standard uncertainty: the response fixes the ratios
-        k/M and b/M only.
+        Moving mass [kg; kg*m for a moment], exact, or with its standard uncertainty. It must be given, as the response
+        fixes the ratios k/M and b/M only.
 
     Returns
     -------
-    FrfFit
+    fit
+        Dynamics with their covariance, residuals and the chi2 test.
 
     Raises
     ------
     FitError
         There are too few points, or they lie too far below the natural frequency to carry the stiffness.
+    ValueError
+        The mass or its uncertainty is out of range.
     """
     value, uncertainty = mass if isinstance(mass, tuple) else (mass, 0.0)
     if not 0 < value < np.inf or not 0 <= uncertainty < np.inf:
@@ -120,19 +127,19 @@ def identify_frf(table: ResponseTable, *, component: str = "AF", mass: float | t
     points = table.frequency.size
     if 2 * points <= 2 or np.unique(table.frequency).size < 2:
         raise FitError(f"{table.name}: {points} point(s) are too few for natural frequency and damping; give three")
-    start = _start(table)
+    start = _starting_values(table)
     parameters, chi2 = _fit(table, np.array([*start, 0.0]), free=[0, 1])
     free = [0, 1]
     if 2 * points > 3:
         delayed, chi2_delayed = _fit(table, parameters, free=[0, 1, 2])
-        # Bayes' information criterion, in units of the scatter there is.
+        # Bayes' information criterion; where the points scatter more than stated, chi2 counts in units of the scatter
         if chi2 - chi2_delayed > np.log(2 * points) * max(1.0, chi2_delayed / (2 * points - 3)):
             parameters, chi2, free = delayed, chi2_delayed, [0, 1, 2]
-    freedom = 2 * points - len(free)
-    probability = float(chi_square.sf(chi2, freedom))
-    scale = chi2 / freedom if probability < LEAST_PROBABILITY else 1.0
+    degrees_of_freedom = 2 * points - len(free)
+    probability = float(chi_square.sf(chi2, degrees_of_freedom))
+    scale = chi2 / degrees_of_freedom if probability < LEAST_PROBABILITY else 1.0
     dynamics = _dynamics(table, parameters, free=free, component=component, mass=(value, uncertainty), scale=scale)
-    notes = _notes(table, dynamics, chi2=chi2, freedom=freedom, probability=probability)
+    notes = _notes(table, dynamics, chi2=chi2, degrees_of_freedom=degrees_of_freedom, probability=probability)
     for note in notes:
         warn_quality(f"{table.name}: {note}")
     model, _ = _model(table.frequency, parameters)
@@ -140,7 +147,7 @@ def identify_frf(table: ResponseTable, *, component: str = "AF", mass: float | t
         dynamics=dynamics,
         delay_found=2 in free,
         chi2=chi2,
-        degrees_of_freedom=freedom,
+        degrees_of_freedom=degrees_of_freedom,
         probability=probability,
         scale=scale,
         amplitude_residual=table.amplitude - np.abs(model),
@@ -150,12 +157,12 @@ def identify_frf(table: ResponseTable, *, component: str = "AF", mass: float | t
 
 
 def _wrapped(phase: Array) -> Array:
-    """Bring a phase to (-pi, pi]."""
+    """A phase brought to (-pi, pi] [rad]."""
     return np.asarray(np.angle(np.exp(1j * phase)))
 
 
 def _model(frequency: Array, parameters: Array) -> tuple[Array, Array]:
-    """Response, shape (n,), and derivative of its logarithm by log w0, loss b w0 / k and delay, shape (n, 3)."""
+    """Response, shape (n,) [1], and derivatives of its logarithm by the parameters, shape (n, 3), complex both."""
     w = 2 * np.pi * frequency
     r = w / np.exp(parameters[0])
     denominator = 1 - r**2 + 1j * r * parameters[1]
@@ -165,7 +172,7 @@ def _model(frequency: Array, parameters: Array) -> tuple[Array, Array]:
 
 
 def _weighted(table: ResponseTable, parameters: Array) -> tuple[Array, Array]:
-    """Residuals over their uncertainties, shape (2n,), and their derivatives, shape (2n, 3)."""
+    """Amplitude and phase residuals over their uncertainties, shape (2n,) [1], and their Jacobian, shape (2n, 3)."""
     response, slopes = _model(table.frequency, parameters)
     modulus = np.abs(response)
     residual = np.concatenate(
@@ -183,8 +190,8 @@ def _weighted(table: ResponseTable, parameters: Array) -> tuple[Array, Array]:
     return residual, jacobian
 
 
-def _start(table: ResponseTable) -> tuple[float, float]:
-    """Search a grid for log w0 and loss."""
+def _starting_values(table: ResponseTable) -> tuple[float, float]:
+    """Logarithm of w0 [rad/s] and loss factor [1] of the best fit on a grid."""
     natural = np.geomspace(0.3 * table.frequency.min(), 30 * table.frequency.max(), 400)[:, None, None]
     loss = np.array([0.001, 0.01, 0.05, 0.2, 0.8])[:, None]
     r = table.frequency / natural
@@ -198,9 +205,9 @@ def _start(table: ResponseTable) -> tuple[float, float]:
 
 
 def _fit(table: ResponseTable, start: Array, *, free: list[int]) -> tuple[Array, float]:
-    """Weighted least squares over some of the parameters."""
-    reference = float(2 * np.pi * table.frequency.max())
-    unit = np.array([1.0, 1.0, 1 / reference])
+    """Parameters, shape (3,), and chi2 [1] of a weighted least-squares fit; `free` are the places of those fitted."""
+    highest_w = float(2 * np.pi * table.frequency.max())
+    unit = np.array([1.0, 1.0, 1 / highest_w])  # a delay of one unit turns the last point by a radian
 
     def full(x: Array) -> Array:
         parameters = start.copy()
@@ -214,11 +221,11 @@ def _fit(table: ResponseTable, start: Array, *, free: list[int]) -> tuple[Array,
         return np.asarray(_weighted(table, full(x))[1][:, free] * unit[free])
 
     # Far beyond the points the natural frequency has no effect; `_dynamics` refuses it there.
-    lowest = np.array([0.0, 0.0, -np.inf])[free] + np.array([start[0] - 5, 0.0, 0.0])[free]
-    highest = np.array([np.log(100 * reference), np.inf, np.inf])[free]
+    lowest = np.array([start[0] - 5, 0.0, -np.inf])[free]
+    highest = np.array([np.log(100 * highest_w), np.inf, np.inf])[free]
     result = least_squares(
         residual,
-        np.maximum(start[free] / unit[free], lowest + 1e-9),
+        np.maximum(start[free] / unit[free], lowest + 1e-9),  # strictly inside the bounds, as the method asks
         jac=jacobian,
         bounds=(lowest, highest),
         x_scale="jac",
@@ -226,7 +233,7 @@ def _fit(table: ResponseTable, start: Array, *, free: list[int]) -> tuple[Array,
         ftol=1e-14,
         gtol=1e-14,
     )
-    return full(result.x), float(2 * result.cost)
+    return full(result.x), float(2 * result.cost)  # the cost is half of the sum of squares
 
 
 def _dynamics(
@@ -238,15 +245,22 @@ def _dynamics(
     mass: tuple[float, float],
     scale: float,
 ) -> Dynamics:
-    """Turn the parameters into stiffness and damping with their covariance."""
+    """Mass, stiffness, damping and delay with their covariance, from the fitted parameters and the mass.
+
+    Raises
+    ------
+    FitError
+        The points do not carry the stiffness: log w0 is uncertain by over 0.1, or w0 beyond 20 times the last point.
+    """
     value, uncertainty = mass
+    # first of log mass, log w0, loss factor and delay; log mass is not correlated with what is fitted
     _, jacobian = _weighted(table, parameters)
     covariance = np.zeros((4, 4))
     covariance[0, 0] = (uncertainty / value) ** 2
-    where = [i + 1 for i in free]
+    fitted = [i + 1 for i in free]
     normal = jacobian[:, free].T @ jacobian[:, free]
     size = np.sqrt(np.diag(normal))
-    covariance[np.ix_(where, where)] = scale * np.linalg.pinv(normal / np.outer(size, size)) / np.outer(size, size)
+    covariance[np.ix_(fitted, fitted)] = scale * np.linalg.pinv(normal / np.outer(size, size)) / np.outer(size, size)
     w0, loss = float(np.exp(parameters[0])), float(parameters[1])
     highest = float(table.frequency.max())
     if np.sqrt(covariance[1, 1]) > 0.1 or w0 / (2 * np.pi) > 20 * highest:
@@ -255,7 +269,8 @@ def _dynamics(
             f"(highest {highest:.4g} Hz); measure nearer to resonance"
         )
     stiffness, damping = value * w0**2, value * w0 * loss
-    turn = np.array(
+    # derivatives of mass, stiffness, damping and delay by those
+    change = np.array(
         [
             [value, 0.0, 0.0, 0.0],
             [stiffness, 2 * stiffness, 0.0, 0.0],
@@ -269,23 +284,26 @@ def _dynamics(
         stiffness=stiffness,
         damping=damping,
         delay=float(parameters[2]),
-        covariance=turn @ covariance @ turn.T,
+        covariance=change @ covariance @ change.T,
     )
 
 
 def _damping(dynamics: Dynamics) -> str:
+    """Damping with its uncertainty, in words."""
     critical = 2 * dynamics.mass * 2 * np.pi * dynamics.natural_frequency
     return damping_text(dynamics.damping, dynamics.uncertainty("damping"), critical=critical)
 
 
-def _notes(table: ResponseTable, dynamics: Dynamics, *, chi2: float, freedom: int, probability: float) -> list[str]:
-    """Say what is doubtful about the result."""
+def _notes(
+    table: ResponseTable, dynamics: Dynamics, *, chi2: float, degrees_of_freedom: int, probability: float
+) -> list[str]:
+    """Sentences about what is doubtful in the result."""
     notes = []
     if probability < LEAST_PROBABILITY:
         notes.append(
-            f"the points scatter more than their uncertainties let expect (chi2 {chi2:.3g} for {freedom} degrees of "
-            f"freedom); one mode does not describe them or the uncertainties are too small, and the covariance is "
-            f"enlarged {chi2 / freedom:.3g} times"
+            f"the points scatter more than their uncertainties let expect (chi2 {chi2:.3g} for {degrees_of_freedom} "
+            f"degrees of freedom); one mode does not describe them or the uncertainties are too small, and the "
+            f"covariance is enlarged {chi2 / degrees_of_freedom:.3g} times"
         )
     u = dynamics.uncertainty("damping")
     if u > DOUBTFUL_DAMPING * dynamics.damping:

@@ -16,10 +16,10 @@ import numpy as np
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.identification.base_excitation.shaking_fit import (
     DELAY,
-    Shaken,
+    ShakeParameters,
     chunks,
+    evaluate,
     first_guess,
-    near,
     settle,
     with_noise,
 )
@@ -170,7 +170,7 @@ def _check_moved(records: Sequence[ShakeRecord], sizes: Array) -> None:
         )
 
 
-def _fitted(records: Sequence[ShakeRecord], sizes: Array) -> Shaken:
+def _fitted(records: Sequence[ShakeRecord], sizes: Array) -> ShakeParameters:
     """Parameters and noise of maximum likelihood."""
     fit = settle(records, first_guess(records, sizes=sizes))
     for _ in range(NOISE_ROUNDS):
@@ -178,7 +178,7 @@ def _fitted(records: Sequence[ShakeRecord], sizes: Array) -> Shaken:
     return fit
 
 
-def _check_seen(records: Sequence[ShakeRecord], fit: Shaken, sizes: Array) -> None:
+def _check_seen(records: Sequence[ShakeRecord], fit: ShakeParameters, sizes: Array) -> None:
     """Refuse records that leave a mode in the noise."""
     try:
         dynamics = CoupledDynamics(COMPONENTS, fit.inertia, fit.damping)
@@ -210,13 +210,13 @@ def _combinations(dynamics: CoupledDynamics, sizes: Array) -> Array:
     return np.array([combination_of(motion, mode) for mode in range(6)])
 
 
-def _colour(records: Sequence[ShakeRecord], fit: Shaken) -> Array:
+def _colour(records: Sequence[ShakeRecord], fit: ShakeParameters) -> Array:
     """Power of what is left near the modes over what noise lets expect, 1 where it passes for noise, shape (6,)."""
     rates = np.array([m.natural_frequency for m in CoupledDynamics(COMPONENTS, fit.inertia, fit.damping).modes])
     power, expected, count = np.zeros(6), np.zeros(6), 0
     for record in records:
         for part in chunks(record):
-            here = near(part, fit)
+            here = evaluate(part, fit)
             close = (np.abs(part.frequency[:, None] / rates - 1) < 1 / 8).any(axis=1)
             power += np.sum(np.abs(here.load_noise[close]) ** 2, axis=0)
             expected += np.sum(np.diag(fit.noise) - np.real(np.einsum("mii->mi", here.spread[close])), axis=0)
@@ -229,7 +229,7 @@ def _colour(records: Sequence[ShakeRecord], fit: Shaken) -> Array:
 
 def _result(
     records: Sequence[ShakeRecord],
-    fit: Shaken,
+    fit: ShakeParameters,
     sizes: Array,
     *,
     colour: Array,
@@ -271,7 +271,7 @@ def _result(
     return replace(found, notes=tuple(doubts_about_shaking(found)))
 
 
-def _shake(record: ShakeRecord, fit: Shaken, dynamics: CoupledDynamics) -> ShakeFound:
+def _shake(record: ShakeRecord, fit: ShakeParameters, dynamics: CoupledDynamics) -> ShakeFound:
     return ShakeFound(
         name=record.name,
         duration=record.duration,

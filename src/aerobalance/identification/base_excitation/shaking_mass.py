@@ -14,11 +14,11 @@ from aerobalance.dynamics.inertial_parameters import mass_basis, rigid_of
 from aerobalance.identification.base_excitation.shaking_fit import (
     DELAY,
     MATRICES,
-    Shaken,
+    ShakeParameters,
     chunks,
-    columns,
+    evaluate,
+    jacobian,
     known_rows,
-    near,
     reduced,
     rows_of,
 )
@@ -74,7 +74,7 @@ class Joint:
     u_delay: float
 
     @classmethod
-    def of(cls, fit: Shaken, rows: Array, *, about: float) -> Joint:
+    def of(cls, fit: ShakeParameters, rows: Array, *, about: float) -> Joint:
         """From the rows of a settled fit; `about` is the size of the mass [kg]."""
         count = fit.values.size
         loose = np.zeros((10, count))
@@ -231,23 +231,23 @@ def mass_behind(
     return joint, ShakenMass(found, taken, rigidity, symmetry, reciprocity, weighed, implied, constrained)
 
 
-def rows_with_free_mass(records: Sequence[ShakeRecord], fit: Shaken) -> Array:
+def rows_with_free_mass(records: Sequence[ShakeRecord], fit: ShakeParameters) -> Array:
     """Triangular rows of the derivatives by the parameters, and by what a mass matrix has beyond a rigid mass.
 
     Returns
     -------
     rows
-        Columns for the parameters, for 26 free elements of the mass matrix, and minus what is left.
+        Columns for the parameters, for 26 free elements of the mass matrix, and minus the residual.
     """
     others = null_space(mass_basis().reshape(10, 36))
     known = known_rows(fit)
     rows = np.hstack([known[:, :-1], np.zeros((known.shape[0], others.shape[1])), known[:, -1:]])
     for record in records:
         for part in chunks(record):
-            here = near(part, fit)
+            here = evaluate(part, fit)
             whole = (here.weight[:, :, :, None] * here.motion[:, None, None, :]).reshape(-1, 6, 36)
-            both = np.concatenate([columns(part, here, fit), whole @ others], axis=2)
-            rows = reduced(np.vstack([rows, rows_of(both, here.left, record.share)]))
+            both = np.concatenate([jacobian(part, here, fit), whole @ others], axis=2)
+            rows = reduced(np.vstack([rows, rows_of(both, here.residual, record.share)]))
     return rows
 
 

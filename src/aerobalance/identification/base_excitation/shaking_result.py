@@ -10,7 +10,14 @@ import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.inertial_parameters import mass_basis
-from aerobalance.identification.base_excitation.shaking_fit import DELAY, MATRICES, Shaken, columns, near, products_of
+from aerobalance.identification.base_excitation.shaking_fit import (
+    DELAY,
+    MATRICES,
+    ShakeParameters,
+    evaluate,
+    jacobian,
+    products_of,
+)
 from aerobalance.identification.base_excitation.shaking_mass import Joint, ShakenMass
 from aerobalance.identification.base_excitation.shaking_record import ShakeRecord
 from aerobalance.identification.force_error import error_of, force_weights, highest_of
@@ -102,7 +109,7 @@ class ShakingIdentification(CoupledResult):
     delay: tuple[float, float]
 
 
-def felt_by_mode(record: ShakeRecord, fit: Shaken, dynamics: CoupledDynamics) -> Complex:
+def felt_by_mode(record: ShakeRecord, fit: ShakeParameters, dynamics: CoupledDynamics) -> Complex:
     """Loads felt in every mode as the ground's motion sets it off, shape (modes, m, 6)."""
     poles, shapes, weights = dynamics.modal_form
     net = -(record.taken @ fit.numbers)
@@ -117,14 +124,14 @@ def felt_by_mode(record: ShakeRecord, fit: Shaken, dynamics: CoupledDynamics) ->
     return np.array(found)
 
 
-def visibility(record: ShakeRecord, fit: Shaken, dynamics: CoupledDynamics) -> Array:
+def visibility(record: ShakeRecord, fit: ShakeParameters, dynamics: CoupledDynamics) -> Array:
     """Root of the energy of every mode over the noise of one reading, shape (modes,)."""
     waves = felt_by_mode(record, fit, dynamics) @ np.linalg.inv(np.linalg.cholesky(fit.noise)).T
     return np.asarray(np.sqrt(2 * np.sum(np.abs(waves) ** 2, axis=(1, 2))))
 
 
 def shake_advice(
-    joint: Joint, fit: Shaken, records: Sequence[ShakeRecord], *, mass: Array, applied: Array, sizes: Array
+    joint: Joint, fit: ShakeParameters, records: Sequence[ShakeRecord], *, mass: Array, applied: Array, sizes: Array
 ) -> ShakeAdvice:
     """Predict the force error with one record more, shaken in each motion in turn.
 
@@ -161,7 +168,7 @@ def shake_advice(
 
 
 def _told_by(
-    fit: Shaken, dynamics: CoupledDynamics, taken: Array, *, shaken: Array, highest: float, duration: float
+    fit: ShakeParameters, dynamics: CoupledDynamics, taken: Array, *, shaken: Array, highest: float, duration: float
 ) -> Array:
     """Information on A, D and the mass in a record shaken white in one motion, shape (82, 82).
 
@@ -201,10 +208,10 @@ def _told_by(
         reach=np.ones(6),
         columns=tuple(range(6)),
     )
-    plain = Shaken(np.append(fit.values[:DELAY], 0.0), fit.noise, ())
-    here = near(record, plain)
+    plain = ShakeParameters(np.append(fit.values[:DELAY], 0.0), fit.noise, ())
+    here = evaluate(record, plain)
     here = replace(here, rates=record.rates, seconds=record.seconds, motion=record.motion, taken=record.taken)
-    products = products_of(columns(record, here, plain), here.left, 1.0)
+    products = products_of(jacobian(record, here, plain), here.residual, 1.0)
     by_delay = products[:DELAY, DELAY]  # which is free
     return np.asarray(products[:DELAY, :DELAY] - np.outer(by_delay, by_delay) / products[DELAY, DELAY])
 
