@@ -339,8 +339,11 @@ def test_response_table_gives_dynamics(here, capsys, rng):
 @pytest.mark.skipif(not TREADMILL.is_dir(), reason="the treadmill trials are not here")
 @pytest.mark.parametrize(
     ("trial", "limit"),
-    # the fast one takes a quarter of an hour: force looks for a release in a record that is none
-    [("RandomSlowSpeed1", 1.23), pytest.param("RandomFastSpeed1", 1.60, marks=pytest.mark.long)],
+    # a minute and a quarter of an hour: force looks for a release in a record that is none
+    [
+        pytest.param(trial, limit, marks=pytest.mark.long)
+        for trial, limit in (("RandomSlowSpeed1", 1.23), ("RandomFastSpeed1", 1.60))
+    ],
 )
 def test_treadmill_moment_is_freed_of_the_belt(trial, limit, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

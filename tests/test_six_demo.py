@@ -17,6 +17,7 @@ def test_six_components_from_millivolts_to_forces(
 ) -> None:
     monkeypatch.setattr(six_demo, "DURATION", 0.3)  # a third of the run takes a third of the time
     monkeypatch.setattr(six_demo, "INSTANT", 0.18013)
+    monkeypatch.setattr(six_demo, "RELEASE", 0.5)
     # one seed: what is random about balances and noise is tested where each part is
     assert main(["demo", "--six", "--out", str(tmp_path), "--seed", "3", "--json"]) == 0
     account = json.loads(capsys.readouterr().out)

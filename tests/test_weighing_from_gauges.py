@@ -17,16 +17,17 @@ from aerobalance.recording.gravity import weight_direction
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.calibration_stand import CalibrationStand
 from aerobalance.simulation.six_balance import random_balance
+from seeds import trials
 
-NOISE, SAMPLES, BALANCES = 1e-4, 100, 12
-"""Noise of a bridge over its output at half of range, samples of a point, and balances of a test."""
+NOISE, SAMPLES = 1e-4, 100
+"""Noise of a bridge over its output at half of range, and samples of a point."""
 
 
-def scores(rng, *, model, components, rolls, known_noise=False):
-    """Error of the mass over its uncertainty, of balances drawn, calibrated and weighed anew, shape (BALANCES,)."""
+def scores(rng, balances, *, model, components, rolls, known_noise=False):
+    """Error of the mass over its uncertainty, of balances drawn, calibrated and weighed anew, shape (balances,)."""
     pitch, roll = (angle.ravel() for angle in np.meshgrid(np.radians(np.arange(-12.0, 13, 4)), np.radians(rolls)))
     found = []
-    for _ in range(BALANCES):
+    for _ in range(balances):
         balance = random_balance(rng)
         truth, mass = balance.matrix, balance.mass
         noise = NOISE * float(truth.output_scale.min())
@@ -59,10 +60,11 @@ def scores(rng, *, model, components, rolls, known_noise=False):
 )
 @pytest.mark.parametrize(("model", "known_noise"), [("96", False), ("quadratic", True)], ids=["right", "wrong"])
 def test_the_error_of_a_mass_is_as_large_as_its_uncertainty(rng, components, rolls, model, known_noise):
-    found = scores(rng, model=model, components=components, rolls=rolls, known_noise=known_noise)
+    balances = trials(5, 12)
+    found = scores(rng, balances, model=model, components=components, rolls=rolls, known_noise=known_noise)
     square = np.mean(found**2)
     # chi-squared, 1e-4 on either side. What a fit of the wrong terms leaves is even in the loads and cancels between
     # opposite rolls; its length of likeness holds for what is odd too and is then on the safe side.
-    low, high = (stats.chi2.ppf(p, BALANCES) / BALANCES for p in (1e-4, 1 - 1e-4))
+    low, high = (stats.chi2.ppf(p, balances) / balances for p in (1e-4, 1 - 1e-4))
     assert square < high
     assert square > low or (known_noise and len(rolls) > 1)

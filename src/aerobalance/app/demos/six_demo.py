@@ -49,6 +49,9 @@ BEARABLE: Final = 0.7
 FELT: Final = 0.15
 """Rms of the load felt under the gusts of the run, over half range, in the component that feels most of them."""
 
+RELEASE: Final = 1.0
+"""Length of the record of a release [s]."""
+
 DURATION: Final = 1.0
 """Length of the run [s]."""
 
@@ -165,7 +168,7 @@ def identified(folder: DemoFolder, balance: CoupledBalance, files: BalanceFiles,
         load = np.zeros(len(COMPONENTS))
         load[place] = PULLED * balance.half_range[place]
         rig = replace(still(balance, 0.0, 0.0), releases=(Release(bearable(balance, load), instant=0.1),))
-        paths.append(folder.record(f"release_{name}", rig, 1.0)[0])
+        paths.append(folder.record(f"release_{name}", rig, RELEASE)[0])
     dynamics = folder.path / "dynamics.json"
     half_range = dict(zip(COMPONENTS, balance.half_range.tolist(), strict=True))
     identify_decays(paths, dynamics, mass=str(mass), half_range=half_range, files=files)
