@@ -21,7 +21,7 @@ def known(corner: float = 10.0, exponent: float = 1.0, *, humps: tuple[Hump, ...
 
 @pytest.mark.parametrize("exponent", [0.5, 1.0, 1.5, 2.0])
 def test_states_have_the_spectrum(exponent):
-    states = known(10.0, exponent).states(5.0)
+    states = known(10.0, exponent).colored_part(5.0)
     frequency = np.geomspace(1.0, 700.0, 200)
     truth = known(10.0, exponent).density(frequency)
     # relaxations a factor 3 apart ripple by 1 %; from 1 Hz on the level part below 1/15 Hz bends it by
@@ -30,7 +30,7 @@ def test_states_have_the_spectrum(exponent):
 
 
 def test_below_the_slowest_it_is_level():
-    states = known(10.0, 1.0).states(5.0)
+    states = known(10.0, 1.0).colored_part(5.0)
     # (10 Hz / f) at 1 / (3 * 5 s), where 1 / sqrt(f^2 + f^2) bends it
     assert states.density(np.array([1e-4]))[0] == pytest.approx(WHITE * 150, rel=0.03)
 
@@ -72,7 +72,7 @@ def test_white_noise_is_found_white(monkeypatch, rng):
     monkeypatch.setattr(noise_record, "COLOR_EVIDENCE", 15.0)
     found = noise_spectrum_of(rng.normal(0, 2, 16_000), T128, interval=1 / RATE)
     assert not found.colored
-    assert found.states(5.0) is None
+    assert found.colored_part(5.0) is None
     assert str(found) == "white noise"
     # 16,000 readings: 0.56 % of the standard deviation; 5 of these and what the modes' bands take
     assert found.deviation == pytest.approx(2, rel=0.035)
