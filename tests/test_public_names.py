@@ -22,6 +22,7 @@ from aerobalance.simulation.calibration_stand import CalibrationStand
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import Release, SixComponentRig
 from aerobalance.simulation.six_signals import Band, broadband
+from aerobalance.uncertainty.budget import scalars
 
 ATTITUDES = [(p, r) for p in (-10.0, 0.0, 10.0) for r in (-30.0, 0.0, 30.0)]
 
@@ -55,15 +56,18 @@ def gusts(balance: CoupledBalance, rng: np.random.Generator) -> SixComponentRig:
     return replace(rig, applied=lambda time: load(time) + 0.1 * balance.half_range)
 
 
-def errors(force: Force, truth: Array, balance: CoupledBalance) -> dict[str, tuple[float, float]]:
-    """Mean error over half range, and rms error over rms uncertainty, by component."""
+def errors(force: Force, truth: Array, balance: CoupledBalance) -> dict[str, tuple[float, float, float]]:
+    """Mean error over half range and over its uncertainty, and rms error over rms uncertainty, by component."""
     found = {}
     inner = slice(len(truth) // 20, -len(truth) // 20)
     for place, name in enumerate(COMPONENTS):
         off = (force[name].values - truth[:, place])[inner]
         u = force[name].uncertainty[inner]
+        u_mean = next(item.u for item in scalars(force[name]) if item.name == "mean")
+        mean = float(abs(off.mean()))
         found[name] = (
-            float(abs(off.mean()) / balance.half_range[place]),
+            mean / float(balance.half_range[place]),
+            mean / u_mean,
             float(np.sqrt(np.mean(off**2) / np.mean(u**2))),
         )
     return found
@@ -109,9 +113,11 @@ def test_six_components_from_outputs_of_the_bridges(rng):
     simulation = gusts(balance, rng).run(0.4, rng)
     run = as_arrays(simulation.recording, pitch="deg", roll="deg")
     force = ab.estimate_force(run, dynamics, balance=matrix, zero=ab.Zero(zero, model_on=True), hum="keep")
-    for name, (mean, beside_u) in errors(force, simulation.applied, balance).items():
-        assert beside_u < 2, name
-        assert mean < (5e-4 if name in ("NF", "PM") else 1e-3), name
+    for name, (mean, score, beside_u) in errors(force, simulation.applied, balance).items():
+        assert beside_u < 2, name  # what is asked of a force beside its uncertainty
+        assert score < 4.5, name  # one mean of six in 25,000 by chance
+        # 0.05 % of half range is what is asked of a level balance's NF and PM, where it was 9 to 13 %
+        assert mean < 5e-4 or name not in ("NF", "PM"), name
     assert "balance matrix, zeros and tares" in force["NF"].budget
     with pytest.raises(ValueError, match="must say how it was read: model_on=True"):
         ab.Zero(zero)
@@ -147,9 +153,9 @@ def test_the_chain_of_a_test(rng):
     dynamics = ab.identify(releases, mass=mass, balance=matrix, zero=zero)
     simulation = gusts(balance, rng).run(0.3, rng)
     force = ab.estimate_force(simulation.recording, dynamics, balance=matrix, zero=zero, hum="keep")
-    for name, (mean, beside_u) in errors(force, simulation.applied, balance).items():
+    for name, (_, score, beside_u) in errors(force, simulation.applied, balance).items():
         assert beside_u < 2, name
-        assert mean < 2e-3, name
+        assert score < 4.5, name
 
 
 def test_wrong_calls_say_what_is_allowed():

@@ -206,10 +206,6 @@ class CoupledRecord:
         left = _free_motion(self.dynamics, filled - felt, present, interval=self.interval)
         return np.where(present, self.loads, felt + left)
 
-    def for_noise(self, run: CoupledRecord) -> CoupledRecord:
-        """The same record, of noise alone, decoupled as a run is: by the white noise of the run's channels."""
-        return self.taken_with(self.dynamics, noise=run.noise)
-
 
 def net_load(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
     """Loads that ground motion and gravity put on the moving mass, W - M x1'', shape (samples, n).

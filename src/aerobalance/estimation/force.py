@@ -204,8 +204,8 @@ def estimate_force(
     Raises
     ------
     FitError
-        The run has none of the components, lacks one that the others ring with, is too short, or has missing samples
-        that the method cannot bridge; or the noise was recorded at another sampling rate.
+        The run has none of the components, lacks one that the others are coupled with, is too short, or has missing
+        samples that the method cannot bridge; or the noise was recorded at another sampling rate.
     ValueError
         A setting is not allowed, or the loads count from the weight of the model and do not say what it is.
     """
@@ -247,7 +247,7 @@ def force_record(
     Raises
     ------
     FitError
-        The run has none of the components, lacks one that the others ring with, or is too short.
+        The run has none of the components, lacks one that the others are coupled with, or is too short.
     ValueError
         The loads count from the weight of a model and do not say what it is.
     """
@@ -316,7 +316,7 @@ def noise_spectra(
     """
     record = force_record(calm, run.dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
     if isinstance(record, CoupledRecord) and isinstance(run, CoupledRecord):
-        record = record.for_noise(run)
+        record = record.taken_with(record.dynamics, noise=run.noise)
     return {name: noise_of_job(job) for name, job in record.jobs(interpolate_gaps(record.loads)).items()}
 
 

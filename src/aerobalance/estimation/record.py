@@ -241,10 +241,6 @@ class IndependentRecord:
         """The readings as they are filled: nothing is filled, as no force needs it."""
         return filled
 
-    def for_noise(self, run: IndependentRecord) -> IndependentRecord:
-        """The same record, of noise alone: it needs nothing of the run."""
-        return self
-
     def jobs(self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None) -> dict[str, ComponentRecord]:
         """The components made ready, by name; arguments as `CoupledRecord.jobs` has them, but gaps stay gaps."""
         spectra = {} if noises is None else noises

@@ -14,11 +14,11 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.components import STANDARD_GRAVITY
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.recording import Recording
 from aerobalance.validation.baselines import BaselineEstimate, BaselineSettings, estimates
 from aerobalance.validation.coupled_baselines import estimates_of_coupled, own_response
-from aerobalance.validation.fir_inverse import MeasuredResponse, response_of_record
+from aerobalance.validation.fir_inverse import response_of_record
 from aerobalance.validation.scores import Truth, truth_on_clock
 
 
@@ -111,7 +111,10 @@ def compare(
     recording = ready.recording if isinstance(ready, Loads) else ready
     names = _names(recording, model, components)
     if step is not None and len(names) > 1:
-        raise ValueError(f"--step is a step of one component: name that one of {', '.join(names)} with --component")
+        raise ValueError(
+            f"{argument('step')} is a step of one component: name that one of {', '.join(names)} with "
+            f"{argument('components')}"
+        )
     responses = {
         name: own_response(model, name) if isinstance(model, CoupledDynamics) else model[name] for name in names
     }
@@ -125,7 +128,7 @@ def compare(
     if step is not None:
         stepped = made_ready(step)
         stepped = stepped.recording if isinstance(stepped, Loads) else stepped
-        response = _step_response(stepped, names[0], natural_frequency=lowest, rate=recording.rate)
+        response = response_of_record(stepped, names[0], natural_frequency=lowest, rate=recording.rate)
     settings = BaselineSettings(gravity=gravity, response=response)
     found: dict[str, Sequence[BaselineEstimate]] = {}
     if isinstance(model, CoupledDynamics):
@@ -149,7 +152,3 @@ def _names(
     for name in there or names:
         recording.channel(name)  # whose error tells what the recording has
     return there
-
-
-def _step_response(step: Recording, component: str, *, natural_frequency: float, rate: float) -> MeasuredResponse:
-    return response_of_record(step, component, natural_frequency=natural_frequency, rate=rate)

@@ -62,11 +62,6 @@ class Source(NamedTuple):
         balance = () if self.files is None else self.files.paths
         return balance if self.channel_map is None else (*balance, self.channel_map)
 
-    def with_loads(self, path: Path) -> tuple[Recording, Loads | None]:
-        """Read a recording with balance loads, and the matrix with its errors where it had gauge outputs."""
-        found = self.read(path)
-        return (found.recording, found) if isinstance(found, Loads) else (found, None)
-
     def read(self, path: Path) -> Recording | Loads:
         """Read a recording; gauge outputs become balance loads."""
         recording = recording_of(path, self.channel_map)

@@ -12,8 +12,7 @@ import numpy as np
 from aerobalance.app.commands.answers import quantities, quantity_table, short
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.shared import Account, check_out, doubts, known_component, recording_of
-from aerobalance.balance.reduction import weighing_points
-from aerobalance.balance.weighing import weigh as weigh_points
+from aerobalance.balance.reduction import weigh as weigh_recordings
 from aerobalance.io import load_channel_map
 from aerobalance.io.mass_file import read_masses, weighing_payload, write_weighing
 from aerobalance.io.points import read_points
@@ -47,17 +46,16 @@ def weigh(
     names = None if component is None else (component,)
     with doubts() as collected:
         if files is None:
-            points = read_points(paths, names, channel_map=chosen)
+            weighing = weigh_recordings(read_points(paths, names, channel_map=chosen), gravity=gravity)
         else:
             if files.zero_after or files.tare or files.mass is not None:
                 raise ValueError("weighing takes --zero alone: tares and closing zeros would take off what is weighed")
             recordings = [recording_of(path, channel_map) for path in paths]
             zero = files.zeros(channel_map)
-            points = weighing_points(recordings, files.matrix(), zero=zero, gravity=gravity, names=names)
-        weighing = weigh_points(points, gravity=gravity)
+            weighing = weigh_recordings(recordings, files.matrix(), zero=zero, gravity=gravity, components=names)
     if out is not None:
         inputs = [*paths, *(() if files is None else files.paths)]
-        settings: Account = {"components": points.components, "gravity": gravity}
+        settings: Account = {"components": weighing.components, "gravity": gravity}
         write_weighing(out, weighing, inputs=inputs, settings=settings, warnings=collected)
     account: Account = weighing_payload(weighing)
     text = summary(paths, account)
