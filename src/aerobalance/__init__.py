@@ -14,7 +14,8 @@ from aerobalance.recording.version import VERSION
 
 if TYPE_CHECKING:
     from aerobalance.balance.calibration.fit import calibrate
-    from aerobalance.balance.reduction import reduce_outputs, weigh
+    from aerobalance.balance.reduction import reduce_outputs
+    from aerobalance.balance.weighing.from_outputs import weigh
     from aerobalance.balance.zeros import Zero
     from aerobalance.dynamics.single import Dynamics
     from aerobalance.estimation.force import estimate_force
@@ -35,7 +36,7 @@ _PLACES: Final = {
     "read": "aerobalance.io.anything",
     "read_schedule": "aerobalance.io.schedule",
     "calibrate": "aerobalance.balance.calibration.fit",
-    "weigh": "aerobalance.balance.reduction",
+    "weigh": "aerobalance.balance.weighing.from_outputs",
     "Zero": "aerobalance.balance.zeros",
     "reduce_outputs": "aerobalance.balance.reduction",
     "Dynamics": "aerobalance.dynamics.single",

@@ -9,9 +9,9 @@ import pytest
 
 from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.io.coupled_part import matrix_units
 from aerobalance.io.dynamics_file import (
     dynamics_kind,
-    matrix_units,
     read_any_dynamics,
     read_coupled,
     read_dynamics,

@@ -8,11 +8,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from aerobalance.balance.calibration.fit import Calibration
+from aerobalance.balance.calibration.fit import Calibration, matrix_of
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.reduction import NotWeighed, matrix_of, reduce_outputs
+from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.weighing.result import Weighing
+from aerobalance.balance.weight_on_zero import NotWeighed
 from aerobalance.balance.zeros import Zero
 from aerobalance.identification.base_excitation.rig import RigFit, identify_rig
 from aerobalance.identification.base_excitation.shaking import identify_shaking

@@ -14,7 +14,8 @@ from aerobalance.app.commands.standings import standings
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.io import read
-from aerobalance.io.dynamics_file import modes_payload, read_any_dynamics
+from aerobalance.io.coupled_part import modes_payload
+from aerobalance.io.dynamics_file import read_any_dynamics
 from aerobalance.io.kinds import PAGE
 from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.errors import FitError

@@ -29,7 +29,8 @@ from aerobalance.balance.weighing.result import Weighing
 from aerobalance.identification.result import CoupledIdentification, CoupledResult
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.io.artefacts import digest
-from aerobalance.io.dynamics_file import coupled_payload, write_dynamics
+from aerobalance.io.coupled_part import coupled_payload
+from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.io.mass_file import read_masses, read_weighing
 from aerobalance.recording.components import COMPONENTS, MOMENTS, si_unit
 from aerobalance.recording.errors import ReadError

@@ -19,7 +19,8 @@ from aerobalance.identification.from_stiffness import (
     coupled_from_stiffness,
 )
 from aerobalance.identification.rigid_body import Departure
-from aerobalance.io.dynamics_file import coupled_payload, read_coupled, write_dynamics
+from aerobalance.io.coupled_part import coupled_payload
+from aerobalance.io.dynamics_file import read_coupled, write_dynamics
 from aerobalance.io.stiffness_file import read_rigid_mass, read_stiffness
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import warn_quality

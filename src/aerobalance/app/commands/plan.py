@@ -9,7 +9,8 @@ import numpy as np
 
 from aerobalance.app.commands.shared import Account, doubts, table_text
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.io.dynamics_file import modes_payload, read_any_dynamics
+from aerobalance.io.coupled_part import modes_payload
+from aerobalance.io.dynamics_file import read_any_dynamics
 from aerobalance.uncertainty.planning import ComponentPlan, Plan
 from aerobalance.uncertainty.planning import plan as plan_test
 from aerobalance.uncertainty.wiener_bound import Attainable

@@ -12,7 +12,7 @@ import numpy as np
 from aerobalance.app.commands.answers import quantities, quantity_table, short
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.shared import Account, check_out, doubts, known_component, recording_of
-from aerobalance.balance.reduction import weigh as weigh_recordings
+from aerobalance.balance.weighing.from_outputs import weigh as weigh_recordings
 from aerobalance.io import load_channel_map
 from aerobalance.io.mass_file import read_masses, weighing_payload, write_weighing
 from aerobalance.io.points import read_points

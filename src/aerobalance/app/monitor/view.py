@@ -21,7 +21,7 @@ from aerobalance.app.monitor.running_spectrum import RunningSpectrum
 from aerobalance.app.monitor.steady import newest_steady
 from aerobalance.balance.load_envelope import LoadEnvelope
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.reduction import gauge_zero_of_readings
+from aerobalance.balance.weight_on_zero import gauge_zero_of_readings
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.live.health import LiveEstimate

@@ -139,6 +139,11 @@ def calibrate(
     )
 
 
+def matrix_of(balance: BalanceMatrix | Calibration) -> BalanceMatrix:
+    """Return the balance matrix itself, of a calibration or as it is."""
+    return balance.matrix if isinstance(balance, Calibration) else balance
+
+
 def _noise_of(given: float | Mapping[str, float], gauges: Sequence[str]) -> float | Array:
     """Noise of a reading, one number or by bridge, shape (c,) [mV/V]; a bridge is its name, or r and its name."""
     if not isinstance(given, Mapping):
