@@ -18,7 +18,7 @@ from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.force import force_record
 from aerobalance.identification.free_decay.event import first_look
 from aerobalance.identification.free_decay.fit import _kept_modes, _way_to_take_it_up, identify_decay
-from aerobalance.identification.free_decay.waveform import Line, fit_ring
+from aerobalance.identification.free_decay.waveform import DecayLine, fit_ring
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError, argument
 from aerobalance.recording.recording import Recording
@@ -193,7 +193,7 @@ def test_modes_whose_share_would_be_more_than_the_load_are_not_taken_up():
     values = ringing((0.9, 0.1), (60.0, 143.0), noise=0.1, seed=4).channel("AF").values
     time = np.arange(values.size) / 2000.0
     look = first_look(values, rate=2000.0, name="cut")
-    ring = fit_ring(time, values, look, lines=(Line(143.0, 0.01 * 2 * np.pi * 143.0),))
+    ring = fit_ring(time, values, look, lines=(DecayLine(143.0, 0.01 * 2 * np.pi * 143.0),))
     assert _kept_modes(ring, "auto", "cut") == [0]
     sizes = ring.sizes.copy()
     sizes[-1] *= -6  # the height of the further mode: 10 N become -60 N

@@ -22,7 +22,7 @@ from aerobalance.identification.step_relaxation.internal_coordinates import (
     renewed,
     static_shares,
 )
-from aerobalance.identification.step_relaxation.model import Piece, linearise
+from aerobalance.identification.step_relaxation.model import Segment, linearise
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Array, Channel
@@ -108,8 +108,8 @@ def test_derivatives_are_those_of_the_readings(kind, anywhere):
     spring = np.array([[1.0, 0.1, 0.3], [0.2, 3.0, -0.2], [0.4, 0.1, 2.0]])
     matrices = np.concatenate([spring.ravel(), (0.05 * spring + 0.01).ravel()])
     edge = {"release": (0.0, 0.0), "ramp": (-0.3, 1.5), "free": (1.0, 1.0)}[kind]
-    piece = Piece("", time, rng.normal(size=(200, n)), kind, edge, 1, anywhere)
-    own = rng.normal(size=piece.own)
+    segment = Segment("", time, rng.normal(size=(200, n)), kind, edge, 1, anywhere)
+    own = rng.normal(size=segment.own)
     if kind != "free":
         own[4] = 0.11
     if kind == "ramp":
@@ -117,16 +117,16 @@ def test_derivatives_are_those_of_the_readings(kind, anywhere):
     whitener = whitener_of(np.array([[1.0, 0.3], [0.3, 2.0]]))
 
     def motion(vector: Array) -> FreeMotion:
-        return FreeMotion.of(*vector[piece.own :].reshape(2, size, size), components=n)
+        return FreeMotion.of(*vector[segment.own :].reshape(2, size, size), components=n)
 
     def residuals(vector: Array) -> Array:
-        part = linearise(piece, motion(vector), vector[: piece.own], whitener=whitener, derivatives=False)
+        part = linearise(segment, motion(vector), vector[: segment.own], whitener=whitener, derivatives=False)
         return (np.vstack([part.held, part.ringing]) @ whitener.T).ravel()
 
     vector = np.concatenate([own, matrices])
     step = 1e-6
     J = np.stack([(residuals(vector - d) - residuals(vector + d)) / (2 * step) for d in step * np.eye(vector.size)], 1)
-    block = linearise(piece, motion(vector), own, whitener=whitener).block
+    block = linearise(segment, motion(vector), own, whitener=whitener).block
     # central differences are right to about (1e-16 / 1e-6) of the waveform and (1e-6)^2 of its third derivative
     assert block[:, :-1].T @ block[:, :-1] == pytest.approx(J.T @ J, rel=1e-6, abs=1e-7 * np.max(J.T @ J))
     assert block[:, :-1].T @ block[:, -1] == pytest.approx(J.T @ residuals(vector), abs=1e-7 * np.max(np.abs(J.T @ J)))

@@ -16,7 +16,7 @@ from aerobalance.identification.rigid_body import centre_agreement, rigid_mass_o
 from aerobalance.identification.step_relaxation.fit import whitener_of
 from aerobalance.identification.step_relaxation.free_response import FreeMotion
 from aerobalance.identification.step_relaxation.identify import identify_releases
-from aerobalance.identification.step_relaxation.model import Piece, linearise
+from aerobalance.identification.step_relaxation.model import Segment, linearise
 from aerobalance.identification.step_relaxation.record import ROUNDING
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import read_coupled
@@ -59,21 +59,21 @@ def test_derivatives_are_those_of_the_readings(kind):
     n, time = 2, np.linspace(-5, 20, 200)
     matrices = np.concatenate([[1.0, 0.1, 0.2, 3.0], [0.05, 0.01, 0.0, 0.06]])
     edge = {"release": (0.0, 0.0), "ramp": (-0.3, 1.5), "free": (1.0, 1.0)}[kind]
-    piece = Piece("", time, rng.normal(size=(200, n)), kind, edge)
-    own = rng.normal(size=piece.own)
+    segment = Segment("", time, rng.normal(size=(200, n)), kind, edge)
+    own = rng.normal(size=segment.own)
     if kind != "free":
-        own[2 * n :] = [0.11, 1.0][: piece.own - 2 * n]
+        own[2 * n :] = [0.11, 1.0][: segment.own - 2 * n]
     whitener = whitener_of(np.array([[1.0, 0.3], [0.3, 2.0]]))
 
     def residuals(vector: Array) -> Array:
-        motion = FreeMotion.of(*vector[piece.own :].reshape(2, n, n))
-        part = linearise(piece, motion, vector[: piece.own], whitener=whitener, derivatives=False)
+        motion = FreeMotion.of(*vector[segment.own :].reshape(2, n, n))
+        part = linearise(segment, motion, vector[: segment.own], whitener=whitener, derivatives=False)
         return (np.vstack([part.held, part.ringing]) @ whitener.T).ravel()
 
     vector = np.concatenate([own, matrices])
     step = 1e-6
     J = np.stack([(residuals(vector - d) - residuals(vector + d)) / (2 * step) for d in step * np.eye(vector.size)], 1)
-    block = linearise(piece, FreeMotion.of(*matrices.reshape(2, n, n)), own, whitener=whitener).block
+    block = linearise(segment, FreeMotion.of(*matrices.reshape(2, n, n)), own, whitener=whitener).block
     # central differences are right to about (1e-16 / 1e-6) of the waveform and (1e-6)^2 of its third derivative
     assert block[:, :-1].T @ block[:, :-1] == pytest.approx(J.T @ J, rel=1e-6, abs=1e-7 * np.max(J.T @ J))
     assert block[:, :-1].T @ block[:, -1] == pytest.approx(J.T @ residuals(vector), abs=1e-7 * np.max(np.abs(J.T @ J)))

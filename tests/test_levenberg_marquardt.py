@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aerobalance.identification.levenberg_marquardt import FACTOR, Settings, Step, levenberg_marquardt
+from aerobalance.identification.levenberg_marquardt import FACTOR, DampedStep, Settings, levenberg_marquardt
 
 
 def residuals(point):
@@ -16,7 +16,7 @@ def cost(point):
 
 
 def step_in(dampings):
-    """Step of the valley, which notes the damping parameter of each."""
+    """DampedStep of the valley, which notes the damping parameter of each."""
 
     def step(point, damping):
         dampings.append(damping)
@@ -24,7 +24,7 @@ def step_in(dampings):
         rows = np.vstack([jacobian, damping * np.eye(2)])
         move = np.linalg.lstsq(rows, np.concatenate([-residuals(point), np.zeros(2)]))[0]
         promised = cost(point) - float(np.sum((residuals(point) + jacobian @ move) ** 2))
-        return Step(promised, lambda: (point + move, cost(point + move)))
+        return DampedStep(promised, lambda: (point + move, cost(point + move)))
 
     return step
 

@@ -87,7 +87,7 @@ def test_slopes_are_those_of_true_refits(way: str, rng) -> None:
     tables = outputs_of_releases(matrix, rng)
     records, given = loads_by(matrix, tables)
     fit, units = fit_releases(records, sizes=HALF_RANGE)
-    fit = settle(fit.pieces, fit.matrices, fit.own, noise=fit.noise, enough=SETTLED)
+    fit = settle(fit.segments, fit.matrices, fit.own, noise=fit.noise, enough=SETTLED)
     slopes = coefficient_slopes(fit, units, records, given, components=COMPONENTS)
     for _ in range(2):
         _, change = drawn(matrix, rng)
@@ -101,11 +101,11 @@ def test_slopes_are_those_of_true_refits(way: str, rng) -> None:
 def refitted(fit: ReleaseFit, units: Units, matrix: BalanceMatrix, tables: list[Array], change: Array) -> Array:
     """A and D with a change of the coefficients."""
     wrong = replace(matrix, coefficients=matrix.coefficients + change.reshape(6, -1).T)
-    pieces = [
-        replace(piece, values=record.values / HALF_RANGE)
-        for piece, record in zip(fit.pieces, loads_by(wrong, tables)[0], strict=True)
+    segments = [
+        replace(segment, values=record.values / HALF_RANGE)
+        for segment, record in zip(fit.segments, loads_by(wrong, tables)[0], strict=True)
     ]
-    again = settle(pieces, fit.matrices, fit.own, noise=fit.noise, enough=SETTLED)
+    again = settle(segments, fit.matrices, fit.own, noise=fit.noise, enough=SETTLED)
     return inertia_and_damping(again, units)
 
 

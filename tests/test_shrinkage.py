@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from aerobalance.balance.calibration.selection import WORTH_LEAVING, select
-from aerobalance.balance.calibration.shrinkage import TAILS, Coefficients, Fitted, shrink
+from aerobalance.balance.calibration.shrinkage import TAILS, Coefficients, Design, shrink
 from aerobalance.recording.channel import Array
 
 COMPONENTS, LINEAR, OF_A_KIND, POINTS = 6, 6, 15, 200
@@ -20,13 +20,13 @@ FIVE = 5.0
 """Standard deviations within which a mean of squares lies but once in some million times."""
 
 
-def readings(truth: Array, rng: np.random.Generator, *, noise: float = SIGMA) -> tuple[list[Fitted], Array]:
+def readings(truth: Array, rng: np.random.Generator, *, noise: float = SIGMA) -> tuple[list[Design], Array]:
     """Readings of all components with orthonormal designs, and the coefficients of least squares."""
     points, ordinary = [], []
     for row in truth:
         design = np.linalg.qr(rng.normal(size=(POINTS, row.size)))[0]
         values = design @ row + rng.normal(0, noise, POINTS)
-        points.append(Fitted(design, values, POINTS))
+        points.append(Design(design, values, POINTS))
         ordinary.append(design.T @ values)
     return points, np.array(ordinary)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from aerobalance.acquisition.continuity import Event
 from aerobalance.acquisition.guards import ContactCircuit, EnvelopeLimit, capacity_stations
-from aerobalance.acquisition.intake import End, Intake, Plan, RecordPiece
+from aerobalance.acquisition.intake import End, Intake, RecordBlock, RecordPlan
 from aerobalance.acquisition.planned import plan_of, ranges_of
 from aerobalance.acquisition.setup import parse_setup, setup_from, stored_channels
 from aerobalance.acquisition.source import Block, SourceChannel
@@ -34,7 +34,7 @@ def run(plan, samples, cuts=()):
 
 
 def recorded(out):
-    return sum(len(item.samples) for item in out if isinstance(item, RecordPiece))
+    return sum(len(item.samples) for item in out if isinstance(item, RecordBlock))
 
 
 def events(out):
@@ -60,7 +60,7 @@ def test_combined_loads_stop_the_record_at_the_same_sample(cut, after) -> None:
     )
     channels = stored_channels(setup, [SourceChannel("NF", "lbf"), SourceChannel("AF", "N")])
     plan = plan_of(setup, channels, 100.0)
-    plan = Plan(channels, 100.0, 32, limits=plan.limits, after_limit=after)
+    plan = RecordPlan(channels, 100.0, 32, limits=plan.limits, after_limit=after)
     ramp = np.arange(400.0)
     # 0.2 lbf and 0.1 N a sample: 0.002 + 0.002 of the envelope; beyond it from sample 251 on, when each has half
     out = run(plan, np.column_stack((0.2 * ramp, 0.1 * ramp)), cut)
@@ -77,7 +77,7 @@ def test_contacts_are_noted_at_the_same_samples(cut, closed, action) -> None:
     channels = (StoredChannel(name="AF", unit="N"), StoredChannel(name="fouling", unit="V"))
     circuit = ContactCircuit(1, "fouling", "V", 2.5, True, 7, action)
     samples = np.column_stack((np.arange(400.0), np.repeat(closed, 10) * 5.0))
-    out, whole = (run(Plan(channels, 100.0, 32, circuit=circuit), samples, some) for some in (cut, ()))
+    out, whole = (run(RecordPlan(channels, 100.0, 32, circuit=circuit), samples, some) for some in (cut, ()))
     assert recorded(out) == recorded(whole)
     if any(closed) and action == "stop":
         assert recorded(out) == 10 * closed.index(True) + 1

@@ -9,7 +9,17 @@ from hypothesis import strategies as st
 
 from aerobalance.acquisition.continuity import Continuity, Event, Gap
 from aerobalance.acquisition.guards import Limit
-from aerobalance.acquisition.intake import AtLevel, AtOnce, AtTime, End, Intake, OnCall, Plan, RecordPiece, RecordStart
+from aerobalance.acquisition.intake import (
+    AtLevel,
+    AtOnce,
+    AtTime,
+    End,
+    Intake,
+    OnCall,
+    RecordBlock,
+    RecordPlan,
+    RecordStart,
+)
 from aerobalance.acquisition.source import Block
 from aerobalance.io.hdf5_layout import StoredChannel
 
@@ -41,7 +51,7 @@ def run(plan, given_blocks):
 
 
 def pieces(out):
-    found = [item for item in out if isinstance(item, RecordPiece)]
+    found = [item for item in out if isinstance(item, RecordBlock)]
     ticks = np.concatenate([np.arange(p.tick, p.tick + len(p.samples)) for p in found] or [np.empty(0)])
     samples = np.concatenate([p.samples for p in found] or [np.empty((0, 2))])
     return ticks, samples
@@ -58,7 +68,7 @@ gap_lists = st.lists(st.tuples(st.integers(0, 480), st.integers(1, 60)), max_siz
 def test_any_cut_and_any_trigger_time_give_the_same_samples(cut, gaps, sizes):
     rows, wait, before, length = sizes
     total = 500
-    plan = Plan(CHANNELS, 100.0, rows, trigger=AtTime(wait), before=before, length=length)
+    plan = RecordPlan(CHANNELS, 100.0, rows, trigger=AtTime(wait), before=before, length=length)
     out = run(plan, blocks(cut, total, gaps))
     present = np.ones(total, dtype=bool)
     for a, b in gaps:
@@ -75,7 +85,7 @@ def test_any_cut_and_any_trigger_time_give_the_same_samples(cut, gaps, sizes):
     ticks, samples = pieces(out)
     assert np.array_equal(ticks, wanted)
     assert np.array_equal(samples, truth(wanted))
-    assert all(0 < len(item.samples) <= rows for item in out if isinstance(item, RecordPiece))
+    assert all(0 < len(item.samples) <= rows for item in out if isinstance(item, RecordBlock))
     # the gaps noted are exactly the ticks that are missing between samples of the record
     noted = sorted(tick for gap in out if isinstance(gap, Gap) for tick in range(gap.tick, gap.tick + gap.samples))
     inner = [tick for tick in range(int(wanted[0]), int(wanted[-1])) if not present[tick]]
@@ -88,7 +98,7 @@ def test_any_cut_and_any_trigger_time_give_the_same_samples(cut, gaps, sizes):
 def test_level_is_met_at_the_same_sample_for_any_cut(cut, level, falling):
     sign = -1.0 if falling else 1.0
     channels = (StoredChannel("AF", "N", sign=sign), CHANNELS[1])
-    plan = Plan(channels, 100.0, 32, trigger=AtLevel(0, sign * (level - 0.5), not falling, "AF"), before=3)
+    plan = RecordPlan(channels, 100.0, 32, trigger=AtLevel(0, sign * (level - 0.5), not falling, "AF"), before=3)
     out = run(plan, blocks(cut, 500))
     assert [item.tick for item in out if isinstance(item, RecordStart)] == [level]
     assert pieces(out)[0][0] == max(0, level - 3)
@@ -104,7 +114,7 @@ def test_a_channel_that_begins_past_the_level_has_not_crossed_it() -> None:
 @given(cuts, st.integers(1, 400), st.integers(0, 50))
 def test_limit_stops_at_the_same_sample_for_any_cut(cut, high, after):
     limit = Limit(0, -np.inf, high - 0.5, "stop", "AF")
-    out = run(Plan(CHANNELS, 100.0, 32, limits=(limit,), after_limit=after), blocks(cut, 500))
+    out = run(RecordPlan(CHANNELS, 100.0, 32, limits=(limit,), after_limit=after), blocks(cut, 500))
     assert np.array_equal(pieces(out)[0], np.arange(high + 1 + after))
     ends = [item for item in out if isinstance(item, End)]
     assert len(ends) == 1
@@ -114,7 +124,7 @@ def test_limit_stops_at_the_same_sample_for_any_cut(cut, high, after):
 def test_limit_is_in_the_unit_of_the_channel_and_noted_once_a_second() -> None:
     # NF = -(2 r + 1) leaves -50 when r is above 24.5; r = 3 tick mod 101 does so again and again
     limit = Limit(1, -50.0, np.inf, "mark", "NF", "N")
-    out = run(Plan(CHANNELS, 100.0, 32, limits=(limit,)), blocks([], 500))
+    out = run(RecordPlan(CHANNELS, 100.0, 32, limits=(limit,)), blocks([], 500))
     marks = [item for item in out if isinstance(item, Event)]
     assert [item.kind for item in marks] == ["limit"] * len(marks)
     assert marks[0].tick == 9  # 3 * 9 = 27 is the first multiple of 3 above 24.5
@@ -125,7 +135,7 @@ def test_limit_is_in_the_unit_of_the_channel_and_noted_once_a_second() -> None:
 
 
 def test_call_begins_with_the_next_block_and_keeps_what_was_before() -> None:
-    intake = Intake(Plan(CHANNELS, 100.0, 50, trigger=OnCall(), before=120), clocked=False)
+    intake = Intake(RecordPlan(CHANNELS, 100.0, 50, trigger=OnCall(), before=120), clocked=False)
     given_blocks = list(blocks(range(0, 500, 10), 500))
     for block in given_blocks[:30]:
         assert intake.feed(block) == []
@@ -136,7 +146,7 @@ def test_call_begins_with_the_next_block_and_keeps_what_was_before() -> None:
 
 
 def test_gap_before_the_trigger_is_in_the_record() -> None:
-    intake = Intake(Plan(CHANNELS, 100.0, 50, trigger=OnCall(), before=120), clocked=False)
+    intake = Intake(RecordPlan(CHANNELS, 100.0, 50, trigger=OnCall(), before=120), clocked=False)
     for block in blocks([], 300, [(200, 230)]):
         intake.feed(block)
     intake.call("")
@@ -209,33 +219,33 @@ def test_block_goes_through_bytes_unchanged() -> None:
 
 
 def test_plan_without_settings_takes_everything() -> None:
-    out = run(Plan(CHANNELS, 100.0, 64, trigger=AtOnce()), blocks([3, 70, 71], 200))
+    out = run(RecordPlan(CHANNELS, 100.0, 64, trigger=AtOnce()), blocks([3, 70, 71], 200))
     assert np.array_equal(pieces(out)[0], np.arange(200))
-    assert [len(item.samples) for item in out if isinstance(item, RecordPiece)] == [64, 64, 64, 8]
+    assert [len(item.samples) for item in out if isinstance(item, RecordBlock)] == [64, 64, 64, 8]
 
 
 @pytest.mark.parametrize(("before", "first"), [(0, 150), (120, 30), (1000, 0)])
 def test_a_record_begins_where_it_was_asked_for(before, first) -> None:
     """Blocks of 40 samples at 1 kHz, each received when its last sample was taken: 0.15 s is tick 150."""
-    intake = Intake(Plan(CHANNELS, 1000.0, 64, before=before), asked=0.15)
+    intake = Intake(RecordPlan(CHANNELS, 1000.0, 64, before=before), asked=0.15)
     made = []
     for tick in range(0, 400, 40):
         made += intake.feed(Block(tick, truth(np.arange(tick, tick + 40)), (tick + 40) / 1000))
-    pieces = [item for item in [*made, *intake.flush()] if isinstance(item, RecordPiece)]
+    pieces = [item for item in [*made, *intake.flush()] if isinstance(item, RecordBlock)]
     assert [item for item in made if isinstance(item, RecordStart)] == [RecordStart(150, "at once")]
     assert pieces[0].tick == first
     assert np.concatenate([piece.samples for piece in pieces])[:, 0].tolist() == list(range(first, 400))
 
 
 def test_a_record_says_that_it_begins_after_it_was_asked_for() -> None:
-    intake = Intake(Plan(CHANNELS, 1000.0, 64), asked=0.15)
+    intake = Intake(RecordPlan(CHANNELS, 1000.0, 64), asked=0.15)
     made = intake.feed(Block(400, truth(np.arange(400, 440)), 0.44))
     text = "at once; 0.25 s after it was asked for, as there are no samples from before"
     assert made[0] == RecordStart(400, text)
 
 
 def test_a_level_counts_from_where_the_record_was_asked_for() -> None:
-    intake = Intake(Plan(CHANNELS, 1000.0, 64, trigger=AtLevel(0, 100.0, True, "AF")), asked=0.15)
+    intake = Intake(RecordPlan(CHANNELS, 1000.0, 64, trigger=AtLevel(0, 100.0, True, "AF")), asked=0.15)
     made = []
     for tick in range(0, 400, 40):
         samples = truth(np.arange(tick, tick + 40)) % 130  # rises past 100 at ticks 100, 230 and 360

@@ -17,7 +17,7 @@ from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
 from aerobalance.app.cli import main
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
-from aerobalance.io.held_file import is_held, recover_all
+from aerobalance.io.locked_file import is_locked, recover_all
 from helpers.at_work import blocks_of, follow
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there, an open file cannot be deleted")
@@ -35,7 +35,7 @@ keep_free = 0.0
 
 
 def samples_of(path):
-    """All samples of a file, which has to hold every tick from the first on and to agree with its checksums."""
+    """All samples of a file, which has to open_locked every tick from the first on and to agree with its checksums."""
     blocks = list(read_blocks(path))
     assert [tick for tick, _ in blocks] == list(np.cumsum([0, *(len(part) for _, part in blocks)]))[:-1]
     return np.concatenate([part for _, part in blocks])
@@ -182,7 +182,7 @@ def test_file_that_is_being_written_is_not_replaced(tmp_path, command) -> None:
         recorder.ready()
         session.start()
         follow(recorder, lambda progress: progress.blocks >= 3)
-        assert is_held(file)
+        assert is_locked(file)
         code, text = command("record", "--seconds", "1", "--replace", "-o", "run.h5")
         assert (code, "is being recorded" in text) == (2, True), text
         shutil.copyfile(file, tmp_path / "copy.h5")
@@ -194,7 +194,7 @@ def test_file_that_is_being_written_is_not_replaced(tmp_path, command) -> None:
         progress = recorder.stop("enough")
     check(progress)
     assert progress.mishap == ""
-    assert not is_held(file)
+    assert not is_locked(file)
     with replacing(file) as beside:
         beside.write_text("now it may be replaced", encoding="utf-8")
     assert file.read_text(encoding="utf-8") == "now it may be replaced"

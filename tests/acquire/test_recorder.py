@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from aerobalance.acquisition import recorder as recorder_module
-from aerobalance.acquisition.intake import OnCall, Plan
+from aerobalance.acquisition.intake import OnCall, RecordPlan
 from aerobalance.acquisition.recorder import RecordJob, Take, Tell
 from aerobalance.acquisition.session import Session
 from aerobalance.acquisition.setup import parse_setup
@@ -43,7 +43,7 @@ def truth(first, last):
 def job(path, **settings):
     plan = {"channels": CHANNELS, "rate": 1000.0, "rows": 64} | settings
     return RecordJob(
-        str(path), Plan(**plan), clocked=False, provenance=Provenance("test", 'name = "x"\n'), keep_free=0
+        str(path), RecordPlan(**plan), clocked=False, provenance=Provenance("test", 'name = "x"\n'), keep_free=0
     )
 
 
@@ -333,12 +333,12 @@ import os, sys
 from types import SimpleNamespace
 import numpy as np
 from aerobalance.acquisition import recorder
-from aerobalance.acquisition.intake import Plan
+from aerobalance.acquisition.intake import RecordPlan
 from aerobalance.acquisition.source import Block
 from aerobalance.io.hdf5_layout import Provenance, StoredChannel
 recorder.shutil.disk_usage = lambda _: SimpleNamespace(free=2**40)
 channels = tuple(StoredChannel(f"c{i}", "N") for i in range(12))
-plan = Plan(channels, 25000.0, 2500)
+plan = RecordPlan(channels, 25000.0, 2500)
 take = recorder.Take(recorder.RecordJob(sys.argv[1], plan, False, recorder.Provenance("test"), 0))
 number = 0
 while not take.progress.over:
@@ -495,7 +495,7 @@ def test_kill_of_the_command_ends_the_record_and_leaves_no_process(tmp_path) -> 
 
 
 def test_replay_keeps_gaps_at_any_speed(tmp_path) -> None:
-    from aerobalance.app.commands.record import Wishes, record
+    from aerobalance.app.commands.record import RecordOptions, record
 
     take = Take(job(tmp_path / "first.h5"))
     take.feed(Block(0, truth(0, 300), 0.0))
@@ -504,8 +504,8 @@ def test_replay_keeps_gaps_at_any_speed(tmp_path) -> None:
     with pytest.warns(DataQualityWarning, match="150 sample"):
         write_recording(tmp_path / "first.csv", read(tmp_path / "first.h5"))
     for name in ("first.h5", "first.csv"):
-        wishes = Wishes(source="replay", file=tmp_path / name, speed=float("inf"))
-        account = record(tmp_path / f"{name}.h5", wishes=wishes)
+        options = RecordOptions(source="replay", file=tmp_path / name, speed=float("inf"))
+        account = record(tmp_path / f"{name}.h5", options=options)
         assert (account["samples"], account["gaps"], account["lost"]) == (850, 1, 150)
         with pytest.warns(DataQualityWarning, match="150 sample"):
             again = read(tmp_path / f"{name}.h5")
@@ -516,16 +516,16 @@ def test_replay_keeps_gaps_at_any_speed(tmp_path) -> None:
 
 
 def test_calls_that_the_command_refuses(tmp_path) -> None:
-    from aerobalance.app.commands.record import Wishes, record, wished
+    from aerobalance.app.commands.record import RecordOptions, chosen_setup, record
 
     with pytest.raises(ValueError, match=r"written as \.h5"):
         record(tmp_path / "run.csv")
     with pytest.raises(ValueError, match="one of simulated, replay"):
-        wished(None, Wishes(source="opera"))
+        chosen_setup(None, RecordOptions(source="opera"))
     with pytest.raises(ValueError, match="needs --file"):
-        wished(None, Wishes(source="replay"))
+        chosen_setup(None, RecordOptions(source="replay"))
     with pytest.raises(ValueError, match="--rig does not go with --source replay"):
-        wished(None, Wishes(source="replay", rig="six"))
+        chosen_setup(None, RecordOptions(source="replay", rig="six"))
     setup = tmp_path / "test.toml"
     setup.write_text('[source]\nkind = "simulated"\nrate = 50.0\n')
     with pytest.raises(ValueError, match=r"22\.5 Hz"):

@@ -18,7 +18,7 @@ UNIT = np.outer(SIZE, 1 / SIZE)
 
 
 def pair() -> CoupledDynamics:
-    """NF and PM that ring together at some 60 and 170 Hz, with uncertain matrices and an uncertain mass."""
+    """Coupled NF and PM, at some 60 and 170 Hz, with uncertain matrices and an uncertain mass."""
     w = 2 * np.pi * np.array([65.0, 150.0])
     inertia = np.array([[1.0, 0.25], [0.35, 1.0]]) / np.outer(w, w)
     damping = np.array([[0.03, 0.004], [0.006, 0.05]]) / np.sqrt(np.outer(w, w))

@@ -29,7 +29,7 @@ class Device(Uncontrolled):
         self._tried = -RETRY
 
     def _due(self, timeout: float) -> bool:
-        """Say whether to try to reach the device again; where it is too early, wait, `timeout` [s] at most."""
+        """Return whether to try to reach the device again; where it is too early, wait, `timeout` [s] at most."""
         left = self._tried + RETRY - time.monotonic()
         if left > 0:
             time.sleep(min(left, timeout))

@@ -324,7 +324,7 @@ def _serve(
     stopped: list[str],
     say: Callable[[SourceMessage], None],
 ) -> str:
-    """Give blocks until the end; return its reason."""
+    """Yield blocks until the end; return its reason."""
     running = False
     try:
         while not stopped:

@@ -33,7 +33,7 @@ class Guard(Protocol):
         """Return which of the samples, shape (n, c), are outside, and which are known; shape (n,) each."""
 
     def text(self, values: Array) -> str:
-        """Say what one sample, shape (c,), reads and what is allowed."""
+        """Return what one sample, shape (c,), reads and what is allowed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class Limit:
         return (read < self.low) | (read > self.high), ~np.isnan(read)
 
     def text(self, values: Array) -> str:
-        """Say what the channel reads."""
+        """Return what the channel reads."""
         unit = f" {self.unit}" if self.unit else ""
         return f"{self.name} reads {values[self.column]:.6g}{unit}; allowed: {self.low:g} to {self.high:g}"
 
@@ -97,7 +97,7 @@ class EnvelopeLimit:
         return share > 1, ~np.isnan(share)
 
     def text(self, values: Array) -> str:
-        """Say how much of the envelope is taken up, and by what."""
+        """Return how much of the envelope is taken up, and by what."""
         found = self.envelope.at_worst(self._loads(values[np.newaxis]), self.envelope.components)
         if found is None:
             return "combined loads are not known"

@@ -20,7 +20,7 @@ LATE: Final = 0.1
 """Time by which a record may begin after it was asked for without saying so [s]."""
 
 
-class RecordPiece(NamedTuple):
+class RecordBlock(NamedTuple):
     """Samples for one block of the file."""
 
     tick: int
@@ -41,7 +41,7 @@ class End(NamedTuple):
     reason: str
 
 
-Output = RecordPiece | Gap | Event | RecordStart | End
+Output = RecordBlock | Gap | Event | RecordStart | End
 
 
 class Trigger(Protocol):
@@ -137,7 +137,7 @@ class AtLevel:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class RecordPlan:
     """What is to be recorded.
 
     Attributes
@@ -190,7 +190,7 @@ class Intake:
         its trigger. None for at once.
     """
 
-    def __init__(self, plan: Plan, *, clocked: bool = True, asked: float | None = None) -> None:
+    def __init__(self, plan: RecordPlan, *, clocked: bool = True, asked: float | None = None) -> None:
         self.plan = plan
         self._asked = asked
         self._late = ""
@@ -230,13 +230,13 @@ class Intake:
         return self._write([*found, block], values)
 
     def flush(self) -> list[Output]:
-        """Give the samples that wait for their block to fill."""
+        """Return the samples that wait for their block to fill."""
         if not self._open_rows:
             return []
         samples = self._open[0] if len(self._open) == 1 else np.concatenate(self._open)
-        piece = RecordPiece(self._open_tick, samples)
+        block = RecordBlock(self._open_tick, samples)
         self._open, self._open_rows = [], 0
-        return [piece]
+        return [block]
 
     @property
     def _values_needed(self) -> bool:
@@ -414,7 +414,7 @@ def _from(item: Block | Gap | Event, first: int) -> Block | Gap | Event | None:
 
 
 def contact_text(contact: Contact, circuit: ContactCircuit, rate: float) -> str:
-    """Say in one line what a contact means."""
+    """Return in one line what a contact means."""
     if contact.closed:
         return f"{circuit.name}: the model touches its support; the loads carry the force of the contact from here on"
     return f"{circuit.name}: the contact is over after {contact.samples / rate:.4g} s"

@@ -16,7 +16,7 @@ from aerobalance.acquisition.guards import (
     load_columns,
     loads_of,
 )
-from aerobalance.acquisition.intake import AtLevel, AtOnce, AtTime, OnCall, Plan, Trigger, channel_columns
+from aerobalance.acquisition.intake import AtLevel, AtOnce, AtTime, OnCall, RecordPlan, Trigger, channel_columns
 from aerobalance.acquisition.setup import Setup
 from aerobalance.acquisition.source_settings import HALF_RANGES, Simulated
 from aerobalance.balance.load_envelope import LoadEnvelope
@@ -112,7 +112,7 @@ def _envelope(
 
 def plan_of(
     setup: Setup, channels: tuple[StoredChannel, ...], rate: float, *, balance: BalanceMatrix | None = None
-) -> Plan:
+) -> RecordPlan:
     """Make the plan of a record.
 
     Parameters
@@ -155,7 +155,7 @@ def plan_of(
     envelope = ranges_of(setup, channels, balance).envelope
     if envelope is not None:
         guards.append(envelope_limit(envelope, columns, units=units, action=setup.envelope.action))
-    return Plan(
+    return RecordPlan(
         channels=channels,
         rate=rate,
         rows=max(1, round(record.block * rate)),

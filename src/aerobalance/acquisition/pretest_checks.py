@@ -167,7 +167,7 @@ def check_shunt(
 
 
 def check_return(channel: str, change: Change, *, half_range: float, tolerance: float = RETURN_TOLERANCE) -> Checked:
-    """Say whether a load has returned to what it was before the model was pushed and let go.
+    """Return whether a load has returned to what it was before the model was pushed and let go.
 
     Contact with the support, a cable across the balance or a loose joint hold it off by friction.
 

@@ -15,10 +15,10 @@ from typing import Any, Final, Literal, NamedTuple
 
 from aerobalance.acquisition.continuity import Event, Gap
 from aerobalance.acquisition.feed import Address, Feed, Sender
-from aerobalance.acquisition.intake import AtOnce, End, Intake, Output, Plan, RecordPiece, RecordStart
+from aerobalance.acquisition.intake import AtOnce, End, Intake, Output, RecordBlock, RecordPlan, RecordStart
 from aerobalance.acquisition.source import Block
 from aerobalance.io.hdf5_layout import BlockWriter, DiskFullError, Provenance, plain_reason
-from aerobalance.io.held_file import HeldFile, Mishap
+from aerobalance.io.locked_file import LockedFile, Mishap
 
 PATIENCE: Final = 1.0
 """Time after which samples are written although their block is not full, where none follow [s]."""
@@ -126,7 +126,7 @@ class RecordJob:
     """
 
     path: str
-    plan: Plan
+    plan: RecordPlan
     clocked: bool
     provenance: Provenance
     keep_free: int
@@ -149,7 +149,7 @@ class Take:
         self.writer = BlockWriter(
             Path(job.path), plan.channels, rate=plan.rate, rows=plan.rows, provenance=job.provenance
         )
-        self.held = HeldFile(Path(job.path))
+        self.held = LockedFile(Path(job.path))
         state: State = "starting" if isinstance(plan.trigger, AtOnce) else "waiting"
         self.progress = Progress(state, plan.trigger.text, job.path)
         self._set(free=self._free())
@@ -234,8 +234,8 @@ class Take:
         return bool(outputs)
 
     def _put(self, output: Output) -> None:
-        if isinstance(output, RecordPiece):
-            self._piece(output)
+        if isinstance(output, RecordBlock):
+            self._block(output)
         elif isinstance(output, Gap):
             self.writer.gap(output.tick, output.samples, kind=output.kind, text=output.text)
             self._set(gaps=self.progress.gaps + 1, lost=self.progress.lost + output.samples)
@@ -255,7 +255,7 @@ class Take:
         done = self.progress
         self._set(events=done.events + 1, touched=done.touched + (event.kind == "contact"))
 
-    def _piece(self, piece: RecordPiece) -> None:
+    def _block(self, block: RecordBlock) -> None:
         self.look()
         if self.progress.over:
             return
@@ -267,8 +267,8 @@ class Take:
                 "all blocks before are kept"
             )
             return
-        number = self.writer.append(piece.tick, piece.samples)
-        done = piece.tick + piece.samples.shape[0]
+        number = self.writer.append(block.tick, block.samples)
+        done = block.tick + block.samples.shape[0]
         self._set(
             blocks=number + 1,
             samples=self.writer.samples,

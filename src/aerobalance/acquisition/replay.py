@@ -22,7 +22,7 @@ AGAIN: Final = "the recording begins again"
 """What is said of the time before the first sample of another round."""
 
 
-class _Piece(NamedTuple):
+class _Part(NamedTuple):
     """Samples that follow each other, shape (n, c), and what is to be said of the time before them."""
 
     tick: int
@@ -36,7 +36,7 @@ class _Recorded(NamedTuple):
     name: str
     rate: float
     channels: tuple[SourceChannel, ...]
-    pieces: Callable[[], Iterator[_Piece]]
+    parts: Callable[[], Iterator[_Part]]
 
 
 class ReplaySource(Uncontrolled):
@@ -82,13 +82,13 @@ class ReplaySource(Uncontrolled):
         file = Path(path)
         recorded = (_ticked(file) if channel_map is None else None) or _whole(file, channel_map)
         self.rate, self.channels = recorded.rate, recorded.channels
-        self._again = recorded.pieces if loop else None
-        self._pieces = recorded.pieces()
+        self._again = recorded.parts if loop else None
+        self._parts = recorded.parts()
         self._offset = self._end = 0
         self.description = f"replay of {recorded.name} at {speed:g} times its speed{', again and again' * loop}"
         self._size = max(1, round(block * self.rate))
         self._pacing = Pacing(self.rate, speed)
-        self._piece: _Piece | None = None
+        self._part: _Part | None = None
         self._first: int | None = None
         self._stopped = False
 
@@ -104,11 +104,11 @@ class ReplaySource(Uncontrolled):
         """Return the next samples when they are due."""
         if self._stopped:
             raise SourceEndedError("the replay was stopped")
-        if self._piece is None:
-            self._piece = self._next()
-        if self._piece is None:
+        if self._part is None:
+            self._part = self._next()
+        if self._part is None:
             raise SourceEndedError("the replayed recording is at its end")
-        tick, samples, remark = self._piece
+        tick, samples, remark = self._part
         if self._first is None:
             self._first = tick
         self._end = tick + len(samples)
@@ -116,19 +116,19 @@ class ReplaySource(Uncontrolled):
         if not self._pacing.wait(tick - self._first, rows, timeout):
             return None
         rest = samples[rows:]
-        self._piece = _Piece(tick + rows, rest) if rest.shape[0] else None
+        self._part = _Part(tick + rows, rest) if rest.shape[0] else None
         return Block(tick, samples[:rows], time.monotonic(), remark)
 
-    def _next(self) -> _Piece | None:
-        """The next piece of the recording, on the ticks of the source; None at the end."""
-        piece = next(self._pieces, None)
-        if piece is None and self._again is not None:
-            self._pieces = self._again()
-            piece = next(self._pieces, None)
-            if piece is not None:
-                self._offset = self._end - piece.tick
-                piece = piece._replace(remark="; ".join(filter(None, (AGAIN, piece.remark))))
-        return None if piece is None else piece._replace(tick=piece.tick + self._offset)
+    def _next(self) -> _Part | None:
+        """The next part of the recording, on the ticks of the source; None at the end."""
+        part = next(self._parts, None)
+        if part is None and self._again is not None:
+            self._parts = self._again()
+            part = next(self._parts, None)
+            if part is not None:
+                self._offset = self._end - part.tick
+                part = part._replace(remark="; ".join(filter(None, (AGAIN, part.remark))))
+        return None if part is None else part._replace(tick=part.tick + self._offset)
 
 
 def _whole(path: Path, channel_map: Path | None) -> _Recorded:
@@ -137,15 +137,15 @@ def _whole(path: Path, channel_map: Path | None) -> _Recorded:
     rows = np.unique(recording.rows)
     cuts = [0, *(np.flatnonzero(np.diff(rows) > 1) + 1), rows.size]
 
-    def pieces() -> Iterator[_Piece]:
+    def parts() -> Iterator[_Part]:
         # in parts of a length that costs little to copy
         for begin, end in pairwise(cuts):
             for first in range(int(rows[begin]), int(rows[end - 1]) + 1, 8192):
                 part = slice(first, min(first + 8192, int(rows[end - 1]) + 1))
-                yield _Piece(first, np.column_stack([channel.values[part] for channel in recording]))
+                yield _Part(first, np.column_stack([channel.values[part] for channel in recording]))
 
     channels = tuple(SourceChannel(channel.name, channel.unit) for channel in recording)
-    return _Recorded(recording.name, recording.rate, channels, pieces)
+    return _Recorded(recording.name, recording.rate, channels, parts)
 
 
 def _ticked(path: Path) -> _Recorded | None:
@@ -162,7 +162,7 @@ def _ticked(path: Path) -> _Recorded | None:
         raise ReadError(path, "", "is a recording of fewer than two samples")
     changes = [conversion_for(channel.name, channel.unit) for channel in found.channels]
 
-    def pieces() -> Iterator[_Piece]:
+    def parts() -> Iterator[_Part]:
         remark = ""
         first = int(found.blocks["tick"][0])
         for tick, readings in read_blocks(path):
@@ -172,10 +172,10 @@ def _ticked(path: Path) -> _Recorded | None:
             values = [channel.values(readings[:, i]) for i, channel in enumerate(found.channels)]
             samples = np.column_stack([change.inside(column) for change, column in zip(changes, values, strict=True)])
             samples[np.isinf(samples)] = np.nan
-            yield _Piece(tick - first, samples, remark)
+            yield _Part(tick - first, samples, remark)
             remark = ""
 
     channels = tuple(
         SourceChannel(channel.name, change.unit) for channel, change in zip(found.channels, changes, strict=True)
     )
-    return _Recorded(path.stem, found.rate, channels, pieces)
+    return _Recorded(path.stem, found.rate, channels, parts)

@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-from aerobalance.io.held_file import hold, is_held
+from aerobalance.io.locked_file import is_locked, open_locked
 
 PREFIX: Final = "aerobalance-"
 _LOCK: Final = "lock"
@@ -24,7 +24,7 @@ def make_folder() -> Path:
     folder = Path(tempfile.mkdtemp(prefix=PREFIX))
     fresh = folder / "fresh"
     fresh.touch(0o600)
-    _OWN[folder] = hold(fresh)
+    _OWN[folder] = open_locked(fresh)
     fresh.rename(folder / _LOCK)  # there is no lock that nobody holds
     return folder
 
@@ -32,7 +32,7 @@ def make_folder() -> Path:
 def stay(folder: Path) -> None:
     """Keep a folder for as long as this process lives, whoever has made it."""
     with contextlib.suppress(OSError):
-        _OWN[folder] = hold(folder / _LOCK)
+        _OWN[folder] = open_locked(folder / _LOCK)
 
 
 def remove(folder: Path) -> None:
@@ -58,5 +58,5 @@ def remove_left_over() -> None:
             status = os.lstat(folder)
             private = stat.S_ISDIR(status.st_mode) and stat.S_IMODE(status.st_mode) == stat.S_IRWXU
             lock = folder / _LOCK
-            if private and status.st_uid == os.getuid() and lock.is_file() and not is_held(lock):
+            if private and status.st_uid == os.getuid() and lock.is_file() and not is_locked(lock):
                 shutil.rmtree(folder, ignore_errors=True)

@@ -21,7 +21,7 @@ from aerobalance.acquisition.scratch import make_folder, remove
 from aerobalance.acquisition.setup import Setup, setup_text, stored_channels
 from aerobalance.io.hdf5_closing import close_broken_off
 from aerobalance.io.hdf5_layout import Provenance
-from aerobalance.io.held_file import recover_all, refuse_held
+from aerobalance.io.locked_file import recover_all, refuse_locked
 from aerobalance.recording.errors import FitError, argument
 
 _STARTING: Final = 60.0
@@ -248,7 +248,7 @@ class Session:
                 f"{path.parent} has {free / 1e6:.0f} MB left; record for less time, or elsewhere"
             )
         if replace:
-            refuse_held(path)
+            refuse_locked(path)
             path.unlink(missing_ok=True)
         provenance = Provenance(self.info.description, setup_text(setup), setup.name)
         return Recorder(RecordJob(str(path), plan, self.info.clocked, provenance, keep_free, asked), self.address)

@@ -90,8 +90,8 @@ class RigSettings:
     Attributes
     ----------
     rig
-        ``vibration`` (6F-540 on a shaker), ``cable_cut`` (6-EB-128-1, pulled by a cable), or ``six`` (six components
-        that ring together, pulled in all of them, and the six accelerations of a ground end that may shake).
+        ``vibration`` (6F-540 on a shaker), ``cable_cut`` (6-EB-128-1, pulled by a cable), or ``six`` (six coupled
+        components, pulled in all of them, and the six accelerations of a ground end that may shake).
     rate
         Sampling rate [Hz]; None for that of the printed experiment.
     seed
@@ -392,7 +392,7 @@ def _unit(name: str) -> str:
 
 
 def rig_dynamics(rig: RigName) -> dict[str, Dynamics] | CoupledDynamics:
-    """Return the dynamics of the components that a rig has, by name, or of those that ring together."""
+    """Return the dynamics of the components that a rig has, by name, or of coupled ones."""
     if rig == "six":
         return six_dynamics()
     return {"AF": (VIBRATION_RIG if rig == "vibration" else CABLE_CUT).dynamics}

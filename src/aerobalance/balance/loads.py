@@ -201,7 +201,7 @@ def loads_of_outputs(
             "gauge output. Check units, zeros and the order of the bridges"
         )
     if lost:
-        _doubt(
+        _warn(
             f"{recording.name}: {lost} of {table.shape[0]} samples have no loads that give their gauge outputs; they "
             "are missing in the result. The outputs lie far outside the calibration"
         )
@@ -244,7 +244,7 @@ def _form_of(balance: BalanceMatrix, form: Form | None) -> tuple[tuple[str, ...]
     return FORMS[chosen], FORM_MOMENTS[chosen], between_forms(balance.components, chosen, balance.geometry)
 
 
-def _doubt(text: str) -> None:
+def _warn(text: str) -> None:
     warn_quality(text)
 
 
@@ -252,14 +252,14 @@ def _calibration_zero(recording: Recording, balance: BalanceMatrix) -> GaugeZero
     """Zeros of the calibration, for want of those of the run; or none."""
     c = len(balance.components)
     if balance.natural_zero is not None:
-        _doubt(
+        _warn(
             f"{recording.name}: no zero was given; the natural zeros of the calibration are taken. What the bridges' "
             "zeros have moved since goes into the loads in full"
         )
         return GaugeZero(
             balance.natural_zero, np.zeros(c), "natural zeros of the calibration", np.zeros(c), model_on=False
         )
-    _doubt(
+    _warn(
         f"{recording.name}: no zero was given and the calibration has none; the gauge outputs are taken as they are. "
         "Whatever they read without load goes into the loads in full; give a recording of the unloaded balance as zero"
     )
@@ -288,7 +288,7 @@ def _check_range(recording: Recording, balance: BalanceMatrix, native: Array) ->
     counts = {name: int(np.count_nonzero(beyond[:, i] > BEYOND)) for i, name in enumerate(balance.components)}
     for i, (name, count) in enumerate(counts.items()):
         if count:
-            _doubt(
+            _warn(
                 f"{recording.name}: {name} leaves the calibrated range ({least[i]:.4g} to {most[i]:.4g}) in {count} "
                 f"of {native.shape[0]} samples, by up to {100 * beyond[:, i].max():.3g} % of it; the matrix is "
                 "extrapolated there"
@@ -301,7 +301,7 @@ def _check_iteration(recording: Recording, balance: BalanceMatrix, native: Array
     extremes = np.unique(np.concatenate([native.argmin(axis=0), native.argmax(axis=0)]))
     factor = float(np.max(balance.contraction(native[extremes])))
     if factor > NEARLY_DIVERGING:
-        _doubt(
+        _warn(
             f"{recording.name}: the interactions are so strong at the largest loads that the iteration shrinks an "
             f"error only by {factor:.2g} a step (at 1 it diverges and loads are not unique); check zeros and units"
         )
@@ -321,14 +321,14 @@ def _check_rows(recording: Recording, balance: BalanceMatrix, channels: Sequence
     scatter = balance.residual_deviation * balance.output_scale  # of the iterative way, and near enough of the other
     if recording.samples > MOST_POINTS or not scatter.any():
         return
-    strange = [
+    uneven = [
         channel.name
         for channel, own, usual in zip(channels, noise, scatter, strict=True)
         if channel.noise is None and own > POINTS_APART * usual > 0
     ]
-    if strange:
-        _doubt(
-            f"{recording.name}: from row to row {', '.join(strange)} change by more than {POINTS_APART:g} times what "
+    if uneven:
+        _warn(
+            f"{recording.name}: from row to row {', '.join(uneven)} change by more than {POINTS_APART:g} times what "
             "readings of the calibration scatter, and that is taken for noise. If the rows are averaged points at "
             "several loads, it is far too large, and the uncertainty with it: say the noise of a row in a channel map "
             '(noise = ... under [channels.rNAME], with "aerobalance map")'

@@ -63,7 +63,7 @@ class WeightOnZero(NamedTuple):
         Shape (6,) [N, N*m].
     pull
         Gravity on it.
-    doubt
+    warning
         What is doubtful about it, or nothing.
     known
         Components along which the weight is known.
@@ -73,7 +73,7 @@ class WeightOnZero(NamedTuple):
 
     weight: Array
     pull: GravityOnZero
-    doubt: str = ""
+    warning: str = ""
     known: tuple[str, ...] = COMPONENTS
     guess: Array = _NOTHING
 
@@ -81,7 +81,9 @@ class WeightOnZero(NamedTuple):
 def weight_on_zero(zeros: Sequence[Recording], model: CarriedWeight, *, gravity: float, pitched: bool) -> WeightOnZero:
     """Weight of what hung on the balance while its zero was read; level where its pitch was not recorded."""
     lacking = [zero.name for zero in zeros if "pitch" not in zero] if pitched else []
-    doubt = f"{lacking[0]} has no channel pitch; the zero is taken as read level, with the model on" if lacking else ""
+    warning = (
+        f"{lacking[0]} has no channel pitch; the zero is taken as read level, with the model on" if lacking else ""
+    )
     attitudes = [attitudes_of(zero) for zero in zeros]
     weights = np.zeros((len(zeros), len(COMPONENTS)))
     for row, (pitch, roll) in zip(weights, attitudes, strict=True):
@@ -90,7 +92,7 @@ def weight_on_zero(zeros: Sequence[Recording], model: CarriedWeight, *, gravity:
     pull = GravityOnZero.of(attitudes, gravity=gravity)
     guess = _mass_of(model, gravity) * pull.acceleration
     weight = weights.mean(axis=0) if zeros else _NOTHING
-    return WeightOnZero(weight, pull, doubt, model.components, guess)
+    return WeightOnZero(weight, pull, warning, model.components, guess)
 
 
 def settled_zero(zero: Zero | None, balance: BalanceMatrix, carried: WeightOnZero | None) -> GaugeZero | None:
@@ -120,8 +122,8 @@ def settled_zero(zero: Zero | None, balance: BalanceMatrix, carried: WeightOnZer
             f"with the model off; {argument('model_on')} says which"
         )
         return read
-    if carried.doubt:
-        warn_quality(carried.doubt)
+    if carried.warning:
+        warn_quality(carried.warning)
     return without_weight(_under(read, carried, balance), balance)
 
 

@@ -19,7 +19,7 @@ LARGEST_DAMPING: Final = 1e12
 """Damping parameter beyond which no step is left."""
 
 
-class Step(NamedTuple, Generic[State]):
+class DampedStep(NamedTuple, Generic[State]):
     """A damped step, not yet taken.
 
     Attributes
@@ -91,7 +91,7 @@ class Outcome(NamedTuple, Generic[State]):
 
 
 def levenberg_marquardt(
-    state: State, cost: float, step: Callable[[State, float], Step[State]], settings: Settings
+    state: State, cost: float, step: Callable[[State, float], DampedStep[State]], settings: Settings
 ) -> Outcome[State]:
     """Return the parameters at a minimum of a sum of squares.
 

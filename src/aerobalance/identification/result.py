@@ -148,8 +148,8 @@ class CoupledIdentification(CoupledResult):
     rigid: RigidMassFit | None
 
 
-def doubt_about_error(found: CoupledResult, *, left_by: str, energy: Array, remedy: str, after: float) -> list[str]:
-    """Say that the force error that the recordings leave is large, and what would bring it down.
+def force_error_warnings(found: CoupledResult, *, left_by: str, energy: Array, remedy: str, after: float) -> list[str]:
+    """Return the note that the force error that the recordings leave is large, and what would bring it down.
 
     Parameters
     ----------
@@ -182,8 +182,8 @@ def doubt_about_error(found: CoupledResult, *, left_by: str, energy: Array, reme
     return [text]
 
 
-def doubt_about_colour(found: CoupledResult) -> list[str]:
-    """Say that the residuals near the modes are more than noise."""
+def colour_warnings(found: CoupledResult) -> list[str]:
+    """Return the note that the residuals near the modes are more than noise."""
     names = found.dynamics.components
     coloured = [f"{name} ({value:.1f})" for name, value in zip(names, found.colour, strict=True) if value > 2]
     if not coloured:
@@ -195,18 +195,18 @@ def doubt_about_colour(found: CoupledResult) -> list[str]:
     return [text]
 
 
-def doubts_about(found: CoupledIdentification) -> list[str]:
+def release_warnings(found: CoupledIdentification) -> list[str]:
     """What is doubtful about the identification from releases."""
     names = found.dynamics.components
     best = names.index(found.advice.best)
-    notes = doubt_about_error(
+    notes = force_error_warnings(
         found,
         left_by="releases",
         energy=np.sum([release.visibility**2 for release in found.releases], axis=0),
         remedy=f"a release along {names[best]} of {found.advice.sizes[best]:.3g} {si_unit(names[best])}",
         after=float((found.advice.errors[best] / found.half_range).max()),
     )
-    notes += doubt_about_colour(found)
+    notes += colour_warnings(found)
     free = [release.name for release in found.releases if release.kind == "free"]
     if free:
         notes.append(

@@ -115,7 +115,7 @@ def rigid_mass_of(dynamics: CoupledDynamics, mass: float, *, u_mass: float = 0.0
         raise ValueError(f"a rigid mass needs all of {', '.join(COMPONENTS)}, not {', '.join(dynamics.components)}")
     if not (0 < mass < np.inf and 0 <= u_mass < np.inf):
         raise ValueError(f"mass must be positive, its uncertainty zero or more: {mass}, {u_mass}")
-    problem = _Problem.of(dynamics, mass)
+    problem = _ScaledDynamics.of(dynamics, mass)
     rigid = _adjusted(problem, damping=False, start=_first(problem))
     both = _adjusted(problem, damping=True, start=rigid.unknowns)
     known = bool(dynamics.covariance.any())
@@ -160,7 +160,7 @@ def lever_scale(dynamics: CoupledDynamics) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
+class _ScaledDynamics:
     """The dynamics in units of newton and newton times the lever: values (72,), their covariance, and the mass."""
 
     values: Array
@@ -169,7 +169,7 @@ class _Problem:
     mass: float
 
     @classmethod
-    def of(cls, dynamics: CoupledDynamics, mass: float) -> _Problem:
+    def of(cls, dynamics: CoupledDynamics, mass: float) -> _ScaledDynamics:
         scale = lever_scale(dynamics)
         values = np.concatenate([dynamics.inertia.ravel(), dynamics.damping.ravel()]) * scale
         covariance = dynamics.covariance * np.outer(scale, scale)
@@ -247,13 +247,13 @@ def _equations(values: Array, unknowns: Array, *, damping: bool) -> tuple[Array,
     return departure, by_values, by_numbers[:, 1:]
 
 
-def _first(problem: _Problem) -> Array:
+def _first(problem: _ScaledDynamics) -> Array:
     """Unknowns with all fifteen equations of equal weight."""
     departure, _, slopes = _equations(problem.values, np.zeros(9), damping=False)
     return np.asarray(np.linalg.lstsq(slopes, -departure, rcond=None)[0])
 
 
-def _adjusted(problem: _Problem, *, damping: bool, start: Array) -> Adjusted:
+def _adjusted(problem: _ScaledDynamics, *, damping: bool, start: Array) -> Adjusted:
     """Least change of the dynamics with which the equations of symmetry hold.
 
     Raises
@@ -324,7 +324,7 @@ def _rigid(adjusted: Adjusted, mass: float, u_mass: float) -> RigidMass:
 
 
 def _constrained(
-    dynamics: CoupledDynamics, problem: _Problem, adjusted: Adjusted, rigid: RigidMass
+    dynamics: CoupledDynamics, problem: _ScaledDynamics, adjusted: Adjusted, rigid: RigidMass
 ) -> CoupledDynamics:
     """The adjusted dynamics."""
     values = adjusted.values / problem.scale

@@ -67,7 +67,7 @@ class Format(Protocol):
         """File name endings that are written in this format."""
 
     def can_read(self, head: bytes, path: Path) -> bool:
-        """Say whether a file is of this format, from its first bytes."""
+        """Return whether a file is of this format, from its first bytes."""
 
     def headings(self, path: Path) -> tuple[Heading, ...]:
         """Read what the file says of its columns, without their cells."""
@@ -164,7 +164,7 @@ def column_names(path: Path | str, *, header_line: int | None = None) -> tuple[s
 
 
 def is_text(path: Path | str) -> bool:
-    """Say whether a file is a text table, which may be something else than a recording.
+    """Return whether a file is a text table, which may be something else than a recording.
 
     Raises
     ------
@@ -175,7 +175,7 @@ def is_text(path: Path | str) -> bool:
 
 
 def states_times(path: Path | str) -> bool:
-    """Say whether a file has a column of times, which makes a recording of it; one that is no text is a recording.
+    """Return whether a file has a column of times, which makes a recording of it; one that is no text is a recording.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def _described(channel: Channel) -> StoredChannel:
 
 
 def _column(channel: Channel, recording: Recording) -> dict[str, Array]:
-    """Give a channel as a column of the rows of its recording, in the unit it had in its file."""
+    """Return a channel as a column of the rows of its recording, in the unit it had in its file."""
     unit = channel.file_unit or edge_unit(channel.name, channel.unit)
     change = conversion_for(channel.name, unit) if unit != channel.unit else None
     values = channel.values[recording.rows]
@@ -362,7 +362,7 @@ def write_force(path: Path | str, recording: Recording, force: Mapping[str, Comp
 
 
 def _result(file: Path, label: str, values: Array, u: Array, *, least: Array) -> dict[str, Array]:
-    """Give a result and its standard uncertainty as columns: in a text with the digits that mean something."""
+    """Return a result and its standard uncertainty as columns: in a text with the digits that mean something."""
     digits = csv_file.digits_for(least) if _writer(file) is csv_file else None
     kept = (values, u) if digits is None else (csv_file.rounded(values, digits), csv_file.rounded(u, digits))
     return {label: kept[0], f"u_{label}": kept[1]}

@@ -135,7 +135,7 @@ def write_artefact(
 
 
 def provenance(inputs: Sequence[Path], *, settings: Mapping[str, object] | None = None) -> dict[str, object]:
-    """Say what a result was computed from, by which program, with which settings, and when (UTC).
+    """Return what a result was computed from, by which program, with which settings, and when (UTC).
 
     Files are named without their folders, so that the same inputs give the same text on every machine.
     """
@@ -172,7 +172,7 @@ def write_json(path: Path | str, payload: Mapping[str, object]) -> None:
 
 
 def json_text(payload: Mapping[str, object]) -> str:
-    """Give the text of a JSON object: keys in the order given, numbers that are not finite as null."""
+    """Return the text of a JSON object: keys in the order given, numbers that are not finite as null."""
     return json.dumps(_plain(payload), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 

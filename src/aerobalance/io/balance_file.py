@@ -83,7 +83,7 @@ class _BalanceFile(artefacts.Loose):
 
 
 def calibration_payload(calibration: Calibration, quality: Quality) -> dict[str, object]:
-    """Give what a calibration found, as plain data: statistics by component, terms, tares, outliers."""
+    """Return what a calibration found, as plain data: statistics by component, terms, tares, outliers."""
     schedule, matrix = calibration.schedule, calibration.matrix
     payload: dict[str, object] = {
         "calibration": schedule.name,
@@ -228,7 +228,7 @@ def _tares(calibration: Calibration) -> dict[str, object]:
 
 
 def matrix_payload(matrix: BalanceMatrix) -> dict[str, object]:
-    """Give a matrix as plain data, from which `read_balance` makes it again."""
+    """Return a matrix as plain data, from which `read_balance` makes it again."""
     geometry = matrix.geometry
     return {
         "components": list(matrix.components),
@@ -342,7 +342,7 @@ def _array(rows: Any, default: Array | None = None) -> Array:
 
 
 def is_matrix(path: Path) -> bool:
-    """Say whether a file holds a balance matrix, in balance.json or in the text layout of BALFIT."""
+    """Return whether a file holds a balance matrix, in balance.json or in the text layout of BALFIT."""
     head = _head(path)
     return is_balfit_matrix(head) or (head.lstrip("\ufeff \r\n").startswith("{") and '"balance"' in head)
 

@@ -36,7 +36,7 @@ _HINTED: Final[dict[str, BalanceType]] = {"51": "force", "15": "moment", "33": "
 
 
 def can_read(text: str) -> bool:
-    """Say whether a text is a schedule in this layout."""
+    """Return whether a text is a schedule in this layout."""
     return _SIGN.search(text[:50000]) is not None
 
 
@@ -132,7 +132,7 @@ def read_balfit(path: Path, text: str, *, capacities: Capacities | None = None) 
 
 
 def _rows(text: str) -> tuple[dict[str, str], list[_Row]]:
-    """Take a text apart: lines KEYWORD,value, and the rows; comments and empty lines are left out."""
+    """Parse a text: lines KEYWORD,value, and the rows; comments and empty lines are left out."""
     keywords: dict[str, str] = {}
     rows: list[_Row] = []
     sign = _SIGN.search(text)

@@ -25,7 +25,7 @@ MOMENT_UNIT: Final = "N*m"
 
 
 def is_balfit_matrix(head: str) -> bool:
-    """Say whether a text is a matrix in this layout."""
+    """Return whether a text is a matrix in this layout."""
     return FILE_TYPE in head
 
 

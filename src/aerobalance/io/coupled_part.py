@@ -93,7 +93,7 @@ def matrix_units(components: Sequence[str], kind: Matrix) -> list[list[str]]:
 
 
 def coupled_payload(dynamics: CoupledDynamics) -> dict[str, object]:
-    """Give what dynamics.json says of coupled components, as plain data.
+    """Return what dynamics.json says of coupled components, as plain data.
 
     The uncertainties ``u`` hold what the calibration of the balance leaves, which stands under ``calibration``;
     ``covariance`` does not.

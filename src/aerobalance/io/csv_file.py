@@ -35,7 +35,7 @@ _HELD: Final = {
 
 
 def can_read(head: bytes, path: Path) -> bool:
-    """Say whether a file is text, from its first bytes; its name does not matter."""
+    """Return whether a file is text, from its first bytes; its name does not matter."""
     del path
     return guess_encoding(head) is not None
 
@@ -178,7 +178,7 @@ def read_table(path: Path | str, *, required: Sequence[str] = (), missing_allowe
 
 
 def digits_for(least: Array) -> int | None:
-    """Give the decimals at which rounding is below 1/2000 of what a result is not known to; None for all of them.
+    """Return the decimals at which rounding is below 1/2000 of what a result is not known to; None for all of them.
 
     Parameters
     ----------

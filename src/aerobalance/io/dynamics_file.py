@@ -88,7 +88,7 @@ def dynamics_units(component: str) -> dict[str, str]:
 
 
 def dynamics_payload(dynamics: Dynamics, *, details: Mapping[str, object] | None = None) -> dict[str, object]:
-    """Give the entry of one component in dynamics.json, as plain data.
+    """Return the entry of one component in dynamics.json, as plain data.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ def begin_file(path: Path, content: bytes) -> int:
 
 
 def marked_as_written(head: bytes | bytearray) -> bool:
-    """Say from the first 12 bytes of a file whether it is being written, or was when its writer was killed."""
+    """Return from the first 12 bytes of a file whether it is being written, or was when its writer was killed."""
     return (
         len(head) > _FLAGS
         and head.startswith(SIGNATURE)
@@ -115,7 +115,7 @@ def close_all_broken_off(folder: Path) -> list[str]:
 
 
 def closed_text(name: str) -> str:
-    """Say that the mark was taken off a file."""
+    """Return the sentence that the mark was taken off a file."""
     return f"{name} was broken off by a kill; it is closed now, so that every HDF5 program opens it"
 
 

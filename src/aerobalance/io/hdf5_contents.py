@@ -109,7 +109,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
 
 def _being_written(path: Path) -> bool:
-    """Say whether the file is being written to, or was when its writer was killed: a flag in the superblock.
+    """Return whether the file is being written to, or was when its writer was killed: a flag in the superblock.
 
     Only such a file is opened as beside a writer, as the library then waits for what does not agree with its checksum
     to be written, which never happens in a damaged file.
@@ -194,7 +194,7 @@ def _dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
 
 
 def _linked(file: h5py.File, name: str) -> bool:
-    """Say whether there is something of this name, without going where a link leads."""
+    """Return whether there is something of this name, without going where a link leads."""
     return bool(file.id.links.exists(name.encode()))
 
 

@@ -52,7 +52,7 @@ _CONTACTS: Final = 5  # contacts that are listed
 
 
 def can_read(head: bytes, path: Path) -> bool:
-    """Say whether a file is HDF5, from its first bytes; its name does not matter."""
+    """Return whether a file is HDF5, from its first bytes; its name does not matter."""
     del path
     return head.startswith(_SIGNATURE)
 
@@ -126,13 +126,13 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
     del layout
     with opened(path) as file:
         found = contents_of(path, file)
-        doubts: list[str] = []
+        remarks: list[str] = []
         labels = _numbers(path, found, wanted)
-        ticks, readings, stamps = _samples(path, file, found, labels, doubts)
+        ticks, readings, stamps = _samples(path, file, found, labels, remarks)
     if found.state != "ended":
-        doubts.append(_not_ended(found))
-    touched = _contact_doubt(found.events, rate=found.rate, origin=found.origin)
-    for text in (*doubts, *([touched] if touched else [])):
+        remarks.append(_not_ended(found))
+    touched = _contact_remark(found.events, rate=found.rate, origin=found.origin)
+    for text in (*remarks, *([touched] if touched else [])):
         warn_quality(f"{path.name}: {text}")
     columns = [_column(found.channels[i], readings[:, k], i + found.timed) for k, i in enumerate(labels)]
     if found.timed:
@@ -257,7 +257,7 @@ def _numbers(path: Path, found: Contents, wanted: Sequence[str | int] | None) ->
 
 
 def _samples(
-    path: Path, file: h5py.File, found: Contents, columns: list[int], doubts: list[str]
+    path: Path, file: h5py.File, found: Contents, columns: list[int], remarks: list[str]
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """Read the blocks that agree with their checksums: ticks (n,), readings (n, k), time stamps (n,)."""
     total = int(found.blocks["rows"].sum())
@@ -273,7 +273,7 @@ def _samples(
         rows, tick = int(block["rows"]), int(block["tick"])
         samples = _block(file, found, number)
         if samples is None:
-            doubts.append(
+            remarks.append(
                 f"block {number + 1} of {len(found.blocks)} ({rows} samples from tick {tick}) does not agree with its "
                 "checksum: it is left out, and its samples count as missing"
             )
@@ -294,7 +294,7 @@ def _samples(
     large = np.argwhere(np.abs(readings) > LARGEST)
     if large.size:
         row, column = large[0]
-        doubts.append(beyond_all_measure(len(large), f"{found.channels[columns[column]].name} at tick {ticks[row]}"))
+        remarks.append(beyond_all_measure(len(large), f"{found.channels[columns[column]].name} at tick {ticks[row]}"))
         readings[np.abs(readings) > LARGEST] = np.nan
     return ticks[:filled], readings, stamps[:filled]
 
@@ -318,8 +318,8 @@ def _spread(column: RawColumn, ticks: NDArray[np.int64]) -> RawColumn:
     return replace(column, values=values)
 
 
-def _contact_doubt(events: NDArray[np.void], *, rate: float, origin: int) -> str | None:
-    """Say when model and support touched; None where they did not.
+def _contact_remark(events: NDArray[np.void], *, rate: float, origin: int) -> str | None:
+    """Return when model and support touched; None where they did not.
 
     Parameters
     ----------

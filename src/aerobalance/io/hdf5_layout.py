@@ -360,7 +360,7 @@ def disk_full(error: Exception) -> DiskFullError:
 
 
 def plain_reason(error: Exception) -> str:
-    """Say in the system's words why a file could not be made or written; the library hides the error number."""
+    """Return in the system's words why a file could not be made or written; the library hides the error number."""
     number = getattr(error, "errno", None)
     found = re.search(r"errno = (\d+)", str(error))
     if not isinstance(number, int) and found:

@@ -82,7 +82,7 @@ class FileSnapshot:
         return int(places[0])
 
     def parts(self) -> Iterator[bytes]:
-        """Give the bytes of the file, in order, once."""
+        """Return the bytes of the file, in order, once."""
         with self._hull:
             yield from self._of_hull(0, self._first)
             with opened(self._path) as inside:

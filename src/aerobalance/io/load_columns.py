@@ -52,13 +52,13 @@ def load_key(name: str) -> str:
 
 
 def balance_type_of(names: Sequence[str]) -> BalanceType:
-    """Tell from the names of the loads which loads the gauges measure."""
+    """Return from the names of the loads which loads the gauges measure."""
     found = {_TYPES[key] for key in map(load_key, names) if key in _TYPES}
     return found.pop() if len(found) == 1 else "unknown"
 
 
 def load_unit_of(name: str) -> str | None:
-    """Tell from the name of a load whether it is a force or a moment: N or N*m; None where the name is not known."""
+    """Return from the name of a load whether it is a force or a moment: N or N*m; None where the name is not known."""
     key = load_key(name)
     if key in ("RM", "PM", "YM") or key.endswith((" pitch", " yaw")):
         return "N*m"

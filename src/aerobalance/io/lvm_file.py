@@ -96,7 +96,7 @@ class _LvmContents:
 
 
 def can_read(head: bytes, path: Path) -> bool:
-    """Say whether a file is an LVM, from its first bytes."""
+    """Return whether a file is an LVM, from its first bytes."""
     del path
     encoding = guess_encoding(head)
     return encoding is not None and head[:200].decode(encoding, errors="ignore").lstrip("\ufeff").startswith(_MAGIC)

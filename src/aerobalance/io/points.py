@@ -97,7 +97,7 @@ def _points(path: Path, names: Names | None, channel_map: ChannelMap | None) -> 
 
 
 def _loads_of(path: Path, there: Iterable[str]) -> Names:
-    """Give the loads among the names of columns."""
+    """Return the loads among the names of columns."""
     given = list(there)
     names = tuple(component for component in COMPONENTS if component in given)
     if not names:

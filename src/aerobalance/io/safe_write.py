@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from aerobalance.io.held_file import refuse_held
+from aerobalance.io.locked_file import refuse_locked
 from aerobalance.recording.errors import argument
 
 
@@ -96,7 +96,7 @@ class Outputs:
                     part.beside.unlink(missing_ok=True)
 
     def told(self) -> str:
-        """Say what was written and what was not, of the files that the command was asked for."""
+        """Return what was written and what was not, of the files that the command was asked for."""
         done = [str(path) for path in self.written]
         lacking = [str(path) for path in self.wanted if path not in self.written]
         if not done:
@@ -119,7 +119,7 @@ OUTPUTS: Final = Outputs()
 
 @contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
-    """Give a path to write beside a file; put what was written in the file's place at the end.
+    """Return a path to write beside a file; put what was written in the file's place at the end.
 
     The file keeps its old content until the new one is complete and on the disk; where the writing fails, nothing
     is left over.
@@ -148,7 +148,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
             raise ValueError(f"cannot write {target}: there is no folder {target.parent}")
     except OSError as error:
         raise ValueError(f"cannot write {target}: {reason_of(error)}") from None
-    refuse_held(target)
+    refuse_locked(target)
     beside = target.parent / f".{target.name[:40]}.{secrets.token_hex(6)}.part"
     writing = Writing(target, beside)
     OUTPUTS.under_way.append(writing)  # before the file is there, so that no interrupt can leave one
@@ -158,7 +158,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
         with beside.open("rb+") as file:
             os.fsync(file.fileno())
         beside.chmod(_mode(target))
-        refuse_held(target)  # a record may have begun meanwhile
+        refuse_locked(target)  # a record may have begun meanwhile
         _place(writing)
     except OSError as error:
         raise ValueError(f"cannot write {target}: {reason_of(error)}") from error

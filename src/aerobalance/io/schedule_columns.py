@@ -67,7 +67,7 @@ Found = tuple[Pairs, dict[str, ScheduleColumn], list[ScheduleColumn]]
 
 
 def pairs_in(cells: Sequence[str]) -> bool:
-    """Say whether the cells of a row name a load and the output of its bridge."""
+    """Return whether the cells of a row name a load and the output of its bridge."""
     names = [split_label(cell)[0] for cell in cells if cell]
     if any(is_output_of(name, load) for load in names for name in names if mark_of(load) is None):
         return True
@@ -152,7 +152,7 @@ def _output_name(name: str, load: str) -> str:
 
 
 def _is_output(column: ScheduleColumn) -> bool:
-    """Say whether the unit is that of an output."""
+    """Return whether the unit is that of an output."""
     for kind in ("mV/V", "V"):
         try:
             conversion(column.unit, expected=kind)
@@ -163,7 +163,7 @@ def _is_output(column: ScheduleColumn) -> bool:
 
 
 def _is_load_or_output(column: ScheduleColumn) -> bool:
-    """Say whether a column looks like a load or an output, by its name or its unit."""
+    """Return whether a column looks like a load or an output, by its name or its unit."""
     if role_of(column.name) or role_of(column.name.removeprefix("r")):
         return True
     if "/" in column.unit:

@@ -80,7 +80,7 @@ def mark_of(name: str) -> str | None:
 
 
 def is_output_of(name: str, load: str) -> bool:
-    """Say whether a column's name is that of the output of a load's bridge, such as rN1, "R N1" or "Bridge N1"."""
+    """Return whether a column's name is that of the output of a load's bridge, such as rN1, "R N1" or "Bridge N1"."""
     key, of = column_key(name), column_key(load)
     if not of:
         return False

@@ -152,7 +152,7 @@ def framed(sheet: Sheet, layout: Layout, *, is_header: Callable[[Sequence[str]],
 
 
 def _are_units(cells: Sequence[str]) -> bool:
-    """Say whether the cells of a row are units, or blank for columns that have none."""
+    """Return whether the cells of a row are units, or blank for columns that have none."""
     bare = [cell.strip("[]() ") for cell in cells]
     given = [cell for cell in bare if cell not in _NO_UNIT]
     known = [cell for cell in given if readable(cell)]
@@ -254,7 +254,7 @@ def _table(path: Path, chosen: ChannelMap | None) -> _Table:
 
 
 def _with_columns(path: Path, sheet: Sheet, part: Framed, chosen: ChannelMap | None) -> _Table:
-    """Say what the columns of a sheet are."""
+    """Return what the columns of a sheet are."""
     columns = []
     for i, label in enumerate(part.labels):
         name, unit = split_label(label)
@@ -345,7 +345,7 @@ def _loads(table: _Table, *, points: NDArray[np.bool_]) -> tuple[Array, list[boo
 
 
 def _of_unit(column: ScheduleColumn, error: ValueError) -> str:
-    """Say what is wrong with a unit, or that there is none."""
+    """Return what is wrong with a unit, or that there is none."""
     if column.unit:
         return str(error)
     unit = "mV/V" if is_gauge(column.name) else "N"

@@ -88,7 +88,7 @@ def sheets_of(path: Path, layout: Layout) -> tuple[Sheet, ...]:
 
 
 def is_workbook(path: Path) -> bool:
-    """Say whether a file is an Excel workbook, by its first bytes.
+    """Return whether a file is an Excel workbook, by its first bytes.
 
     Raises
     ------

@@ -64,13 +64,13 @@ def read_stiffness(path: Path | str) -> tuple[Array, Array]:
         if sorted(names) != sorted(COMPONENTS):
             raise ReadError(file, side, f"must be {', '.join(COMPONENTS)}, not {', '.join(names) or 'none'}")
     order = np.ix_([rows.index(name) for name in COMPONENTS], [columns.index(name) for name in COMPONENTS])
-    stiffness, doubt = matrix[order], u[order]
+    stiffness, u_stiffness = matrix[order], u[order]
     mean = (stiffness + stiffness.T) / 2
-    _warn_of_asymmetry(file, stiffness, doubt)
+    _warn_of_asymmetry(file, stiffness, u_stiffness)
     if np.linalg.eigvalsh(mean)[0] <= 0:
         raise ReadError(file, "matrix", "is not positive: some load would move the balance against itself")
-    own = np.diag(np.diag(doubt))
-    return mean, np.asarray(np.hypot(doubt, doubt.T) / 2 * (1 - np.eye(6)) + own)
+    own = np.diag(np.diag(u_stiffness))
+    return mean, np.asarray(np.hypot(u_stiffness, u_stiffness.T) / 2 * (1 - np.eye(6)) + own)
 
 
 def _warn_of_asymmetry(file: Path, stiffness: Array, u: Array) -> None:

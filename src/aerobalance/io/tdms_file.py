@@ -40,7 +40,7 @@ _UNITS: Final = ("unit_string", "NI_UnitDescription")
 
 
 def can_read(head: bytes, path: Path) -> bool:
-    """Say whether a file is TDMS, from its first bytes; its name does not matter."""
+    """Return whether a file is TDMS, from its first bytes; its name does not matter."""
     del path
     return head.startswith(b"TDSm")
 
@@ -97,13 +97,13 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
             chosen = [entry for entry in entries if entry.number in numbers]
         for entry in chosen:
             _check_usable(path, entry)
-        stamps, doubts = _stamps(entries, chosen)
+        stamps, remarks = _stamps(entries, chosen)
         origin = _origin([stamps.get(entry.number) for entry in chosen])
         columns = tuple(
             _column(entry, _values(path, entry), _clock(path, entry, stamps.get(entry.number), origin))
             for entry in chosen
         )
-    for text in doubts:
+    for text in remarks:
         warn_quality(f"{path.name}: {text}")
     return RawColumns(path, columns, range(1, max((column.values.size for column in columns), default=0) + 1))
 
@@ -151,7 +151,7 @@ class _Entry:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[TdmsFile]:
-    """Open a file; turn whatever its reader fails with into a `ReadError`, and what it says into doubts."""
+    """Open a file; turn whatever its reader fails with into a `ReadError`, and what it says into remarks."""
     from nptdms import TdmsFile  # noqa: PLC0415 - a third of a second, and only TDMS files need it
 
     said: list[str] = []
@@ -177,7 +177,7 @@ def _opened(path: Path) -> Iterator[TdmsFile]:
 
 
 def _cut_off(stream: BinaryIO) -> bool:
-    """Say whether the last segment ends elsewhere than the file: the reader does not tell every case."""
+    """Return whether the last segment ends elsewhere than the file: the reader does not tell every case."""
     size = stream.seek(0, 2)
     place = 0
     while place < size:
@@ -248,7 +248,7 @@ def _unit(channel: TdmsChannel) -> str:
 
 
 def _fault(entry: _Entry) -> str:
-    """Say why a channel cannot be read as numbers; an empty string where it can."""
+    """Return why a channel cannot be read as numbers; an empty string where it can."""
     if entry.samples == 0:
         return "it has no samples"
     kind = entry.channel.dtype
@@ -286,7 +286,7 @@ def _described(path: Path, entries: Sequence[_Entry]) -> list[_Entry]:
 
 
 def is_time(name: str) -> bool:
-    """Say whether a channel of this name is the time."""
+    """Return whether a channel of this name is the time."""
     return name.strip().lower() == "time"
 
 

@@ -18,7 +18,7 @@ LARGEST: Final = 1e100
 
 
 def beyond_all_measure(count: int, where: str) -> str:
-    """Say that cells or samples hold numbers beyond `LARGEST`, and what becomes of them."""
+    """Return the sentence that cells or samples hold numbers beyond `LARGEST`, and what becomes of them."""
     return (
         f"{count} number(s) beyond {LARGEST:.0e} either way, which no reading is, the first in {where}: "
         "they count as missing"
@@ -63,7 +63,7 @@ def split_line(line: str, separator: str) -> list[str]:
 
 
 def kind_of(cell: str) -> Kind:
-    """Say what a cell holds, whichever its decimal sign."""
+    """Return what a cell holds, whichever its decimal sign."""
     bare = cell.strip()
     if _NUMBER.fullmatch(bare):
         return "number"
@@ -73,7 +73,7 @@ def kind_of(cell: str) -> Kind:
 
 
 def stamp_format(cell: str) -> str | None:
-    """Name the way of `STAMPS` in which a cell is written; None where it is no stamp."""
+    """Return the format of `STAMPS` in which a cell is written; None where it is no stamp."""
     bare = cell.strip()
     return next((name for name in STAMPS if len(bare) < 60 and stamp_pattern(name).fullmatch(bare)), None)
 

@@ -106,7 +106,7 @@ class FoundClock:
         return 1 / float(conversion(self.unit, expected="s").inside(self.interval))
 
     def agrees(self, rate: float) -> bool:
-        """Say whether the steps are those of a sampling rate [Hz]; in any unit of time where the file states none."""
+        """Return whether the steps are those of a sampling rate [Hz]; in any unit of time where none is stated."""
         units = (self.unit,) if self.unit else ("s", "ms", "us", "min")
         rates = [replace(self, unit=unit).rate for unit in units]
         near = ALIKE + self.spread
@@ -114,12 +114,12 @@ class FoundClock:
 
 
 def is_time_name(name: str) -> bool:
-    """Say whether a column's name is one of the usual names of a time, in several languages."""
+    """Return whether a column's name is one of the usual names of a time, in several languages."""
     return _TIMES.fullmatch(name.strip()) is not None
 
 
 def is_time_unit(unit: str) -> bool:
-    """Say whether a unit is one of time."""
+    """Return whether a unit is one of time."""
     try:
         conversion(unit, expected="s")
     except ValueError:

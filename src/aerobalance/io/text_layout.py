@@ -108,7 +108,7 @@ class TextLayout:
         return tuple(split_label(label)[0] for label in self.labels)
 
     def is_number(self, column: int) -> bool:
-        """Say whether a column, counted from 0, has to hold numbers: most cells do, or its unit is one of time."""
+        """Return whether a column, counted from 0, has to hold numbers: most cells do, or its unit is one of time."""
         return self.kinds[column] == "number" or is_time_unit(self.units[column])
 
     @property
@@ -417,5 +417,5 @@ def _decimal(rows: Sequence[Sequence[str]], kinds: Sequence[Kind]) -> str | None
 
 
 def separator_word(sign: str) -> str:
-    """Name a separator as a channel map does."""
+    """Return the name of a separator as a channel map does."""
     return next(word for word, found in SEPARATORS.items() if found == sign)

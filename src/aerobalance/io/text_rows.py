@@ -202,7 +202,7 @@ def _find_fault(path: Path, body: bytes, grid: Grid, numeric: Sequence[int], rea
 
 
 def no_number(cell: str, decimal: str) -> str:
-    """Say what is wrong with a cell, what is allowed and what to do."""
+    """Return what is wrong with a cell, what is allowed and what to do."""
     other = "," if decimal == "." else "."
     told = (
         f'; if the decimal sign of this file is {other!r}, put decimal = "{other}" under [file] of a channel map, '

@@ -130,7 +130,7 @@ def read_text_table(
 
 
 def describe_text(path: Path, layout: Layout | None = None) -> TextLayout:
-    """Say how a text file is laid out, without reading more than its head.
+    """Return how a text file is laid out, without reading more than its head.
 
     Raises
     ------

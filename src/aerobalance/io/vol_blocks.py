@@ -1,4 +1,4 @@
-"""The text of a ``.vol`` file taken apart: its ``key--> value`` lines and its blocks of loads and voltages."""
+"""The parsed text of a ``.vol`` file: its ``key--> value`` lines and its blocks of loads and voltages."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class VolBlock:
 
 @dataclass(frozen=True, slots=True)
 class VolText:
-    """A ``.vol`` file taken apart.
+    """A parsed ``.vol`` file.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class _Section:
 
 
 def take_apart(path: Path, text: str) -> VolText:
-    """Take the text of a ``.vol`` file apart.
+    """Parse the text of a ``.vol`` file.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def _sections(text: str) -> list[_Section]:
 
 
 def _kind(section: _Section) -> str:
-    """Tell what a section holds."""
+    """Return what a section holds."""
     title = section.title.casefold()
     if _SIGNED.fullmatch(title) or any(_COUNT.match(entry.key) for entry in section.entries):
         return "block"

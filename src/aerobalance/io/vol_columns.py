@@ -36,7 +36,7 @@ class VolReading:
     path
         The file.
     parts
-        Its text taken apart.
+        Its text, parsed.
     notes
         What had to be taken for granted so far.
     """

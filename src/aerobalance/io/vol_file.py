@@ -48,7 +48,7 @@ _PLACES: Final = {
 
 
 def can_read(text: str) -> bool:
-    """Say whether a text is a voltage calibration file."""
+    """Return whether a text is a voltage calibration file."""
     return _SIGN.search(text[:20000]) is not None
 
 

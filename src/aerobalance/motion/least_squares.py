@@ -47,7 +47,7 @@ DENSE: Final = 4097
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Band:
+class MotionBand:
     """A frequency band, and the least-squares fit of the motions in it.
 
     Attributes
@@ -117,7 +117,7 @@ class GroundFit:
     rows: Array
     reach: Array
     rate: float
-    bands: tuple[Band, ...]
+    bands: tuple[MotionBand, ...]
 
     @classmethod
     def of(cls, sensors: tuple[GroundSensor, ...], *, rate: float) -> GroundFit:
@@ -207,7 +207,7 @@ class GroundFit:
         """Whether each sensor measures a rate of turn, shape (m,)."""
         return _is_rate(self.sensors)
 
-    def _parts(self, readings: Array) -> list[tuple[Band, Array]]:
+    def _parts(self, readings: Array) -> list[tuple[MotionBand, Array]]:
         """Each band with the part of the readings, shape (n, m), that is in it."""
         if len(self.bands) == 1 and np.isinf(self.bands[0].high):
             return [(self.bands[0], readings)]
@@ -240,19 +240,19 @@ def _noise_of(sensors: tuple[GroundSensor, ...]) -> Array:
     return np.array([max(sensor.noise, 1e-9 * size) for sensor, size in zip(sensors, sizes, strict=True)])
 
 
-def _bands(sensors: tuple[GroundSensor, ...], rows: Array, reach: Array, rate: float) -> tuple[Band, ...]:
+def _bands(sensors: tuple[GroundSensor, ...], rows: Array, reach: Array, rate: float) -> tuple[MotionBand, ...]:
     """Bands between the frequencies up to which rates of turn are used, each with its fit."""
     edges = [0.0, *sorted({float(edge) for edge in reach if 0 < edge < np.inf}), np.inf]
     differentiated = _is_rate(sensors)
     frequency = np.linspace(0, rate / 2, DENSE)
     bands = []
     for low, high in pairwise(edges):
-        band = Band(low, high, (), reach >= high, np.zeros((6, len(sensors))))
+        band = MotionBand(low, high, (), reach >= high, np.zeros((6, len(sensors))))
         share = band.share(frequency) ** 2
         grown = np.where(differentiated, np.mean(share * (2 * np.pi * frequency) ** 2), np.mean(share))
         noise = _noise_of(sensors) * np.sqrt(grown)
         columns = observable_motions(rows[band.used], noise[band.used])
-        bands.append(Band(low, high, columns, band.used, least_squares(rows, noise, columns, band.used)))
+        bands.append(MotionBand(low, high, columns, band.used, least_squares(rows, noise, columns, band.used)))
     return tuple(bands)
 
 

@@ -99,8 +99,8 @@ class PlatformMotion:
         sensors = ground_sensors(recording)
         pull = _Gravity.of(recording, gravity)
         fit = GroundFit.of(sensors, rate=recording.rate)
-        job = _Job(recording, fit, pull, _kinematic(fit, pull, recording.samples))
-        return job.solved(gravity_uncertainty)
+        found = _MotionRecord(recording, fit, pull, _kinematic(fit, pull, recording.samples))
+        return found.solved(gravity_uncertainty)
 
     def moved(self, changes: Array) -> PlatformMotion:
         """The motion, its specific force at least, if the `unknowns` were off by so much, shape (their number,)."""
@@ -159,7 +159,9 @@ def _felt(fit: GroundFit, pull: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Job:
+class _MotionRecord:
+    """A recording whose platform motion is wanted, with what was found of it so far."""
+
     recording: Recording
     first: GroundFit
     pull: _Gravity

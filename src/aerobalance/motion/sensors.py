@@ -169,7 +169,7 @@ def observable_motions(rows: Array, noise: Array) -> tuple[int, ...]:
 
 
 def unseen(rows: Array, columns: tuple[int, ...]) -> list[str]:
-    """Say which motions the sensors do not see, or cannot tell from others, and that they are taken as zero.
+    """Return which motions the sensors do not see, or cannot tell from others, and that they are taken as zero.
 
     Parameters
     ----------

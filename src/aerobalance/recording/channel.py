@@ -46,7 +46,7 @@ _GROUND_ACCELERATION: Final = re.compile(r"ground_acceleration(_\w+)?")
 
 
 def is_ground_acceleration(name: str) -> bool:
-    """Say whether a channel name is that of an accelerometer on the ground end."""
+    """Return whether a channel name is that of an accelerometer on the ground end."""
     return _GROUND_ACCELERATION.fullmatch(name) is not None
 
 

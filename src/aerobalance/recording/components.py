@@ -75,7 +75,7 @@ _GAUGE: Final = re.compile(r"r[A-Z]\w*")
 
 
 def is_gauge(name: str) -> bool:
-    """Say whether a channel name is that of a gauge output: ``r`` and the component as the balance names it (rN1)."""
+    """Return whether a channel name is that of a gauge output: ``r`` and the component's name at the balance (rN1)."""
     return _GAUGE.fullmatch(name) is not None
 
 

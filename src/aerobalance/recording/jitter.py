@@ -35,7 +35,7 @@ _NEAR: Final = 0.1
 _MISSED_ALLOWED: Final = 0.2
 
 
-class Following(NamedTuple):
+class JitterCorrection(NamedTuple):
     """By how much of the jitter of their stamps readings are shifted: 1 where the samples jitter, 0 where the stamps.
 
     Attributes
@@ -68,7 +68,7 @@ class Resampled(NamedTuple):
     noise_gains: list[float]
 
 
-def following(columns: Sequence[Array], late: Array) -> Following:
+def following(columns: Sequence[Array], late: Array) -> JitterCorrection:
     """Find out whether readings follow the jitter of their stamps.
 
     Parameters
@@ -82,7 +82,7 @@ def following(columns: Sequence[Array], late: Array) -> Following:
     # A clock that wanders slowly moves a signal and its slope alike, which tells nothing: the fast part does.
     fast = late - uniform_filter1d(late, _FAST)
     if late.size < 16 or np.std(fast) < _TELLING:
-        return Following(0.5, np.inf)
+        return JitterCorrection(0.5, np.inf)
     for values in columns:
         slope = np.full(late.size, np.nan)
         slope[2:-2] = (8 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / 12
@@ -99,7 +99,7 @@ def following(columns: Sequence[Array], late: Array) -> Following:
         variance = 2 * float(((seen - share * expected) ** 2) @ expected**2) / power**2 + 1e-6
         weight += 1 / variance
         total += share / variance
-    return Following(total / weight, weight**-0.5) if weight else Following(0.5, np.inf)
+    return JitterCorrection(total / weight, weight**-0.5) if weight else JitterCorrection(0.5, np.inf)
 
 
 def _beside_neighbours(values: Array) -> Array:

@@ -14,7 +14,7 @@ from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, warn_quality
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.jitter import following, on_steady_clock
-from aerobalance.recording.steady_clock import Clock, first_repeated, steady_clock
+from aerobalance.recording.steady_clock import SteadyClock, first_repeated, steady_clock
 from aerobalance.recording.units import conversion_for
 
 if TYPE_CHECKING:
@@ -150,9 +150,9 @@ class Recording:
         0.0349
         """
         given = dict(units or {})
-        strange = [key for key in given if key not in columns]
-        if strange:
-            raise ValueError(f"units has {strange[0]}, which is not among the columns: {', '.join(columns)}")
+        unknown = [key for key in given if key not in columns]
+        if unknown:
+            raise ValueError(f"units has {unknown[0]}, which is not among the columns: {', '.join(columns)}")
         stamps = np.asarray(time, dtype=np.float64)
         if stamps.ndim != 1:
             raise ValueError(f"time must have shape (n,), not {stamps.shape}")
@@ -268,8 +268,8 @@ def _channel_of(name: str, values: ArrayLike, unit: str | None) -> Channel:
     return Channel(name, np.asarray(change.inside(np.array(values, dtype=np.float64))), change.unit, file_unit=unit)
 
 
-def _samples_jitter(stamps: Array, channels: Mapping[str, Channel], clock: Clock, name: str) -> bool:
-    """Say whether samples that were stamped unevenly were taken unevenly; warn where they are taken as even."""
+def _samples_jitter(stamps: Array, channels: Mapping[str, Channel], clock: SteadyClock, name: str) -> bool:
+    """Return whether samples that were stamped unevenly were taken unevenly; warn where they are taken as even."""
     late = clock.late(stamps)
     found = following([channel.values for channel in channels.values()], late)
     if found.u < FOLLOWING_KNOWN:
@@ -293,7 +293,9 @@ def _samples_jitter(stamps: Array, channels: Mapping[str, Channel], clock: Clock
     return jitter
 
 
-def _resampled(stamps: Array, channels: Mapping[str, Channel], clock: Clock, name: str, time_unit: str) -> Recording:
+def _resampled(
+    stamps: Array, channels: Mapping[str, Channel], clock: SteadyClock, name: str, time_unit: str
+) -> Recording:
     """Interpolate samples that were taken unevenly to a steady clock, and say what that does to them."""
     first, kept = float(stamps[0]), np.concatenate(([True], np.diff(stamps) > 0))
     places = ((stamps - first) / clock.interval)[kept]

@@ -20,7 +20,7 @@ LARGEST_GAP_RATIO: Final = 20
 """Samples of the steady clock per row of the file beyond which the recording has to be cut at its gaps."""
 
 
-class Clock(NamedTuple):
+class SteadyClock(NamedTuple):
     """The steady clock that fits a time column best.
 
     Attributes
@@ -47,7 +47,7 @@ class Clock(NamedTuple):
         return late
 
 
-def steady_clock(stamps: Array, name: str) -> Clock:
+def steady_clock(stamps: Array, name: str) -> SteadyClock:
     """Find the steady clock behind a time column, and warn of what is missing or rounded."""
     steps = _checked_steps(stamps, name)
     order = np.arange(stamps.size, dtype=np.intp)
@@ -60,24 +60,24 @@ def steady_clock(stamps: Array, name: str) -> Clock:
     repeated = int(np.count_nonzero(steps == 0))
     resolution = float(np.min(steps[steps > 0]))
     rounded = departure > 1.0 and repeated > 0 and departure * interval <= resolution
-    doubts = []
+    remarks = []
     if rounded:
         interval, start, known = _between_turns(stamps, steps, name, resolution)
         departure = float(np.abs((stamps - start) / interval - order).max())
-        doubts.append(
+        remarks.append(
             f"the time column is rounded to {resolution:.3g} s, more than a sampling interval; the samples are "
             f"taken as evenly spaced at {1 / interval:.6g} Hz (known to {100 * known:.1g} %), and a gap in them "
             "would not be seen"
         )
     missing = int(order[-1]) + 1 - order.size
     if missing:
-        doubts.append(
+        remarks.append(
             f"{missing} sample(s) are missing from the time column in {int(np.count_nonzero(np.diff(order) > 1))} "
             "gap(s); the model bridges them, with a larger uncertainty"
         )
-    for doubt in doubts:
-        warn_quality(f"{name}: {doubt}")
-    return Clock(order, interval, start, departure, rounded)
+    for remark in remarks:
+        warn_quality(f"{name}: {remark}")
+    return SteadyClock(order, interval, start, departure, rounded)
 
 
 def _between_turns(stamps: Array, steps: Array, name: str, resolution: float) -> tuple[float, float, float]:
@@ -106,7 +106,7 @@ def _between_turns(stamps: Array, steps: Array, name: str, resolution: float) ->
 
 
 def first_repeated(steps: Array, stamps: Array) -> str:
-    """Name the first two samples that have the same time stamp, for a message; nothing where there are none."""
+    """Return where the first two samples of the same time stamp are, in words; empty where there are none."""
     rows = np.flatnonzero(steps == 0)
     if not rows.size:
         return ""

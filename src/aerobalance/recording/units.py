@@ -247,7 +247,7 @@ def conversion_for(name: str, text: str) -> Conversion:
 
 
 def readable(text: str) -> bool:
-    """Say whether a text is a unit."""
+    """Return whether a text is a unit."""
     return _parsed(_spelled(text.strip())) is not None
 
 
@@ -307,7 +307,7 @@ _ROOTS: Final = {
 
 
 def _kind(unit: pint.Unit, spelled: str) -> str | None:
-    """Tell which of the units inside a unit belongs to; None if to none."""
+    """Return which of the units inside a unit belongs to; None if to none."""
     if re.fullmatch(r"\(?[a-zA-Z]*(V|volt)\)?/\(?(V|volt)\)?", spelled):
         return "mV/V"
     if "decibel" in str(unit) or "neper" in str(unit):

@@ -328,7 +328,7 @@ def _scalars(estimate: ComponentForce, errors: Array) -> tuple[Compared, ...]:
 
 
 def _doubts(rows: list[Compared], numbers: tuple[Compared, ...]) -> Iterator[str]:
-    """Say what differs by more than it should."""
+    """Return what differs by more than it should."""
     whole = rows[-1].analytic
     for row in (*rows, *numbers):
         slight = max(row.drawn, row.analytic) < SLIGHT * whole and row in rows

@@ -90,7 +90,7 @@ def _answer(account: dict[str, Any], manner: Manner) -> None:
 
 
 def closing(account: dict[str, Any]) -> list[str]:
-    """Give the last lines of an answer: how many warnings there are, and where the files are."""
+    """Return the last lines of an answer: how many warnings there are, and where the files are."""
     lines = []
     count = len(account.get("warnings") or ())
     if count:
@@ -130,9 +130,9 @@ def _lines(item: Any, prefix: str = "") -> list[tuple[str, str]]:
 def _quantity(item: dict[str, Any]) -> str:
     value = item["value"]
     text = " to ".join(_text(part) for part in value) if isinstance(value, list) else _text(value)
-    doubt = f" (u = {item['u']:.2g})" if "u" in item else ""
+    u_text = f" (u = {item['u']:.2g})" if "u" in item else ""
     unit = item.get("unit", "")
-    return f"{text}{doubt}{'' if unit in {'', '1'} else f' {unit}'}"
+    return f"{text}{u_text}{'' if unit in {'', '1'} else f' {unit}'}"
 
 
 def _text(value: Any) -> str:

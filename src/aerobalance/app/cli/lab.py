@@ -16,13 +16,13 @@ from aerobalance.app.cli.options import (
     Map,
     Mass,
     MaybeBalance,
-    Model,
     ModelOnZero,
     Modes,
     OnZero,
     Out,
     Replace,
     Tare,
+    TermModel,
     Verbose,
     Way,
     Zero,
@@ -60,8 +60,8 @@ def calibrate(
     ],
     out: Out = None,
     model: Annotated[
-        Model, typer.Option("--model", help="Terms offered: 96 of AIAA R-091, or fewer; auto chooses among them.")
-    ] = Model.AUTO,
+        TermModel, typer.Option("--model", help="Terms offered: 96 of AIAA R-091, or fewer; auto chooses among them.")
+    ] = TermModel.AUTO,
     way: Annotated[
         Way, typer.Option("--way", help="Fit outputs on loads (iterative) or loads on outputs (non-iterative).")
     ] = Way.ITERATIVE,
@@ -127,7 +127,9 @@ def compare_calibrations(
     before: Annotated[Path, typer.Argument(metavar="BEFORE", help="balance.json, or a load schedule.")],
     after: Annotated[Path, typer.Argument(metavar="AFTER", help="The later one of the same balance.")],
     out: Out = None,
-    model: Annotated[Model, typer.Option("--model", help="Terms offered where a schedule is given.")] = Model.AUTO,
+    model: Annotated[
+        TermModel, typer.Option("--model", help="Terms offered where a schedule is given.")
+    ] = TermModel.AUTO,
     as_json: Json = False,
     verbose: Verbose = False,
     replace: Replace = False,

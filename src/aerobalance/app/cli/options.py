@@ -18,7 +18,7 @@ PROGRAM: Final = "aerobalance"
 
 
 def capital(name: str | None) -> str | None:
-    """Give the name of a component in the capitals that it is written with."""
+    """Return the name of a component in the capitals that it is written with."""
     if name is None:
         return None
     return "all" if name.lower() == "all" else name.upper()
@@ -105,7 +105,7 @@ Tare = Annotated[
 ]
 
 
-class Model(StrEnum):
+class TermModel(StrEnum):
     """Which terms a balance matrix may have."""
 
     LINEAR = "linear"

@@ -173,7 +173,7 @@ def _of_flags(text: str, words: Sequence[str], context: Any) -> str:
 
 
 def _failed(problem: Exception, code: int) -> int:
-    """Tell what went wrong, and what was written before."""
+    """Return what went wrong, and what was written before."""
     return _end(
         f"error: {'; '.join([as_options(str(problem)).rstrip('.'), *getattr(problem, '__notes__', ())])}", code
     )

@@ -109,9 +109,9 @@ def record(
     from aerobalance.io.safe_write import OUTPUTS
 
     OUTPUTS.begin(replace=replace)
-    wishes = command.Wishes(source=source, file=file, rig=rig, seconds=seconds, speed=speed, seed=seed)
+    options = command.RecordOptions(source=source, file=file, rig=rig, seconds=seconds, speed=speed, seed=seed)
     with Console(stderr=True).status("starting ...") as status:
-        account = command.record(out, setup=setup, wishes=wishes, replace=replace, show=status.update)
+        account = command.record(out, setup=setup, options=options, replace=replace, show=status.update)
     show(lambda: account, Manner(as_json, verbose), doing="recording")
 
 
@@ -128,9 +128,9 @@ def publish(
 ) -> None:
     """Publish a source as an openDAQ device, open to the whole network; Ctrl-C ends it."""
     from aerobalance.app.commands import publish as command
-    from aerobalance.app.commands.record import Wishes
+    from aerobalance.app.commands.record import RecordOptions
 
-    typer.echo(command.publish(setup=setup, wishes=Wishes(rig=rig, seed=seed), port=port, say=typer.echo))
+    typer.echo(command.publish(setup=setup, options=RecordOptions(rig=rig, seed=seed), port=port, say=typer.echo))
 
 
 @app.command(epilog=example("monitor --setup test.toml"))

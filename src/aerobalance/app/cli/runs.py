@@ -195,7 +195,7 @@ def compare(
     component: Annotated[
         str | None,
         typer.Option(
-            "--component", callback=capital, help="Which component; AF if left out, or all that ring together."
+            "--component", callback=capital, help="Which component; AF if left out, or all that are coupled."
         ),
     ] = None,
     step: Annotated[

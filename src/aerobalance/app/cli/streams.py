@@ -32,7 +32,7 @@ _STREAMS = _Streams()
 
 
 def given(context: typer.Context, path: Path | None) -> Path | None:
-    """Give a file to read; for ``-`` one that holds what comes on standard input.
+    """Return a file to read; for ``-`` one that holds what comes on standard input.
 
     Raises
     ------
@@ -50,12 +50,12 @@ def given(context: typer.Context, path: Path | None) -> Path | None:
 
 
 def given_all(context: typer.Context, paths: list[Path] | None) -> list[Path] | None:
-    """Give files to read, one of which may be standard input."""
+    """Return files to read, one of which may be standard input."""
     return None if paths is None else [file for path in paths if (file := given(context, path)) is not None]
 
 
 def wanted(suffix: str) -> Callable[[typer.Context, Path | None], Path | None]:
-    """Give the file to write; for ``-`` one of this ending, which is passed on to standard output."""
+    """Return the file to write; for ``-`` one of this ending, which is passed on to standard output."""
 
     def chosen(context: typer.Context, path: Path | None) -> Path | None:
         if path != DASH or context.resilient_parsing:

@@ -16,7 +16,7 @@ _PLAIN = 1e9
 
 
 def rounded(value: float, u: float) -> tuple[str, str]:
-    """Give a value and its standard uncertainty as texts: two digits of the uncertainty, and the value as far.
+    """Return a value and its standard uncertainty as texts: two digits of the uncertainty, and the value as far.
 
     A value that is exact (u is zero), or of which nothing is known (u is not finite), has six digits.
     """
@@ -30,7 +30,7 @@ def rounded(value: float, u: float) -> tuple[str, str]:
 
 
 def short(value: float | None, digits: int = 6) -> str:
-    """Give a number of which no uncertainty is known as a text, a dash where there is none."""
+    """Return a number of which no uncertainty is known as a text, a dash where there is none."""
     if value is None or not np.isfinite(value):
         return "-"
     return f"{float(value) + 0.0:.{digits}g}"
@@ -42,7 +42,7 @@ def _fixed(value: float, places: int) -> str:
 
 
 def quantities(found: Mapping[str, Any], names: Mapping[str, str] | None = None) -> list[tuple[str, str, str, str]]:
-    """Give the rows of a table of quantities: name, value, standard uncertainty and unit.
+    """Return the rows of a table of quantities: name, value, standard uncertainty and unit.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.app.commands.answers import rounded, short
-from aerobalance.app.commands.shared import Account, check_out, doubts, table_text
+from aerobalance.app.commands.shared import Account, check_out, collected_warnings, table_text
 from aerobalance.balance.calibration.comparison import compare_calibrations
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.calibration.fit import calibrate as fit_matrix
@@ -53,7 +53,7 @@ def calibrate(
     check_out(out, path, channel_map, kind="balance")
     check_out(report, path, channel_map, out, kind=PAGE)
     chosen = None if channel_map is None else load_channel_map(channel_map)
-    with doubts() as collected:
+    with collected_warnings() as collected:
         schedule = read_schedule(path, capacities=capacities_from(capacities), channel_map=chosen)
         schedule = schedule.without(leave_out).keeping_aside(keep_aside)
         if distances is not None:
@@ -185,14 +185,14 @@ def summary(calibration: Calibration, quality: Quality) -> str:
 
 
 def points_text(count: int) -> str:
-    """Say how many points, for people."""
+    """Return how many points, for people."""
     return f"{count} point{'' if count == 1 else 's'}"
 
 
 def compare(before: Path, after: Path, out: Path | None, *, model: Model = "auto") -> Account:
     """What two calibrations of one balance differ in; schedules are calibrated first, with the same model."""
     check_out(out, before, after, kind="calibration comparison")
-    with doubts() as collected:
+    with collected_warnings() as collected:
         first, second = (_matrix_of(path, model) for path in (before, after))
         drift = compare_calibrations(first, second)
     account: Account = {

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.loads import Source, loads_account
-from aerobalance.app.commands.shared import Account, check_out, doubts, known_component
+from aerobalance.app.commands.loads import LoadSource, loads_account
+from aerobalance.app.commands.shared import Account, check_out, collected_warnings, known_component
 from aerobalance.app.commands.standings import standings
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import dynamics_of
@@ -46,7 +46,7 @@ def compare(
     if component is not None:
         known_component(component)
     known = dynamics_of(read_any_dynamics(dynamics))
-    source = Source(known, files, gravity, channel_map)
+    source = LoadSource(known, files, gravity, channel_map)
     inputs = [path, dynamics, *source.paths, *(file for file in (truth, step) if file is not None)]
     check_out(out, *inputs, kind=PAGE)
     if isinstance(known, CoupledDynamics):
@@ -56,7 +56,7 @@ def compare(
         if names[0] not in known:
             raise FitError(f"{dynamics} has no {names[0]}; it has {', '.join(known)}")
     ranges = _half_ranges(half_range, names, coupled=isinstance(known, CoupledDynamics))
-    with doubts() as collected:
+    with collected_warnings() as collected:
         found = compare_methods(
             source.read(path),
             known,

@@ -142,8 +142,8 @@ def mass_text(mass: RigidMass) -> str:
     """A rigid mass in words."""
     u = np.sqrt(np.diag(mass.covariance))
     centre = ", ".join(
-        f"{axis} {1000 * value:.3f} mm (u = {1000 * doubt:.2g})"
-        for axis, value, doubt in zip(AXES, mass.centre, u[1:4], strict=True)
+        f"{axis} {1000 * value:.3f} mm (u = {1000 * u_text:.2g})"
+        for axis, value, u_text in zip(AXES, mass.centre, u[1:4], strict=True)
     )
     return f"Rigid mass {mass.mass:.6g} kg, centre of gravity {centre}"
 

@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.loads import Source, loads_account
-from aerobalance.app.commands.shared import Account, check_out, doubts
+from aerobalance.app.commands.loads import LoadSource, loads_account
+from aerobalance.app.commands.shared import Account, check_out, collected_warnings
 from aerobalance.app.commands.uncertainty import (
     Origins,
     budget_account,
@@ -70,11 +70,11 @@ def force(
     check_output(out)
     known = dynamics_of(read_any_dynamics(dynamics))
     settings = ForceSettings() if settings is None else settings
-    source = Source(known, files, settings.gravity, channel_map)
+    source = LoadSource(known, files, settings.gravity, channel_map)
     inputs = [path, dynamics, *source.paths, *([] if noise_record is None else [noise_record])]
     check_out(out, *inputs, kind=TABLE)
     check_out(report, *inputs, out, kind=PAGE)
-    with doubts() as collected:
+    with collected_warnings() as collected:
         if files is not None:
             source = source._replace(known=_through(files.balance, known, dynamics=dynamics))
         calm = None if noise_record is None else source.read(noise_record)

@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 from aerobalance.app.commands.answers import quantities, quantity_table, rounded, short
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.shared import Account, check_out, doubts, known_component, recording_of
+from aerobalance.app.commands.shared import Account, check_out, collected_warnings, known_component, recording_of
 from aerobalance.app.commands.weighing import mass_file, parse_mass
 from aerobalance.balance.weighing.result import Weighing
 from aerobalance.dynamics.single import Dynamics
@@ -59,7 +59,7 @@ def identify_decay(
     if weighed is None:
         raise ValueError("--mass is needed: a free decay tells stiffness and damping only in proportion to the mass")
     wanted = number_of_modes(modes)
-    with doubts() as collected:
+    with collected_warnings() as collected:
         recording = recording_of(path, channel_map)
         if files is not None:
             recording = files.identification_loads(
@@ -163,7 +163,7 @@ def identify_rig(
     check_out(out, path, channel_map, mass_file(mass), *used, kind="dynamics")
     weighed = parse_mass(mass, component)
     wanted = number_of_modes(modes)
-    with doubts() as collected:
+    with collected_warnings() as collected:
         recording = recording_of(path, channel_map)
         if files is not None:
             (loads,) = files.identification_loads([recording], _weighing(mass), channel_map=channel_map)
@@ -252,7 +252,7 @@ def identify_frf(path: Path, out: Path | None, *, component: str = "AF", mass: s
     table = read_table(path, required=columns)
     frequency, amplitude, u_amplitude, phase, u_phase = (table.values(name) for name in columns)
     response = ResponseTable(frequency, amplitude, u_amplitude, phase, u_phase, str(path))
-    with doubts() as collected:
+    with collected_warnings() as collected:
         fit = fit_frf(response, component=component, mass=weighed)
     details = {
         "method": "published frequency response, weighted least squares",

@@ -22,7 +22,7 @@ from aerobalance.app.commands.coupled_tables import (
     tests_text,
 )
 from aerobalance.app.commands.identify import number_of_modes
-from aerobalance.app.commands.shared import Account, amounts, check_out, doubts, recording_of, table_text
+from aerobalance.app.commands.shared import Account, amounts, check_out, collected_warnings, recording_of, table_text
 from aerobalance.app.commands.weighing import mass_file, mass_number
 from aerobalance.balance.matrix_errors import MatrixErrors
 from aerobalance.balance.weighing.result import Weighing
@@ -72,7 +72,7 @@ def identify_decays(
     used = [channel_map, mass_file(mass), *(() if files is None else files.paths)]
     check_out(out, *paths, *used, kind="dynamics")
     weighed, weighing = weighed_mass(mass)
-    with doubts() as collected:
+    with collected_warnings() as collected:
         recordings = [recording_of(path, channel_map) for path in paths]
         errors: list[MatrixErrors] = []
         if files is not None:

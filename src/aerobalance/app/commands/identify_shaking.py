@@ -19,7 +19,7 @@ from aerobalance.app.commands.coupled_tables import (
     tests_text,
 )
 from aerobalance.app.commands.identify_coupled import account_of, weighed_mass
-from aerobalance.app.commands.shared import Account, check_out, doubts, recording_of, table_text
+from aerobalance.app.commands.shared import Account, check_out, collected_warnings, recording_of, table_text
 from aerobalance.app.commands.weighing import mass_file
 from aerobalance.balance.weighing.result import Weighing
 from aerobalance.identification.base_excitation.shaking import identify_shaking
@@ -54,7 +54,7 @@ def identify_shaken(
     """
     check_out(out, *paths, channel_map, mass_file(mass), kind="dynamics")
     weighed, weighing = weighed_mass(mass)
-    with doubts() as collected:
+    with collected_warnings() as collected:
         recordings = [recording_of(path, channel_map) for path in paths]
         found = identify_shaking(recordings, mass=weighed, half_range=half_range)
     return account_of(

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.app.commands.coupled_tables import mass_text, matrix_table, test_details, tests_text
-from aerobalance.app.commands.shared import Account, check_out, doubts, table_text
+from aerobalance.app.commands.shared import Account, check_out, collected_warnings, table_text
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.identification.coupled_modes import ModeTable
 from aerobalance.identification.from_stiffness import (
@@ -56,7 +56,7 @@ def from_stiffness(
         dynamics.json of releases or of shaking, or None.
     """
     check_out(out, table, mass, compare, kind="dynamics")
-    with doubts() as collected:
+    with collected_warnings() as collected:
         stiffness, u_stiffness = read_stiffness(table)
         rigid = read_rigid_mass(mass)
         identified = None if compare is None else read_coupled(compare)

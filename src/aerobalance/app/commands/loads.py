@@ -9,7 +9,7 @@ import numpy as np
 
 from aerobalance.app.commands.answers import rounded, short
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.shared import Account, check_out, doubts, recording_of, table_text
+from aerobalance.app.commands.shared import Account, check_out, collected_warnings, recording_of, table_text
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import TOLERANCE
@@ -25,7 +25,7 @@ from aerobalance.recording.recording import Recording
 def convert_matrix(path: Path, out: Path) -> Account:
     """Write a matrix in the other layout: balance.json as BALFIT's text, or that as balance.json."""
     check_out(out, path, kind="balance" if out.suffix.lower() == ".json" else "")
-    with doubts() as collected:
+    with collected_warnings() as collected:
         matrix = read_matrix(path)
     if out.suffix.lower() == ".json":
         write_balance(out, matrix, found={}, inputs=[path], warnings=collected)
@@ -36,7 +36,7 @@ def convert_matrix(path: Path, out: Path) -> Account:
     return {"file": path.name, "written": out.name, "components": names, "warnings": collected, "summary": said}
 
 
-class Source(NamedTuple):
+class LoadSource(NamedTuple):
     """How a file becomes balance loads.
 
     Attributes
@@ -76,7 +76,7 @@ def loads(
     """Balance loads, from the gauge outputs of a recording."""
     check_output(out)
     check_out(out, path, channel_map, *files.paths, kind=TABLE)
-    with doubts() as collected:
+    with collected_warnings() as collected:
         recording = recording_of(path, channel_map)
         felt = files.loads(recording, form=form, channel_map=channel_map)
     write_loads(out, recording, felt)

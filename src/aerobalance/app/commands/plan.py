@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aerobalance.app.commands.shared import Account, doubts, table_text
+from aerobalance.app.commands.shared import Account, collected_warnings, table_text
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.io.coupled_part import modes_payload
 from aerobalance.io.dynamics_file import read_any_dynamics
@@ -37,7 +37,7 @@ def plan(
         raise ValueError(f"{dynamics} has no {component}; it has {', '.join(names)}")
     if component is not None and not isinstance(known, CoupledDynamics):
         known = {component: known[component]}
-    with doubts() as collected:
+    with collected_warnings() as collected:
         found = plan_test(
             known,
             rate=rate,
@@ -104,7 +104,7 @@ def _row(row: Attainable, *, coupled: bool) -> Account:
 
 
 def _advice(part: ComponentPlan, whole: Plan) -> str:
-    """Say what to improve first, and which option would tell more."""
+    """Return what to improve first, and which option would tell more."""
     hint = ". Give --force to see what the uncertainty of the dynamics adds" if whole.parameters_left_out else ""
     return part.advice + hint
 

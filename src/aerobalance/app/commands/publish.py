@@ -9,7 +9,7 @@ from pathlib import Path
 from aerobalance.acquisition.opendaq_server import PORT, PublishedDevice
 from aerobalance.acquisition.source import SourceEndedError
 from aerobalance.acquisition.sources import open_source
-from aerobalance.app.commands.record import Wishes, wished
+from aerobalance.app.commands.record import RecordOptions, chosen_setup
 
 _TICK = 0.1
 
@@ -17,7 +17,7 @@ _TICK = 0.1
 def publish(
     *,
     setup: Path | None = None,
-    wishes: Wishes | None = None,
+    options: RecordOptions | None = None,
     port: int = PORT,
     say: Callable[[str], None] | None = None,
 ) -> str:
@@ -27,7 +27,7 @@ def publish(
     ----------
     setup
         Test set-up; its source and channels count.
-    wishes
+    options
         What replaces it in the set-up.
     port
         Where to listen.
@@ -46,7 +46,7 @@ def publish(
     before = {number: signal.signal(number, lambda *_: told.append("stopped")) for number in numbers}
     try:
         folder = Path() if setup is None else setup.parent
-        source = open_source(wished(setup, wishes or Wishes()), folder.resolve())
+        source = open_source(chosen_setup(setup, options or RecordOptions()), folder.resolve())
         device = PublishedDevice(source, port=port)
         source.start()
         if say is not None:

@@ -17,7 +17,7 @@ from aerobalance.acquisition.setup import Setup, load_setup, setup_from
 from aerobalance.acquisition.source_settings import SOURCES
 from aerobalance.app.commands.shared import Account
 from aerobalance.io.hdf5_closing import close_all_broken_off, closed_text
-from aerobalance.io.held_file import recover_all
+from aerobalance.io.locked_file import recover_all
 from aerobalance.io.safe_write import OUTPUTS
 from aerobalance.recording.errors import FitError, warn_quality
 
@@ -26,7 +26,7 @@ _TICK = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
+class RecordOptions:
     """Settings of the command line, which take the place of those in the set-up; None where none is given.
 
     Attributes
@@ -57,7 +57,7 @@ def record(
     out: Path,
     *,
     setup: Path | None = None,
-    wishes: Wishes | None = None,
+    options: RecordOptions | None = None,
     replace: bool = False,
     show: Callable[[str], None] | None = None,
 ) -> Account:
@@ -69,7 +69,7 @@ def record(
         The file to write; it is readable from its first block on.
     setup
         File of the test set-up; its folder is where the set-up's own paths begin.
-    wishes
+    options
         Settings that take the place of those in the set-up.
     replace
         Whether an old file of this name may be deleted.
@@ -90,7 +90,7 @@ def record(
     """
     if out.suffix.lower() not in (".h5", ".hdf5"):
         raise ValueError(f"cannot record to {out}: recordings are written as .h5; `aerobalance convert` makes others")
-    chosen = wished(setup, wishes or Wishes())
+    chosen = chosen_setup(setup, options or RecordOptions())
     folder = Path() if setup is None else setup.parent
     for found in recover_all(out.parent):
         text = "its record was broken off by a kill after it had lost its name; what was written is in it"
@@ -109,7 +109,7 @@ def record(
     return _account(progress, bool(signals), [said.text for said in session.said if said.kind == "refused"])
 
 
-def wished(setup: Path | None, wishes: Wishes) -> Setup:
+def chosen_setup(setup: Path | None, options: RecordOptions) -> Setup:
     """Return the set-up with the settings of the command line in it.
 
     Raises
@@ -121,13 +121,13 @@ def wished(setup: Path | None, wishes: Wishes) -> Setup:
     if setup is not None:
         given = load_setup(setup).model_dump(exclude_none=True, exclude_unset=True)
     source = dict(given.get("source", {}))
-    if wishes.source is not None and source.get("kind", wishes.source) != wishes.source:
+    if options.source is not None and source.get("kind", options.source) != options.source:
         source = {}  # settings of another kind of source would not fit
-    source["kind"] = wishes.source or source.get("kind", "simulated")
+    source["kind"] = options.source or source.get("kind", "simulated")
     if source["kind"] not in SOURCES:
         raise ValueError(f"--source must be one of {', '.join(SOURCES)}, not {source['kind']}")
-    options = {"file": wishes.file and str(wishes.file.resolve()), "rig": wishes.rig, "speed": wishes.speed}
-    for name, value in (options | {"seed": wishes.seed}).items():
+    extra = {"file": options.file and str(options.file.resolve()), "rig": options.rig, "speed": options.speed}
+    for name, value in (extra | {"seed": options.seed}).items():
         if value is None:
             continue
         if name not in SOURCES[source["kind"]].model_fields:
@@ -136,8 +136,8 @@ def wished(setup: Path | None, wishes: Wishes) -> Setup:
     if source["kind"] == "replay" and "file" not in source:
         raise ValueError("--source replay needs --file RECORDING, or a set-up that names it")
     given["source"] = source
-    if wishes.seconds is not None:
-        given["record"] = given.get("record", {}) | {"seconds": wishes.seconds}
+    if options.seconds is not None:
+        given["record"] = given.get("record", {}) | {"seconds": options.seconds}
     return setup_from(given, setup or "command line")
 
 

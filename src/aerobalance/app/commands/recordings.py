@@ -9,7 +9,7 @@ import numpy as np
 
 from aerobalance.app.commands.answers import short
 from aerobalance.app.commands.loads import convert_matrix
-from aerobalance.app.commands.shared import Account, check_out, doubts, raw_recording, table_text
+from aerobalance.app.commands.shared import Account, check_out, collected_warnings, raw_recording, table_text
 from aerobalance.io import as_it_went_in, check_output, column_names, hdf5_file, template, write_recording
 from aerobalance.io.balance_file import is_matrix
 from aerobalance.io.kinds import CONVERTED
@@ -25,7 +25,7 @@ NO_TIME: Final = 1e-12
 
 def info(path: Path, *, channel_map: Path | None = None) -> Account:
     """Channels, units, rate, duration, gaps and saturation of a recording."""
-    with doubts() as collected:
+    with collected_warnings() as collected:
         recording = raw_recording(path, channel_map)
     account: Account = {
         "file": path.name,
@@ -97,7 +97,7 @@ def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Accoun
         return convert_matrix(path, out)
     check_output(out)
     check_out(out, path, channel_map, kind=CONVERTED if out.suffix.lower() in hdf5_file.SUFFIXES else "")
-    with doubts() as collected:
+    with collected_warnings() as collected:
         recording = raw_recording(path, channel_map)
         kept = out.suffix.lower() in hdf5_file.SUFFIXES
         told = [] if kept else [channel.name for channel in recording if _described(channel)]

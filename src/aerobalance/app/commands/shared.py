@@ -1,4 +1,4 @@
-"""What all commands share: the account of a result, its doubts, and where it may be written."""
+"""What all commands share: the summary of a result, its warnings, and where it may be written."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from aerobalance.io import (
     load_channel_map,
     read,
 )
-from aerobalance.io.held_file import refuse_held
 from aerobalance.io.kinds import EMPTY, kind_of
+from aerobalance.io.locked_file import refuse_locked
 from aerobalance.io.safe_write import OUTPUTS, reason_of
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning, FitError, warn_quality
@@ -31,8 +31,8 @@ Account = dict[str, Any]
 
 
 @contextmanager
-def doubts() -> Iterator[list[str]]:
-    """Collect what is doubted while a result is worked out; at the end, list each text once and pass it on."""
+def collected_warnings() -> Iterator[list[str]]:
+    """Collect the warnings about a result while it is worked out; at the end, list each text once and pass it on."""
     texts: list[str] = []
     caught: list[warnings.WarningMessage] = []
     try:
@@ -81,7 +81,7 @@ def check_out(out: Path | None, *inputs: Path | None, kind: str = "") -> None:
         _check_place(out, [file for file in inputs if file is not None])
     except OSError as error:
         raise ValueError(f"cannot use {error.filename or out}: {reason_of(error)}") from None
-    refuse_held(out)
+    refuse_locked(out)
     if OUTPUTS.active:
         OUTPUTS.wanted.append(out)
     if not OUTPUTS.replace and out.exists():

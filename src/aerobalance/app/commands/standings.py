@@ -94,7 +94,7 @@ def _without_truth(row: BaselineEstimate, found: Sequence[BaselineEstimate]) -> 
 
 
 def verdict(rows: Sequence[Account], *, unit: str = "N") -> list[str]:
-    """Say who is first by each measure, and so where this estimator is not."""
+    """Return who is first by each measure, and so where this estimator is not."""
     own = next(row for row in rows if row["name"] == THIS)
     if "rms" not in own:
         return [f"{THIS} could not be run: {own['lacking']}"]
@@ -108,7 +108,7 @@ def verdict(rows: Sequence[Account], *, unit: str = "N") -> list[str]:
 
 
 def _place(own: Account, others: Sequence[Account], measure: str, *, unit: str) -> str:
-    """Say where this estimator stands: among what a user can run, and beside what only the truth could tune."""
+    """Return where this estimator stands: among what a user can run, and beside what only the truth could tune."""
     mine = abs(own[measure])
     texts = []
     for tuned in (False, True):

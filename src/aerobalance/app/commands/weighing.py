@@ -11,7 +11,7 @@ import numpy as np
 
 from aerobalance.app.commands.answers import quantities, quantity_table, short
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.shared import Account, check_out, doubts, known_component, recording_of
+from aerobalance.app.commands.shared import Account, check_out, collected_warnings, known_component, recording_of
 from aerobalance.balance.weighing.from_outputs import weigh as weigh_recordings
 from aerobalance.io import load_channel_map
 from aerobalance.io.mass_file import read_masses, weighing_payload, write_weighing
@@ -44,7 +44,7 @@ def weigh(
     check_out(out, *paths, channel_map, *(() if files is None else files.paths), kind="mass")
     chosen = None if channel_map is None else load_channel_map(channel_map)
     names = None if component is None else (component,)
-    with doubts() as collected:
+    with collected_warnings() as collected:
         if files is None:
             weighing = weigh_recordings(read_points(paths, names, channel_map=chosen), gravity=gravity)
         else:

@@ -17,7 +17,7 @@ import numpy as np
 from aerobalance.app.commands import calibration, force, weighing
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.identify_coupled import identify_decays
-from aerobalance.app.commands.shared import Account, doubts, seed_for
+from aerobalance.app.commands.shared import Account, collected_warnings, seed_for
 from aerobalance.app.reports.page import write_page
 from aerobalance.app.reports.six_figures import SixFigure, six_figure
 from aerobalance.estimation.force import estimate_force
@@ -99,7 +99,7 @@ def run_six(out: Path, *, seed: int | None = None) -> Account:
     seed = seed_for(out, seed)
     folder = DemoFolder(out, np.random.default_rng(seed))
     balance = random_balance(folder.generator)
-    with doubts() as collected:
+    with collected_warnings() as collected:
         files = calibrated(folder, balance)
         mass = weighed(folder, balance, files)
         dynamics = identified(folder, balance, files, mass)
@@ -224,7 +224,7 @@ def _diagonal(run: Path, dynamics: Path, files: BalanceFiles) -> Mapping[str, Ar
         covariance=np.zeros_like(known.covariance),
     )
     recording = replace(files.loads(read(run), model=alone).recording, from_outputs=False)
-    with doubts():
+    with collected_warnings():
         return {name: found.values for name, found in estimate_force(recording, alone, bandwidth=band).items()}
 
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from aerobalance.app.commands.shared import doubts, seed_for
+from aerobalance.app.commands.shared import collected_warnings, seed_for
 from aerobalance.app.commands.standings import verdict
 from aerobalance.app.reports.page import write_page
 from aerobalance.dynamics.single import Dynamics
@@ -114,7 +114,7 @@ def run_tables(out: Path, *, seed: int | None = None) -> Account:
     seed = seed_for(out, seed)
     tunnel, rig = (np.random.default_rng(part) for part in np.random.SeedSequence(seed).spawn(2))
     experiments = []
-    with doubts() as collected:
+    with collected_warnings() as collected:
         for balance, parts in ((CABLE_CUT, tunnel_experiments(tunnel)), (VIBRATION_RIG, rig_experiments(rig))):
             generator = tunnel if balance is CABLE_CUT else rig
             dynamics, response = _identified(balance, generator)

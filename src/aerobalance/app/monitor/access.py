@@ -39,7 +39,7 @@ HEADERS: Final = {
 
 
 def is_loopback(host: str) -> bool:
-    """Say whether an address is that of this computer alone."""
+    """Return whether an address is that of this computer alone."""
     if host == "localhost":
         return True
     try:

@@ -126,7 +126,7 @@ def _loads(update: Update, watching: Watching) -> Iterator[_Alarm]:
 
 
 def _beyond(name: str, reading: ShownReading, limits: tuple[float, float], unit: str) -> _Alarm:
-    """Say by which value a reading is beyond which of its limits."""
+    """Return by which value a reading is beyond which of its limits."""
     low, high = limits
     lower = low - reading.least > reading.largest - high
     value, limit = (reading.least, low) if lower else (reading.largest, high)

@@ -20,7 +20,7 @@ from aerobalance.recording.errors import FitError
 
 
 def panel_of(setup: Setup, info: SourceInfo, folder: Path, zeros: Mapping[str, float]) -> Panel:
-    """Say what is watched.
+    """Return what is watched.
 
     Parameters
     ----------

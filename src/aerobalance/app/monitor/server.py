@@ -36,7 +36,7 @@ from aerobalance.app.monitor.state import state_of
 from aerobalance.app.monitor.tasks import TOGETHER
 from aerobalance.app.monitor.viewer import Viewer
 from aerobalance.app.options import as_options
-from aerobalance.io.held_file import is_held
+from aerobalance.io.locked_file import is_locked
 from aerobalance.io.messages import first_fault
 from aerobalance.recording.errors import FitError, ReadError
 
@@ -298,18 +298,18 @@ class Page:
             return _refusal(problem, model)
         return JSONResponse({"done": True, "number": found if isinstance(found, int) else None})
 
-    def _record(self, wish: _RecordBody) -> None:
-        self.session.records.begin(wish.name, notes=wish.notes, seconds=wish.seconds, asked=wish.asked)
+    def _record(self, body: _RecordBody) -> None:
+        self.session.records.begin(body.name, notes=body.notes, seconds=body.seconds, asked=body.asked)
 
-    def _job(self, wish: _TaskBody) -> int:
-        settings = {key: value for key in ("component", "mass", "dynamics") if (value := getattr(wish, key))}
-        return self.session.tasks.run(wish.verb, [wish.recording, *wish.others], settings)
+    def _job(self, body: _TaskBody) -> int:
+        settings = {key: value for key in ("component", "mass", "dynamics") if (value := getattr(body, key))}
+        return self.session.tasks.run(body.verb, [body.recording, *body.others], settings)
 
-    def _apply(self, wish: _Apply) -> None:
-        self.session.apply(setup_from(wish.setup), name=wish.name)
+    def _apply(self, body: _Apply) -> None:
+        self.session.apply(setup_from(body.setup), name=body.name)
 
-    def _rig(self, wish: _Rig) -> None:
-        self.session.apply(rig_setup(wish.rig), name=None)
+    def _rig(self, body: _Rig) -> None:
+        self.session.apply(rig_setup(body.rig), name=None)
 
     # ---- viewers
 
@@ -335,7 +335,7 @@ class Page:
 
 def _download(path: Path) -> Response:
     """A file to be kept; what a record that is being written holds at this moment, as a whole file."""
-    if not is_held(path):
+    if not is_locked(path):
         return FileResponse(path, media_type="application/octet-stream", filename=path.name)
     from aerobalance.io.hdf5_snapshot import FileSnapshot  # noqa: PLC0415 - the library of HDF5 comes with it
 
@@ -367,7 +367,7 @@ async def _body(request: Request) -> bytes:
 
 
 def _refusal(problem: Exception, model: type[_Body]) -> Response:
-    """Say what was wrong with a request, and with which field."""
+    """Return what was wrong with a request, and with which field."""
     if isinstance(problem, ValidationError):
         where, what = first_fault(problem, model)
         text = f"{where}: {what}" if where else "the request is no JSON"

@@ -21,7 +21,7 @@ from aerobalance.app.monitor.setups import check_files, check_set_up
 from aerobalance.app.monitor.stepped_sine import SteppedSineRun
 from aerobalance.app.monitor.tasks import Tasks
 from aerobalance.app.monitor.workers import Engine
-from aerobalance.io.held_file import recover_all
+from aerobalance.io.locked_file import recover_all
 
 POLLED: Final = 0.1
 """Time between looks at source and recorder [s]."""

@@ -59,7 +59,7 @@ class Panel:
     clocked
         Whether the source's clock is steady.
     dynamics
-        Dynamics of the components whose force is wanted, by name, or of those that ring together.
+        Dynamics of the components whose force is wanted, by name, or of coupled ones.
     half_ranges
         Half of the range of components, SI.
     limits

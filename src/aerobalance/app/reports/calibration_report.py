@@ -97,7 +97,7 @@ def write_calibration_report(
 
 
 def _doubts(calibration: Calibration, quality: Quality) -> list[str]:
-    """Say what speaks against the matrix beyond what was warned about."""
+    """Return what speaks against the matrix beyond what was warned about."""
     names = calibration.schedule.components
     wide = [
         f"{name} ({100 * value:.2f} %)"

@@ -144,7 +144,7 @@ def fixed(value: float | None, places: int) -> str:
 
 
 def decimals(u: float | None, *, most: int = 8) -> int:
-    """Give the decimals at which a standard uncertainty keeps two digits."""
+    """Return the decimals at which a standard uncertainty keeps two digits."""
     if not u or not np.isfinite(u):
         return 3
     return min(most, max(0, 1 - int(np.floor(np.log10(u)))))

@@ -245,7 +245,7 @@ def check_residuals(schedule: Schedule, residuals: Array, *, deviation: Array) -
 
 
 def _blame(schedule: Schedule, residuals: Array) -> str:
-    """Name the series that the residuals of one component come from."""
+    """Return the name of the series that the residuals of one component come from."""
     series = schedule.series[schedule.fitted]
     sums = {number: float(np.sum(residuals[series == number] ** 2)) for number in np.unique(series)}
     total = sum(sums.values())

@@ -17,7 +17,7 @@ from aerobalance.balance.calibration.checks import check_residuals, check_schedu
 from aerobalance.balance.calibration.normalised_points import NormalisedPoints
 from aerobalance.balance.calibration.regression import Choice, Regression, residual_deviation, without_intercepts
 from aerobalance.balance.calibration.selection import Unidentified, identifiable, select
-from aerobalance.balance.calibration.shrinkage import Fitted, shrink
+from aerobalance.balance.calibration.shrinkage import Design, shrink
 from aerobalance.balance.matrix import BalanceMatrix, Way
 from aerobalance.balance.schedule import Schedule
 from aerobalance.balance.terms import Model, Term, terms_of
@@ -180,6 +180,6 @@ def _chosen(data: NormalisedPoints, terms: tuple[Term, ...], tares: Array) -> Ch
     for i, values in enumerate(data.targets.T):
         nuisance = data.nuisance(i)
         own = without_intercepts(np.column_stack([design, values]), nuisance)
-        points.append(Fitted(own[:, :-1], own[:, -1], values.size - nuisance.shape[1]))
+        points.append(Design(own[:, :-1], own[:, -1], values.size - nuisance.shape[1]))
     coefficients = shrink(points, kinds)
     return Choice(select(coefficients, kinds), coefficients.penalty)

@@ -24,7 +24,7 @@ def warn_of_weaknesses(calibration: Calibration, quality: Quality) -> None:
     if quality.outliers:
         worst = quality.outliers[0]
         count = len(quality.outliers)
-        _doubt(
+        _warn(
             f"{schedule.name}: {f'{count} readings do' if count > 1 else '1 reading does'} not go with the others, "
             f"{'most ' if count > 1 else ''}{schedule.components[worst.component]} at point {worst.label!r} "
             f"({1e3 * worst.residual:+.2g} uV/V, {worst.size} standard deviations); "
@@ -33,14 +33,14 @@ def warn_of_weaknesses(calibration: Calibration, quality: Quality) -> None:
         )
     if calibration.unidentified:
         labels = calibration.unidentified_labels
-        _doubt(
+        _warn(
             f"{schedule.name}: the schedule cannot identify {len(labels)} terms, which are left out: "
             f"{', '.join(labels[:6])}{' ...' if len(labels) > 6 else ''}. Loads that would bring them out have an "
             "error that the uncertainty does not show"
         )
     one_way = [name for name, d in zip(schedule.components, quality.directions, strict=True) if not d.known]
     if one_way:
-        _doubt(
+        _warn(
             f"{schedule.name}: {', '.join(one_way)} loaded in one direction only; whether the bridge is bidirectional "
             "is not known, and loads the other way are extrapolated"
         )
@@ -51,13 +51,13 @@ def warn_of_weaknesses(calibration: Calibration, quality: Quality) -> None:
     ]
     if missed:
         texts = ", ".join(f"{name} ({difference:+.2g} %)" for name, difference in missed)
-        _doubt(
+        _warn(
             f"{schedule.name}: bridges with different sensitivities to + and - loads: {texts}; the model has no term "
             f"for that. Use {argument('model')} abs, 96 or auto"
         )
     inflated = [float(np.nanmax(fit.vif)) for fit in calibration.regressions]
     if max(inflated) > HIGHEST_INFLATION and calibration.model != "auto":
-        _doubt(
+        _warn(
             f"{schedule.name}: some terms are near copies of each other (variance inflation factor up to "
             f"{inflation_text(max(inflated))}, above {HIGHEST_INFLATION:g}); their coefficients mean little one by "
             f"one. {argument('model', 'auto')} keeps of them what the readings support"
@@ -81,7 +81,7 @@ def _warn_of_reading_noise(calibration: Calibration) -> None:
         )
         each = np.ndim(matrix.reading_noise) == 0 and quiet.size < noise.size
         by_each = f". Where bridges differ, give each its own: {argument('reading_noise', {'rNAME': ...})}"
-        _doubt(
+        _warn(
             f"{schedule.name}: readings scatter less about the matrix than the noise given for them: {texts}. "
             "That noise is too large, or not of these readings; their scatter counts for nothing in the "
             f"uncertainty of the loads{by_each if each else ''}"
@@ -96,5 +96,5 @@ def _has_direction(matrix: BalanceMatrix, included: NDArray[np.bool_], index: in
     )
 
 
-def _doubt(text: str) -> None:
+def _warn(text: str) -> None:
     warn_quality(text)

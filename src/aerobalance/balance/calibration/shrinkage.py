@@ -40,7 +40,7 @@ ROUNDING: Final = 1e-12
 """Scatter over capacity that is no more than rounding."""
 
 
-class Fitted(NamedTuple):
+class Design(NamedTuple):
     """Design and values of one component, series intercepts projected out of both: n points, t terms.
 
     Attributes
@@ -76,7 +76,7 @@ class Coefficients:
     penalty: Array
 
 
-def shrink(components: Sequence[Fitted], kinds: NDArray[np.intp]) -> Coefficients:
+def shrink(components: Sequence[Design], kinds: NDArray[np.intp]) -> Coefficients:
     """Return the width of each kind of term, fitted to the readings, and the coefficients with it.
 
     Widths and scatter of the readings by expectation and maximisation; the weights of single coefficients are those of
@@ -119,7 +119,7 @@ class _Problem(NamedTuple):
     freedom: int
 
     @classmethod
-    def of(cls, points: Fitted) -> _Problem:
+    def of(cls, points: Design) -> _Problem:
         Q, R = np.linalg.qr(points.design)
         turned = Q.T @ points.values
         rest = points.values - Q @ turned

@@ -225,7 +225,7 @@ def _warn(separate: Adjustment, *, own_masses: bool, own_centres: bool) -> None:
 
 
 def _common_values(model: WeightModel, common: Adjustment) -> Array:
-    """Give what each component is taken to have where it cannot be told by itself: what they have in common."""
+    """Return the prior of each component: what all have in common, for where it cannot be told by itself."""
     values = np.zeros(len(model.names))
     for index, name in enumerate(model.names):
         parts = name.split(".")

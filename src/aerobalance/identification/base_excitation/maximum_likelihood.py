@@ -22,7 +22,7 @@ from aerobalance.identification.base_excitation.frf_model import (
     response,
 )
 from aerobalance.identification.base_excitation.spectra import Complex
-from aerobalance.identification.levenberg_marquardt import Settings, Step, levenberg_marquardt
+from aerobalance.identification.levenberg_marquardt import DampedStep, Settings, levenberg_marquardt
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 
@@ -197,7 +197,7 @@ def descend(problem: Problem, parameters: Parameters, *, weights: Weights, name:
     top = float(problem.spectra.frequency[-1])
     highest = float(np.log(2 * np.pi * HIGHEST * top))
 
-    def step(state: tuple[Parameters, Point], damping: float) -> Step[tuple[Parameters, Point]]:
+    def step(state: tuple[Parameters, Point], damping: float) -> DampedStep[tuple[Parameters, Point]]:
         parameters, here = state
         slope = np.real(here.jacobian.conj().T @ (here.residual * np.sqrt(weights.weight / here.variance)))
         free = _movable(_free(problem, parameters), parameters, slope=slope, highest=highest)
@@ -212,7 +212,7 @@ def descend(problem: Problem, parameters: Parameters, *, weights: Weights, name:
             found = point(problem, trial, weights=weights)
             return (trial, found), found.cost
 
-        return Step(float(np.max(move**2)), take)
+        return DampedStep(float(np.max(move**2)), take)
 
     here = point(problem, parameters, weights=weights)
     (parameters, here), costs, settled = levenberg_marquardt((parameters, here), here.cost, step, SETTINGS)

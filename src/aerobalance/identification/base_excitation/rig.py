@@ -253,7 +253,7 @@ def _left_out(problem: Problem, estimate: Estimate, *, name: str) -> Mode | None
 
 
 def _mass_notes(implied: float | None, given: float | None, looseness: float) -> list[str]:
-    """Say that the response implies another mass than the one given."""
+    """Return the note that the response implies another mass than the one given."""
     if implied is None or given is None or abs(implied / given - 1) < max(DOUBTFUL_MASS, 3 * looseness):
         return []
     note = (
@@ -264,7 +264,7 @@ def _mass_notes(implied: float | None, given: float | None, looseness: float) ->
 
 
 def _left_out_notes(mode: Mode | None, modes: int | Literal["auto"]) -> list[str]:
-    """Name the mode that the dynamics leave out."""
+    """Return the name of the mode that the dynamics leave out."""
     if mode is None:
         return []
     advice = (
@@ -348,7 +348,7 @@ def _dynamics(
 def _notes(
     dynamics: Dynamics, estimate: Estimate, *, problem: Problem, live: LiveCheck | None, component: str
 ) -> list[str]:
-    """Say what is doubtful about the result."""
+    """Return what is doubtful about the result."""
     spectra = problem.spectra
     notes = []
     if spectra.frequency[-1] < dynamics.natural_frequency or spectra.frequency[0] > dynamics.natural_frequency:

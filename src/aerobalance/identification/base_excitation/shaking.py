@@ -33,8 +33,8 @@ from aerobalance.identification.base_excitation.shaking_record import ShakeRecor
 from aerobalance.identification.base_excitation.shaking_result import (
     ShakeFound,
     ShakingIdentification,
-    doubts_about_shaking,
     shake_advice,
+    shaking_warnings,
     visibility,
 )
 from aerobalance.identification.coupled_modes import ModeTable
@@ -268,7 +268,7 @@ def _result(
         rigid=rigid,
         delay=(delay + float(fit.values[DELAY]), joint.u_delay),
     )
-    return replace(found, notes=tuple(doubts_about_shaking(found)))
+    return replace(found, notes=tuple(shaking_warnings(found)))
 
 
 def _shake(record: ShakeRecord, fit: ShakeParameters, dynamics: CoupledDynamics) -> ShakeFound:

@@ -21,7 +21,7 @@ import numpy as np
 
 from aerobalance.dynamics.inertial_parameters import NUMBERS, mass_basis
 from aerobalance.identification.base_excitation.shaking_record import ShakeRecord
-from aerobalance.identification.levenberg_marquardt import Settings, Step, levenberg_marquardt
+from aerobalance.identification.levenberg_marquardt import DampedStep, Settings, levenberg_marquardt
 from aerobalance.identification.step_relaxation.free_response import Complex
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
@@ -338,12 +338,12 @@ def settle(records: Sequence[ShakeRecord], start: ShakeParameters) -> ShakeParam
         The fit does not settle.
     """
 
-    def step(here: ShakeParameters, damping: float) -> Step[ShakeParameters]:
+    def step(here: ShakeParameters, damping: float) -> DampedStep[ShakeParameters]:
         rows = information_rows(records, here)
         move = least_squares(rows, damping)
         predicted = float(rows[:, -1] @ rows[:, -1] - np.sum((rows[:, -1] - rows[:, :-1] @ move) ** 2))
         trial = here.at(here.values + move)
-        return Step(predicted, lambda: (trial, squares_of(records, trial)))
+        return DampedStep(predicted, lambda: (trial, squares_of(records, trial)))
 
     found = levenberg_marquardt(start, squares_of(records, start), step, SETTINGS)
     if found.settled:

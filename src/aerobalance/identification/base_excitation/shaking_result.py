@@ -23,8 +23,8 @@ from aerobalance.identification.base_excitation.shaking_record import ShakeRecor
 from aerobalance.identification.force_error import error_of, force_weights, highest_of
 from aerobalance.identification.result import (
     CoupledResult,
-    doubt_about_colour,
-    doubt_about_error,
+    colour_warnings,
+    force_error_warnings,
 )
 from aerobalance.identification.step_relaxation.free_response import Complex
 from aerobalance.motion.sensors import motion_name
@@ -216,11 +216,11 @@ def _told_by(
     return np.asarray(products[:DELAY, :DELAY] - np.outer(by_delay, by_delay) / products[DELAY, DELAY])
 
 
-def doubts_about_shaking(found: ShakingIdentification) -> list[str]:
+def shaking_warnings(found: ShakingIdentification) -> list[str]:
     """What is doubtful about the identification from shaking."""
     place = COMPONENTS.index(found.advice.best)
     unit = "rad/s^2" if found.advice.best in MOMENTS else "m/s^2"
-    notes = doubt_about_error(
+    notes = force_error_warnings(
         found,
         left_by="shaken records",
         energy=np.sum([shake.visibility**2 for shake in found.shakes], axis=0),
@@ -230,10 +230,10 @@ def doubts_about_shaking(found: ShakingIdentification) -> list[str]:
         ),
         after=float((found.advice.errors[place] / found.half_range).max()),
     )
-    return [*notes, *doubt_about_colour(found), *_doubts_about_mass(found)]
+    return [*notes, *colour_warnings(found), *_mass_warnings(found)]
 
 
-def _doubts_about_mass(found: ShakingIdentification) -> list[str]:
+def _mass_warnings(found: ShakingIdentification) -> list[str]:
     """What is doubtful about the mass, the symmetries and the delay."""
     notes, rigid = [], found.rigid
     still = [place for place in range(6) if not any(COMPONENTS[place] in shake.seen for shake in found.shakes)]

@@ -131,8 +131,8 @@ def find_dwells(recording: Recording, *, component: str = "AF") -> tuple[Dwell, 
             raise FitError(f"{recording.name}: channel {name} has missing samples; dwells need a record without gaps")
         if name != "live_acceleration" and np.ptp(values) == 0:
             raise FitError(f"{recording.name}: channel {name} does not change; the ground end must be shaken")
-    pieces = _held(columns[component], recording.rate)
-    dwells = [_fit_dwell(columns, component=component, piece=piece, rate=recording.rate) for piece in pieces]
+    stretches = _steady_stretches(columns[component], recording.rate)
+    dwells = [_fit_dwell(columns, component=component, stretch=stretch, rate=recording.rate) for stretch in stretches]
     found = tuple(dwell for dwell in dwells if dwell is not None)
     if not any(dwell.steady for dwell in found):
         raise FitError(
@@ -187,7 +187,7 @@ def _driven(recording: Recording, dynamics: Dynamics) -> Array:
     return irfft(response * rfft(ground - ground.mean(), length), length)[: ground.size]
 
 
-def _held(values: Array, rate: float) -> list[tuple[int, int, float]]:
+def _steady_stretches(values: Array, rate: float) -> list[tuple[int, int, float]]:
     """Find the stretches of one frequency: first sample, one past the last, frequency [Hz].
 
     The window that leaves least of the signal unexplained by its stretches is taken.
@@ -199,15 +199,15 @@ def _held(values: Array, rate: float) -> list[tuple[int, int, float]]:
         width = round(length * rate)
         if width < 16 or 4 * width > values.size:
             continue
-        pieces = _stretches(centred, width=width, rate=rate)
+        stretches = _stretches(centred, width=width, rate=rate)
         explained = sum(
             0.5 * (stop - start) * abs(_sine(centred[start:stop], f, start=start, rate=rate)[0]) ** 2
-            for start, stop, f in pieces
+            for start, stop, f in stretches
         )
-        # A window shorter by far explains as much with pieces cut in two: each piece has to earn its place.
-        unexplained = (total - explained) / total + 1e-3 * len(pieces) / max(1.0, len(best[1]) or len(pieces))
+        # A window shorter by far explains as much with stretches cut in two: each stretch has to earn its place.
+        unexplained = (total - explained) / total + 1e-3 * len(stretches) / max(1.0, len(best[1]) or len(stretches))
         if unexplained < best[0] - 1e-3:
-            best = (unexplained, pieces)
+            best = (unexplained, stretches)
     return best[1]
 
 
@@ -330,10 +330,10 @@ def _refined(values: Array, frequency: float, *, start: int, rate: float) -> tup
 
 
 def _fit_dwell(
-    columns: dict[str, Array], *, component: str, piece: tuple[int, int, float], rate: float
+    columns: dict[str, Array], *, component: str, stretch: tuple[int, int, float], rate: float
 ) -> Dwell | None:
     """Fit one dwell from the first time on at which it is steady, or from half of it on if it never is."""
-    first, stop, guess = piece
+    first, stop, guess = stretch
     stop -= max(1, round(0.02 * (stop - first)))
     attempts = []
     for share in SETTLED:

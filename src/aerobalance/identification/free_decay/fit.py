@@ -21,7 +21,7 @@ from aerobalance.identification.free_decay.amplitude_dependence import (
     bent_where_plain,
 )
 from aerobalance.identification.free_decay.event import first_look
-from aerobalance.identification.free_decay.residual_lines import leftover_line
+from aerobalance.identification.free_decay.residual_lines import residual_line
 from aerobalance.identification.free_decay.waveform import (
     EVIDENCE,
     HEAVIEST,
@@ -176,7 +176,7 @@ def _usable(channel: Channel, name: str) -> NDArray[np.bool_]:
 def _complete(ring: Ring) -> Ring:
     """Take up the lines that the residuals still show, one at a time."""
     for _ in range(MOST_LINES):
-        line = leftover_line(ring)
+        line = residual_line(ring)
         if line is None:
             break
         larger = fit_ring(ring.time, ring.values, ring, lines=(*ring.lines, line))
@@ -202,11 +202,11 @@ def _shortened(ring: Ring) -> Ring:
     blocks = np.array_split(ring.residuals, count)
     sizes = np.array([block.size for block in blocks])
     squares = np.array([block @ block for block in blocks])
-    strange = np.asarray(chi2.sf(squares / float(np.median(squares / sizes)), sizes)) < BLOCK_PROBABILITY
+    unlikely = np.asarray(chi2.sf(squares / float(np.median(squares / sizes)), sizes)) < BLOCK_PROBABILITY
     edges = np.concatenate(([0], np.cumsum(sizes)))
     home = min(int(np.searchsorted(edges, np.searchsorted(ring.time, ring.start), side="right")) - 1, count - 1)
-    last = edges[home + 1 + _first_event(strange[home + 1 :])]
-    first = edges[home - _first_event(strange[:home][::-1])]
+    last = edges[home + 1 + _first_event(unlikely[home + 1 :])]
+    first = edges[home - _first_event(unlikely[:home][::-1])]
     if first == 0 and last == ring.time.size:
         return ring
     part = slice(int(first), int(last))
@@ -222,12 +222,12 @@ def _widened(ring: Ring, whole: Ring) -> Ring:
     return wider if wider.time.size > ring.time.size and len(wider.lines) == len(ring.lines) else ring
 
 
-def _first_event(strange: NDArray[np.bool_]) -> int:
-    """Place of the first strange block behind two that are not, or the number of blocks."""
-    for place in range(2, strange.size):
-        if strange[place] and not strange[place - 2 : place].any():
+def _first_event(unlikely: NDArray[np.bool_]) -> int:
+    """Place of the first unlikely block behind two that are not, or the number of blocks."""
+    for place in range(2, unlikely.size):
+        if unlikely[place] and not unlikely[place - 2 : place].any():
             return place
-    return strange.size
+    return unlikely.size
 
 
 def _check(ring: Ring, name: str, component: str) -> None:
@@ -238,10 +238,10 @@ def _check(ring: Ring, name: str, component: str) -> None:
             f"{name}: {component} rings for {periods:.1f} periods above the noise; at least {FEWEST_PERIODS:g} are "
             "needed: record a larger release, or sample for longer"
         )
-    doubt = float(np.sqrt(ring.covariance[0, 0]))
-    if not ring.decay > 2 * doubt:
+    u_decay = float(np.sqrt(ring.covariance[0, 0]))
+    if not ring.decay > 2 * u_decay:
         raise FitError(
-            f"{name}: the ringing of {component} does not clearly decay ({ring.decay:.3g} 1/s, u = {doubt:.2g}): "
+            f"{name}: the ringing of {component} does not clearly decay ({ring.decay:.3g} 1/s, u = {u_decay:.2g}): "
             "record it for longer, or it is driven and not released"
         )
 
@@ -371,13 +371,13 @@ def _notes(ring: Ring, dynamics: Dynamics, recording: Recording, *, kept: list[i
 
 
 def _beside_the_first(size: float, ring: Ring) -> str:
-    """Say how strongly a further mode rings beside the first."""
+    """Return how strongly a further mode rings beside the first."""
     part = size / ring.amplitude if ring.amplitude else np.inf
     return f"{100 * part:.2g} % of the first" if part <= 1 else "as strong as the first or stronger"
 
 
 def _way_to_take_it_up(ring: Ring, place: int) -> str:
-    """Say which record or option makes a further mode part of the dynamics."""
+    """Return which record or option makes a further mode part of the dynamics."""
     if ring.shape == "free":
         return f"a record of a clean release from rest tells its share of a load, with {argument('modes', 'auto')}"
     if place in _possible_modes(ring, [place]):

@@ -6,13 +6,13 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.identification.free_decay.waveform import Line, Ring, projected
+from aerobalance.identification.free_decay.waveform import DecayLine, Ring, projected
 
 FALSE_ALARM: Final = 1e-6
 """Probability that white noise shows a line somewhere in the spectrum of the residuals."""
 
 
-def leftover_line(ring: Ring) -> Line | None:
+def residual_line(ring: Ring) -> DecayLine | None:
     """The strongest line that the residuals still show, steady or decaying from the release; None if all is noise."""
     if ring.variance < (1e-9 * ring.amplitude) ** 2:
         return None
@@ -21,7 +21,7 @@ def leftover_line(ring: Ring) -> Line | None:
         return None
     left, since = ring.residuals, np.maximum(ring.time - ring.start, 0.0)
     begun = ring.time >= ring.start
-    best: tuple[float, Line] | None = None
+    best: tuple[float, DecayLine] | None = None
     for decay in (0.0, *(2 * np.pi * centre * np.geomspace(0.002, 0.1, 8))):
         for shift in np.linspace(-1, 1, 9) * max(1 / (ring.time[-1] - ring.time[0]), 0.2 * decay):
             w = 2 * np.pi * (centre + shift)
@@ -30,7 +30,7 @@ def leftover_line(ring: Ring) -> Line | None:
             remaining = projected(np.column_stack([fall * np.cos(phase), fall * np.sin(phase)]), left)[1]
             squares = float(remaining @ remaining)
             if best is None or squares < best[0]:
-                best = squares, Line(centre + shift, decay)
+                best = squares, DecayLine(centre + shift, decay)
     return best[1] if best else None
 
 

@@ -36,7 +36,7 @@ EVIDENCE: Final = 20.0
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class DecayLine:
     """A further line in a ringing record: steady (hum, decay 0) or another mode.
 
     Attributes
@@ -85,7 +85,7 @@ class Ring:
     decay: float
     start: float
     duration: float
-    lines: tuple[Line, ...]
+    lines: tuple[DecayLine, ...]
     bent: bool
     vector: Array
     sizes: Array
@@ -160,7 +160,7 @@ class Ring:
 
 
 def fit_ring(
-    time: Array, values: Array, start: Look | Ring, *, lines: tuple[Line, ...] = (), bent: bool | None = None
+    time: Array, values: Array, start: Look | Ring, *, lines: tuple[DecayLine, ...] = (), bent: bool | None = None
 ) -> Ring:
     """Fit the waveform from a first look, or again from an earlier fit with other lines or another window.
 
@@ -228,7 +228,7 @@ def _placed(time: Array, values: Array, look: Look) -> Look:
     return best
 
 
-def _start_vector(start: Look | Ring, shape: Shape, lines: tuple[Line, ...]) -> Array:
+def _start_vector(start: Look | Ring, shape: Shape, lines: tuple[DecayLine, ...]) -> Array:
     vector = [start.decay, 2 * np.pi * start.frequency]
     if shape != "free":
         vector.append(start.start)
@@ -242,7 +242,7 @@ def _start_vector(start: Look | Ring, shape: Shape, lines: tuple[Line, ...]) -> 
 
 
 def _columns(
-    time: Array, shape: Shape, vector: Array, lines: tuple[Line, ...], *, begin: float = 0.0, bent: bool = False
+    time: Array, shape: Shape, vector: Array, lines: tuple[DecayLine, ...], *, begin: float = 0.0, bent: bool = False
 ) -> Array:
     """Linear columns of the waveform: offset, drift, ring, lines, and what bends it; shape (n, p)."""
     decay, w = vector[:2]
@@ -308,7 +308,7 @@ def _scale(start: Look | Ring, shape: Shape, size: int) -> Array:
 
 
 def _search(
-    time: Array, values: Array, shape: Shape, *, start: Look | Ring, lines: tuple[Line, ...], bent: bool = False
+    time: Array, values: Array, shape: Shape, *, start: Look | Ring, lines: tuple[DecayLine, ...], bent: bool = False
 ) -> Ring:
     """Least squares over the nonlinear parameters of one shape."""
     begin = float(time[0])
@@ -327,7 +327,7 @@ def _search(
     fitted = []
     for line in lines:
         decay = abs(float(vector[place + 1])) if line.decay > 0 else 0.0
-        fitted.append(Line(float(vector[place]) / (2 * np.pi), decay))
+        fitted.append(DecayLine(float(vector[place]) / (2 * np.pi), decay))
         place += 1 + (line.decay > 0)
     return Ring(
         shape=shape,
@@ -352,7 +352,7 @@ def _jacobian(
     time: Array,
     shape: Shape,
     vector: Array,
-    lines: tuple[Line, ...],
+    lines: tuple[DecayLine, ...],
     *,
     begin: float,
     scale: Array,

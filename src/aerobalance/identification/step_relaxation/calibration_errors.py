@@ -65,7 +65,7 @@ def coefficient_slopes(
     parts = []
     for number, (record, error) in enumerate(zip(records, errors, strict=True)):
         changes = _changes(fit, number, record, error, sizes=units.sizes, components=components)
-        own, factor = fit.pieces[number].own, fit.linears[number].block
+        own, factor = fit.segments[number].own, fit.linears[number].block
         # what the own parameters of the release take up is no change of the matrices
         taken = np.linalg.solve(factor[:own, :own].T, changes[:own])
         parts.append(changes[own:] - factor[:own, own:-1].T @ taken)
@@ -87,8 +87,8 @@ def _changes(
     components: tuple[str, ...],
 ) -> Array:
     """J' W dX of one release by the errors of the coefficients, shape (parameters, c t)."""
-    piece, whitener = fit.pieces[number], whitener_of(fit.noise)
-    shares = shares_of_changes(piece, fit.motion, fit.own[number])
+    segment, whitener = fit.segments[number], whitener_of(fit.noise)
+    shares = shares_of_changes(segment, fit.motion, fit.own[number])
     rows = np.rint(record.time * record.rate).astype(np.intp)
     n, weight = sizes.size, whitener.T @ whitener / sizes
     wide = len(error.matrix.components) * len(error.matrix.terms)
@@ -104,6 +104,6 @@ def _changes(
         ringing += (both.T @ part.terms[after]).reshape(ringing.shape)
     slopes = shares.slopes.reshape(-1, shares.slopes.shape[2])
     changes = slopes.T @ ringing
-    if piece.kind != "free":
+    if segment.kind != "free":
         changes[n : 2 * n] += held
     return changes

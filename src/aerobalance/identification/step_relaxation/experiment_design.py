@@ -15,7 +15,7 @@ from aerobalance.identification.force_error import error_of, force_weights
 from aerobalance.identification.step_relaxation.fit import ReleaseFit, whitener_of
 from aerobalance.identification.step_relaxation.free_response import Complex, FreeMotion
 from aerobalance.identification.step_relaxation.internal_coordinates import coordinates_of
-from aerobalance.identification.step_relaxation.model import Piece, linearise, of_matrices, state_at_the_edge
+from aerobalance.identification.step_relaxation.model import Segment, linearise, of_matrices, state_at_the_edge
 from aerobalance.identification.step_relaxation.record import ReleaseRecord
 from aerobalance.identification.step_relaxation.stages import Units
 from aerobalance.recording.channel import Array
@@ -138,12 +138,12 @@ def excitation(fit: ReleaseFit) -> tuple[Array, Array]:
     motion, whitener, n = fit.motion, whitener_of(fit.noise), fit.size
     up, _ = pairs(motion)
     amplitude, energy = [], []
-    for piece, own, linear in zip(fit.pieces, fit.own, fit.linears, strict=True):
-        sizes = motion.sizes(*state_at_the_edge(piece, own))
-        begin = piece.edge[1] if piece.kind == "free" else float(own[2 * n])
+    for segment, own, linear in zip(fit.segments, fit.own, fit.linears, strict=True):
+        sizes = motion.sizes(*state_at_the_edge(segment, own))
+        begin = segment.edge[1] if segment.kind == "free" else float(own[2 * n])
         waves = 2 * motion.felt[:, up] * sizes[up]
         amplitude.append(np.linalg.norm(waves, axis=0))
-        time = piece.time[-linear.ringing.shape[0] :] - begin
+        time = segment.time[-linear.ringing.shape[0] :] - begin
         # the mean over a cycle: half the square of the amplitude
         fall = np.sum(np.exp(2 * time[:, None] * motion.poles[up].real), axis=0)
         energy.append(np.linalg.norm(whitener @ waves, axis=0) ** 2 / 2 * fall)
@@ -205,9 +205,9 @@ def advice(
     for number in range(n):
         own = np.zeros(2 * n + 1)
         own[n + number] = step[number] / units.sizes[number]
-        piece = Piece("", time, np.zeros((time.size, n)), "release", (0.0, 0.0), fit.internal)
-        block = linearise(piece, motion, own, whitener=whitener).block
-        rows = np.vstack([fit.information, of_matrices(block, piece.own)[:, :-1]])
+        segment = Segment("", time, np.zeros((time.size, n)), "release", (0.0, 0.0), fit.internal)
+        block = linearise(segment, motion, own, whitener=whitener).block
+        rows = np.vstack([fit.information, of_matrices(block, segment.own)[:, :-1]])
         information = np.asarray(np.linalg.qr(rows, mode="r"))
         errors.append(error_of(physical_covariance(information, fit.matrices, units), weights))
     table = np.array(errors)

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cho_factor, solve_triangular
 
-from aerobalance.identification.levenberg_marquardt import Settings, Step, levenberg_marquardt
+from aerobalance.identification.levenberg_marquardt import DampedStep, Settings, levenberg_marquardt
 from aerobalance.identification.step_relaxation.free_response import FreeMotion
 from aerobalance.identification.step_relaxation.internal_coordinates import coordinates_of, invariances, pinned
-from aerobalance.identification.step_relaxation.model import Linear, Piece, damped, linearise, of_matrices
+from aerobalance.identification.step_relaxation.model import Linear, Segment, damped, linearise, of_matrices
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 
@@ -47,23 +47,23 @@ LEAST_INDEPENDENCE: Final = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReleaseFit:
-    """Matrices and own parameters that explain all pieces best.
+    """Matrices and own parameters that explain all segments best.
 
     Attributes
     ----------
-    pieces
+    segments
         The records.
     matrices
-        A^-1 and A^-1 D row by row, shape (2 N^2,), in the units of the pieces.
+        A^-1 and A^-1 D row by row, shape (2 N^2,), in the units of the segments.
     own
-        Own parameters of every piece.
+        Own parameters of every segment.
     noise
         Covariance of the noise of a row, shape (n, n).
     linears
         Every record near the solution.
     """
 
-    pieces: tuple[Piece, ...]
+    segments: tuple[Segment, ...]
     matrices: Array
     own: tuple[Array, ...]
     noise: Array
@@ -72,7 +72,7 @@ class ReleaseFit:
     @property
     def size(self) -> int:
         """Number of components n."""
-        return int(self.pieces[0].values.shape[1])
+        return int(self.segments[0].values.shape[1])
 
     @property
     def motion(self) -> FreeMotion:
@@ -82,7 +82,7 @@ class ReleaseFit:
     @property
     def parameters(self) -> int:
         """Number of parameters that change readings, those of the records included."""
-        return self.matrices.size - 2 * self.internal**2 + sum(piece.own for piece in self.pieces)
+        return self.matrices.size - 2 * self.internal**2 + sum(segment.own for segment in self.segments)
 
     @property
     def internal(self) -> int:
@@ -110,8 +110,8 @@ class ReleaseFit:
     @property
     def _rows(self) -> list[Array]:
         return [
-            of_matrices(linear.block, piece.own)[:, :-1]
-            for linear, piece in zip(self.linears, self.pieces, strict=True)
+            of_matrices(linear.block, segment.own)[:, :-1]
+            for linear, segment in zip(self.linears, self.segments, strict=True)
         ]
 
 
@@ -121,13 +121,13 @@ def motion_of(matrices: Array, n: int) -> FreeMotion:
     return FreeMotion.of(*matrices.reshape(2, size, size), components=n)
 
 
-def loads_let_go(pieces: Sequence[Piece], own: Sequence[Array]) -> Array:
+def loads_let_go(segments: Sequence[Segment], own: Sequence[Array]) -> Array:
     """Loads let go from rest, one a column, shape (n, r)."""
-    n = pieces[0].values.shape[1]
+    n = segments[0].values.shape[1]
     found = [
         mine[n : 2 * n] - mine[:n]
-        for piece, mine in zip(pieces, own, strict=True)
-        if piece.kind != "free" and not piece.anywhere
+        for segment, mine in zip(segments, own, strict=True)
+        if segment.kind != "free" and not segment.anywhere
     ]
     return np.array(found).reshape(-1, n).T
 
@@ -140,7 +140,7 @@ def whitener_of(noise: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """What is known of the matrices beside the pieces: squares of (target - rows (matrices - about)), unit noise."""
+    """What is known of the matrices beside the segments: squares of (target - rows (matrices - about)), unit noise."""
 
     rows: Array
     target: Array
@@ -152,10 +152,10 @@ class Known:
 
 
 def others_than(fit: ReleaseFit, number: int) -> Known:
-    """What all pieces but one tell about the matrices, near the solution."""
+    """What all segments but one tell about the matrices, near the solution."""
     blocks = [
-        of_matrices(linear.block, piece.own)
-        for place, (linear, piece) in enumerate(zip(fit.linears, fit.pieces, strict=True))
+        of_matrices(linear.block, segment.own)
+        for place, (linear, segment) in enumerate(zip(fit.linears, fit.segments, strict=True))
         if place != number
     ]
     n = fit.matrices.size
@@ -164,7 +164,7 @@ def others_than(fit: ReleaseFit, number: int) -> Known:
 
 
 def settle(
-    pieces: Sequence[Piece],
+    segments: Sequence[Segment],
     matrices: Array,
     own: Sequence[Array],
     *,
@@ -183,24 +183,24 @@ def settle(
     FitError
         The fit does not settle.
     """
-    pieces, own = tuple(pieces), tuple(own)
-    n, whitener = pieces[0].values.shape[1], whitener_of(noise)
+    segments, own = tuple(segments), tuple(own)
+    n, whitener = segments[0].values.shape[1], whitener_of(noise)
     known = known or Known(np.zeros((0, matrices.size)), np.zeros(0), matrices)
-    start = ReleaseFit(pieces, matrices, own, noise, _linears(pieces, matrices, own, whitener))
+    start = ReleaseFit(segments, matrices, own, noise, _linears(segments, matrices, own, whitener))
 
-    def step(here: ReleaseFit, damping: float) -> Step[ReleaseFit]:
-        unseen = invariances(here.matrices, n, loads=loads_let_go(pieces, here.own))
+    def step(here: ReleaseFit, damping: float) -> DampedStep[ReleaseFit]:
+        unseen = invariances(here.matrices, n, loads=loads_let_go(segments, here.own))
         move, moves, promised = _step(here, damping, known=known, unseen=unseen)
 
         def take() -> tuple[ReleaseFit, float]:
             squares = total_squares(here.linears, known, here.matrices)
             trial = here.matrices + move
             tried = tuple(old + change for old, change in zip(here.own, moves, strict=True))
-            found, tried = _tried(pieces, trial, tried, whitener=whitener, known=known, enough=squares)
-            linears = _linears(pieces, trial, tried, whitener) if found < squares else here.linears
+            found, tried = _tried(segments, trial, tried, whitener=whitener, known=known, enough=squares)
+            linears = _linears(segments, trial, tried, whitener) if found < squares else here.linears
             return replace(here, matrices=trial, own=tried, linears=linears), found
 
-        return Step(promised, take)
+        return DampedStep(promised, take)
 
     most = steps * (1 + coordinates_of(matrices) - n)  # valleys bend more with internal coordinates
     settings = replace(SETTINGS, most_steps=most, enough=enough, flat=flat)
@@ -208,17 +208,17 @@ def settle(
     if settled or costs[-1 - VALLEY] - costs[-1] < _worth(fit.linears, whitener):
         return fit
     raise FitError(
-        f"{', '.join(piece.name for piece in pieces)}: the fit of the decays does not settle; are these releases of "
-        "one and the same balance and model, with nothing touching it?"
+        f"{', '.join(segment.name for segment in segments)}: the fit of the decays does not settle; are these "
+        "releases of one and the same balance and model, with nothing touching it?"
     )
 
 
 def reweighed(fit: ReleaseFit, noise: Array) -> ReleaseFit:
     """A settled fit under noise of another covariance; where it no longer settles, it stands where it is."""
     try:
-        return settle(fit.pieces, fit.matrices, fit.own, noise=noise)
+        return settle(fit.segments, fit.matrices, fit.own, noise=noise)
     except FitError:  # the valley of a mode that is left out
-        linears = _linears(fit.pieces, fit.matrices, fit.own, whitener_of(noise))
+        linears = _linears(fit.segments, fit.matrices, fit.own, whitener_of(noise))
         return replace(fit, noise=noise, linears=linears)
 
 
@@ -237,7 +237,7 @@ def _worth(linears: Sequence[Linear], whitener: Array) -> float:
 
 
 def _tried(
-    pieces: tuple[Piece, ...],
+    segments: tuple[Segment, ...],
     trial: Array,
     own: tuple[Array, ...],
     *,
@@ -250,14 +250,14 @@ def _tried(
     rounds = 2 if coordinates_of(trial) > n else 1
     found = np.inf
     for number in range(rounds):
-        if not _bounded(pieces, motion_of(trial, n), own):
+        if not _bounded(segments, motion_of(trial, n), own):
             return np.inf, own
-        linears = _linears(pieces, trial, own, whitener, derivatives=number + 1 < rounds)
+        linears = _linears(segments, trial, own, whitener, derivatives=number + 1 < rounds)
         found = total_squares(linears, known, trial)
         if found < enough:
             break
         if number + 1 < rounds:
-            blocks = [linear.block[: piece.own] for linear, piece in zip(linears, pieces, strict=True)]
+            blocks = [linear.block[: segment.own] for linear, segment in zip(linears, segments, strict=True)]
             own = tuple(
                 mine + np.linalg.lstsq(block[:, : mine.size], block[:, -1], rcond=1e-14)[0]
                 for mine, block in zip(own, blocks, strict=True)
@@ -266,28 +266,35 @@ def _tried(
 
 
 def total_squares(linears: Sequence[Linear], known: Known, matrices: Array) -> float:
-    """Sum of squared weighted residuals of pieces and of what is known."""
+    """Sum of squared weighted residuals of segments and of what is known."""
     return sum(linear.squares for linear in linears) + float(np.sum(known.left(matrices) ** 2))
 
 
 def _linears(
-    pieces: tuple[Piece, ...], matrices: Array, own: tuple[Array, ...], whitener: Array, *, derivatives: bool = True
+    segments: tuple[Segment, ...],
+    matrices: Array,
+    own: tuple[Array, ...],
+    whitener: Array,
+    *,
+    derivatives: bool = True,
 ) -> tuple[Linear, ...]:
     motion = motion_of(matrices, whitener.shape[0])
     return tuple(
-        linearise(piece, motion, mine, whitener=whitener, derivatives=derivatives)
-        for piece, mine in zip(pieces, own, strict=True)
+        linearise(segment, motion, mine, whitener=whitener, derivatives=derivatives)
+        for segment, mine in zip(segments, own, strict=True)
     )
 
 
 def _step(here: ReleaseFit, damping: float, *, known: Known, unseen: Array) -> tuple[Array, list[Array], float]:
-    """Step of the matrices and of each record's own parameters, and the drop of squares that it promises.
+    """DampedStep of the matrices and of each record's own parameters, and the drop of squares that it promises.
 
     Nothing moves along the directions (rows of `unseen`) that change no reading.
     """
-    pieces = here.pieces
-    blocks = [damped(linear.block, piece.own, damping) for linear, piece in zip(here.linears, pieces, strict=True)]
-    common = np.vstack([of_matrices(block, piece.own) for block, piece in zip(blocks, pieces, strict=True)])
+    segments = here.segments
+    blocks = [
+        damped(linear.block, segment.own, damping) for linear, segment in zip(here.linears, segments, strict=True)
+    ]
+    common = np.vstack([of_matrices(block, segment.own) for block, segment in zip(blocks, segments, strict=True)])
     table = np.vstack([common[:, :-1], known.rows])
     target = np.concatenate([common[:, -1], known.left(here.matrices)])
     scale = np.linalg.norm(table, axis=0)
@@ -298,26 +305,26 @@ def _step(here: ReleaseFit, damping: float, *, known: Known, unseen: Array) -> t
     move = np.linalg.lstsq(full, aim, rcond=1e-14)[0] / scale
     moves = []
     promised = float(target @ target - np.sum((target - table @ move) ** 2))
-    for block, piece in zip(blocks, pieces, strict=True):
-        k = piece.own
+    for block, segment in zip(blocks, segments, strict=True):
+        k = segment.own
         aim = block[:k, -1] - block[:k, k:-1] @ move
         moves.append(np.linalg.lstsq(block[:k, :k], aim, rcond=1e-14)[0])
         promised += float(block[:k, -1] @ block[:k, -1])
     return move, moves, promised
 
 
-def _bounded(pieces: tuple[Piece, ...], motion: FreeMotion, own: tuple[Array, ...]) -> bool:
+def _bounded(segments: tuple[Segment, ...], motion: FreeMotion, own: tuple[Array, ...]) -> bool:
     """Whether a trial motion stays finite over the records and its edges lie in them."""
-    longest = max(float(piece.time[-1] - piece.time[0]) for piece in pieces)
+    longest = max(float(segment.time[-1] - segment.time[0]) for segment in segments)
     inside = True
     n = motion.components
-    for piece, mine in zip(pieces, own, strict=True):
-        if piece.kind != "free":
+    for segment, mine in zip(segments, own, strict=True):
+        if segment.kind != "free":
             instant = float(mine[2 * n])
-            inside &= piece.time[0] < instant < piece.time[-1 - 3 * n]
-        if piece.kind == "ramp":
+            inside &= segment.time[0] < instant < segment.time[-1 - 3 * n]
+        if segment.kind == "ramp":
             duration = float(mine[2 * n + 1])
-            inside &= duration >= 0 and piece.edge[0] <= instant and instant + duration <= piece.edge[1]
+            inside &= duration >= 0 and segment.edge[0] <= instant and instant + duration <= segment.edge[1]
     return bool(inside and float(motion.poles.real.max()) * longest < LARGEST_GROWTH)
 
 
@@ -333,8 +340,8 @@ def residual_noise(fit: ReleaseFit, *, least: Array) -> Array:
     return np.asarray(correlation * np.outer(deviation, deviation))
 
 
-def replaced(fit: ReleaseFit, number: int, *, piece: Piece, own: Array) -> ReleaseFit:
+def replaced(fit: ReleaseFit, number: int, *, segment: Segment, own: Array) -> ReleaseFit:
     """The fit with one record taken otherwise, not settled."""
-    pieces = (*fit.pieces[:number], piece, *fit.pieces[number + 1 :])
+    segments = (*fit.segments[:number], segment, *fit.segments[number + 1 :])
     mine = (*fit.own[:number], own, *fit.own[number + 1 :])
-    return replace(fit, pieces=pieces, own=mine)
+    return replace(fit, segments=segments, own=mine)

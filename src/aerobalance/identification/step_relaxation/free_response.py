@@ -25,7 +25,7 @@ CLOSE: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Coefficients:
+class ExponentialSums:
     """Functions of time a exp(p t) + b t exp(p t) + c, summed over the poles.
 
     Attributes
@@ -40,10 +40,10 @@ class Coefficients:
     late: Complex
     constant: Array
 
-    def weighted(self, by_plain: Complex, by_late: Complex) -> Coefficients:
+    def weighted(self, by_plain: Complex, by_late: Complex) -> ExponentialSums:
         """Sum of the functions at earlier instants: by_plain = sum of exp(-p s), by_late = sum of -s exp(-p s)."""
         plain, late = by_plain[:, None, None], by_late[:, None, None]
-        return Coefficients(self.plain * plain + self.late * late, self.late * plain, self.constant)
+        return ExponentialSums(self.plain * plain + self.late * late, self.late * plain, self.constant)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,8 +93,8 @@ class FreeMotion:
         ones = np.ones((time.size, 1))
         return np.hstack([waves.real, waves.imag, steep.real, steep.imag, ones])
 
-    def on_columns(self, functions: Coefficients) -> Array:
-        """Coefficients of real functions on `columns`, shape (4 N + 1, n, k)."""
+    def on_columns(self, functions: ExponentialSums) -> Array:
+        """ExponentialSums of real functions on `columns`, shape (4 N + 1, n, k)."""
         up = self.poles.imag >= 0
         twice = np.where(self.poles[up].imag > 0, 2.0, 1.0)[:, None, None]
         alone = np.where(self.poles[up].imag > 0, 1.0, 0.0)[:, None, None]
@@ -106,21 +106,21 @@ class FreeMotion:
         """Size of every mode with these coordinates from rest and rates at time zero, shape (2 N,)."""
         return np.asarray(self.shares @ np.concatenate([loads, rates]))
 
-    def motion(self, sizes: Complex) -> Coefficients:
+    def motion(self, sizes: Complex) -> ExponentialSums:
         """The motion with modes of these sizes, one function."""
         plain = (self.felt * sizes).T[:, :, None]
-        return Coefficients(plain, np.zeros_like(plain), np.zeros((self.components, 1)))
+        return ExponentialSums(plain, np.zeros_like(plain), np.zeros((self.components, 1)))
 
-    def by_state(self) -> Coefficients:
+    def by_state(self) -> ExponentialSums:
         """Derivatives of the motion by coordinates and rates at time zero, 2 N functions."""
         plain = self.felt.T[:, :, None] * self.shares[:, None, :]
-        return Coefficients(plain, np.zeros_like(plain), np.zeros((self.components, 2 * self.size)))
+        return ExponentialSums(plain, np.zeros_like(plain), np.zeros((self.components, 2 * self.size)))
 
-    def by_time(self, motion: Coefficients) -> Coefficients:
+    def by_time(self, motion: ExponentialSums) -> ExponentialSums:
         """Derivative of a motion by the instant at which it began."""
-        return Coefficients(-self.poles[:, None, None] * motion.plain, motion.late, motion.constant)
+        return ExponentialSums(-self.poles[:, None, None] * motion.plain, motion.late, motion.constant)
 
-    def by_matrices(self, sizes: Complex) -> Coefficients:
+    def by_matrices(self, sizes: Complex) -> ExponentialSums:
         """Derivatives of the motion by the elements of spring and brake, row by row, 2 N^2 functions.
 
         The change dG of the generator moves mode l into mode k by W_k dG V_l (exp(p_k t) - exp(p_l t)) / (p_k - p_l),
@@ -142,7 +142,7 @@ class FreeMotion:
         received = np.einsum("kl,kci->lci", close.astype(np.float64), gained)
         late = late + np.einsum("lci,mjl->lcmij", received, carried) / 2
         shape = (2 * size, n, 2 * size * size)
-        return Coefficients(plain.reshape(shape), late.reshape(shape), np.zeros((n, 2 * size * size)))
+        return ExponentialSums(plain.reshape(shape), late.reshape(shape), np.zeros((n, 2 * size * size)))
 
 
 def generator_of(spring: Array, brake: Array) -> Array:

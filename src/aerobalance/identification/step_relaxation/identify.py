@@ -20,7 +20,7 @@ from aerobalance.identification.result import (
     APPLIED,
     CoupledIdentification,
     ReleaseFound,
-    doubts_about,
+    release_warnings,
 )
 from aerobalance.identification.rigid_body import RigidMassFit, rigid_mass_of
 from aerobalance.identification.step_relaxation.calibration_errors import covariance_of_calibration
@@ -180,7 +180,7 @@ def _check_seen(fit: ReleaseFit, names: tuple[str, ...]) -> None:
     poles = fit.motion.poles
     if not (poles.real < 0).all() or np.count_nonzero(poles.imag > 0) != len(names) + fit.internal:
         raise FitError(
-            f"{_called(fit.pieces)}: the decays do not show {len(names) + fit.internal} decaying modes above the "
+            f"{_called(fit.segments)}: the decays do not show {len(names) + fit.internal} decaying modes above the "
             "noise; add releases along other components, or larger ones"
         )
     energy = np.sum(excitation(fit)[1] ** 2, axis=0)
@@ -188,7 +188,7 @@ def _check_seen(fit: ReleaseFit, names: tuple[str, ...]) -> None:
         mode = int(np.argmin(energy))
         weights = combination_of(fit.motion, mode)
         raise FitError(
-            f"{_called(fit.pieces)}: a mode is not excited above the noise, the one of the combination "
+            f"{_called(fit.segments)}: a mode is not excited above the noise, the one of the combination "
             f"{combination_text(weights, names)} (loads over half of range); add a release along "
             f"{first_release_for(weights[None], names)}"
         )
@@ -203,9 +203,9 @@ def _colour(fit: ReleaseFit) -> Array:
     n = fit.size
     _, rates = pairs(fit.motion)
     near, whole, ordinates = np.zeros(n), np.zeros(n), 0
-    for piece, linear in zip(fit.pieces, fit.linears, strict=True):
+    for segment, linear in zip(fit.segments, fit.linears, strict=True):
         left = linear.ringing
-        interval = float(np.median(np.diff(piece.time)))
+        interval = float(np.median(np.diff(segment.time)))
         power = np.abs(np.fft.rfft(left, axis=0)[1:]) ** 2
         rate = 2 * np.pi * np.arange(1, power.shape[0] + 1) / (left.shape[0] * interval)
         band = (np.abs(rate[:, None] / rates - 1) < 1 / 8).any(axis=1)
@@ -268,7 +268,7 @@ def _result(
         rigid=rigid,
         notes=(),
     )
-    return replace(found, notes=(*doubts_about(found), *notes))
+    return replace(found, notes=(*release_warnings(found), *notes))
 
 
 def _notes_on_modes(found: CoupledIdentification, chosen: ChosenFit) -> list[str]:
@@ -349,14 +349,16 @@ def _releases(fit: ReleaseFit, units: Units, records: list[ReleaseRecord]) -> tu
     n, information = fit.size, fit.information
     size = np.linalg.norm(information, axis=0)
     found = []
-    for number, (piece, own, linear, record) in enumerate(zip(fit.pieces, fit.own, fit.linears, records, strict=True)):
+    for number, (segment, own, linear, record) in enumerate(
+        zip(fit.segments, fit.own, fit.linears, records, strict=True)
+    ):
         zero = record.start + record.time[record.onset]
-        if piece.kind == "free":
-            instant, u, duration, step = piece.edge[1], 0.0, 0.0, np.full(n, np.nan)
+        if segment.kind == "free":
+            instant, u, duration, step = segment.edge[1], 0.0, 0.0, np.full(n, np.nan)
         else:
             instant, step = float(own[2 * n]), (own[n : 2 * n] - own[:n]) * units.sizes
-            duration = float(own[2 * n + 1]) if piece.kind == "ramp" else 0.0
-            k = piece.own
+            duration = float(own[2 * n + 1]) if segment.kind == "ramp" else 0.0
+            k = segment.own
             row = np.linalg.solve(linear.block[:k, :k].T, np.eye(k)[2 * n])
             through = np.linalg.solve((information / size).T, (row @ linear.block[:k, k:-1]) / size)
             u = float(np.sqrt(row @ row + through @ through))
@@ -365,7 +367,7 @@ def _releases(fit: ReleaseFit, units: Units, records: list[ReleaseRecord]) -> tu
         found.append(
             ReleaseFound(
                 name=record.name,
-                kind=piece.kind,
+                kind=segment.kind,
                 instant=float(zero + instant / units.rate),
                 u_instant=u / units.rate,
                 duration=duration / units.rate,

@@ -13,7 +13,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy.linalg import lapack, qr, solve_triangular
 
-from aerobalance.identification.step_relaxation.free_response import Coefficients, Complex, FreeMotion
+from aerobalance.identification.step_relaxation.free_response import Complex, ExponentialSums, FreeMotion
 from aerobalance.recording.channel import Array
 
 Kind = Literal["release", "ramp", "free"]
@@ -26,7 +26,7 @@ WELL_CONDITIONED: Final = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece:
+class Segment:
     """One record in the units of the fit.
 
     Attributes
@@ -88,12 +88,14 @@ class Linear:
     ringing: Array
 
 
-def linearise(piece: Piece, motion: FreeMotion, own: Array, *, whitener: Array, derivatives: bool = True) -> Linear:
+def linearise(
+    segment: Segment, motion: FreeMotion, own: Array, *, whitener: Array, derivatives: bool = True
+) -> Linear:
     """Residuals of a record, and their triangular factor.
 
     Parameters
     ----------
-    piece
+    segment
         The record.
     motion
         Free motion of the trial matrices.
@@ -107,13 +109,13 @@ def linearise(piece: Piece, motion: FreeMotion, own: Array, *, whitener: Array, 
         Whether the factor is wanted.
     """
     n = motion.components
-    held, ringing, since = _parts(piece, own)
-    on_columns, model = _slopes(piece, motion, own) if derivatives else (None, _model(piece, motion, own))
-    columns = motion.columns(piece.time[ringing] - since)
+    held, ringing, since = _parts(segment, own)
+    on_columns, model = _slopes(segment, motion, own) if derivatives else (None, _model(segment, motion, own))
+    columns = motion.columns(segment.time[ringing] - since)
     on = motion.on_columns(model)[:, :, 0]
     on[-1] += own[:n]
-    after = piece.values[ringing] - columns @ on
-    before = piece.values[held] - own[n : 2 * n]
+    after = segment.values[ringing] - columns @ on
+    before = segment.values[held] - own[n : 2 * n]
     squares = float(np.sum((after @ whitener.T) ** 2) + np.sum((before @ whitener.T) ** 2))
     block: Array = np.zeros((0, 0))
     if on_columns is not None:
@@ -152,15 +154,15 @@ class Shares:
     slopes: Array
 
 
-def shares_of_changes(piece: Piece, motion: FreeMotion, own: Array) -> Shares:
+def shares_of_changes(segment: Segment, motion: FreeMotion, own: Array) -> Shares:
     """Derivatives of the readings of a record, not weighted; the arguments are those of `linearise`."""
-    held, ringing, since = _parts(piece, own)
-    return Shares(held, ringing, motion.columns(piece.time[ringing] - since), _slopes(piece, motion, own)[0])
+    held, ringing, since = _parts(segment, own)
+    return Shares(held, ringing, motion.columns(segment.time[ringing] - since), _slopes(segment, motion, own)[0])
 
 
-def _slopes(piece: Piece, motion: FreeMotion, own: Array) -> tuple[Array, Coefficients]:
+def _slopes(segment: Segment, motion: FreeMotion, own: Array) -> tuple[Array, ExponentialSums]:
     """Derivatives of the readings after the edge on the columns, and the motion."""
-    functions, model = _functions(piece, motion, own)
+    functions, model = _functions(segment, motion, own)
     slopes, n = motion.on_columns(functions), motion.components
     slopes[-1, :, :n] += np.eye(n)  # the loads that stay
     return slopes, model
@@ -183,31 +185,31 @@ def _weighted(whitener: Array, table: Array) -> Array:
     return np.asarray(np.einsum("dc,bck->bdk", whitener, table).reshape(-1, table.shape[2]))
 
 
-def _parts(piece: Piece, own: Array) -> tuple[slice, slice, float]:
+def _parts(segment: Segment, own: Array) -> tuple[slice, slice, float]:
     """Rows before and after the edge, and the instant from which the decay counts its time."""
-    n = piece.values.shape[1]
-    if piece.kind == "free":
-        return slice(0, 0), slice(int(np.searchsorted(piece.time, piece.edge[1])), None), piece.edge[1]
+    n = segment.values.shape[1]
+    if segment.kind == "free":
+        return slice(0, 0), slice(int(np.searchsorted(segment.time, segment.edge[1])), None), segment.edge[1]
     instant = float(own[2 * n])
-    if piece.kind == "release":
-        first = int(np.searchsorted(piece.time, instant))
+    if segment.kind == "release":
+        first = int(np.searchsorted(segment.time, instant))
         return slice(0, first), slice(first, None), instant
-    first, last = np.searchsorted(piece.time, piece.edge)
+    first, last = np.searchsorted(segment.time, segment.edge)
     return slice(0, int(first)), slice(int(last), None), instant
 
 
-def state_at_the_edge(piece: Piece, own: Array) -> tuple[Array, Array]:
+def state_at_the_edge(segment: Segment, own: Array) -> tuple[Array, Array]:
     """Coordinates from rest and their rates where the motion begins, shape (N,) each."""
-    n, e = piece.values.shape[1], piece.internal
-    if piece.kind == "free":
+    n, e = segment.values.shape[1], segment.internal
+    if segment.kind == "free":
         return own[n : 2 * n + e], own[2 * n + e :]
-    unseen = own[-2 * e :] if e and piece.anywhere else np.zeros(2 * e)
+    unseen = own[-2 * e :] if e and segment.anywhere else np.zeros(2 * e)
     return np.concatenate([own[n : 2 * n] - own[:n], unseen[:e]]), np.concatenate([np.zeros(n), unseen[e:]])
 
 
-def _started(piece: Piece, motion: FreeMotion, own: Array) -> tuple[Coefficients, Complex]:
+def _started(segment: Segment, motion: FreeMotion, own: Array) -> tuple[ExponentialSums, Complex]:
     """The motion as if it had begun at once, and the sizes of its modes."""
-    sizes = motion.sizes(*state_at_the_edge(piece, own))
+    sizes = motion.sizes(*state_at_the_edge(segment, own))
     return motion.motion(sizes), sizes
 
 
@@ -218,30 +220,30 @@ def _means(motion: FreeMotion, duration: float) -> tuple[Complex, Complex, Compl
     return falls.sum(axis=1), -(falls * duration * place).sum(axis=1), -motion.poles * (falls * place).sum(axis=1)
 
 
-def _model(piece: Piece, motion: FreeMotion, own: Array) -> Coefficients:
+def _model(segment: Segment, motion: FreeMotion, own: Array) -> ExponentialSums:
     """The motion after the edge, loads that stay left out."""
-    whole, _ = _started(piece, motion, own)
-    if piece.kind == "ramp":
+    whole, _ = _started(segment, motion, own)
+    if segment.kind == "ramp":
         plain, late, _ = _means(motion, float(own[2 * motion.components + 1]))
         return whole.weighted(plain, late)
     return whole
 
 
-def _functions(piece: Piece, motion: FreeMotion, own: Array) -> tuple[Coefficients, Coefficients]:
+def _functions(segment: Segment, motion: FreeMotion, own: Array) -> tuple[ExponentialSums, ExponentialSums]:
     """Derivatives by own parameters and matrices, and the motion; the constant of the loads that stay is left out."""
     n, size = motion.components, motion.size
-    whole, sizes = _started(piece, motion, own)
+    whole, sizes = _started(segment, motion, own)
     state, matrices = motion.by_state(), motion.by_matrices(sizes)
-    if piece.kind == "free":
+    if segment.kind == "free":
         nothing = np.zeros((2 * size, n, n), dtype=np.complex128)
-        return _joined([Coefficients(nothing, nothing, np.zeros((n, n))), state, matrices]), whole
+        return _joined([ExponentialSums(nothing, nothing, np.zeros((n, n))), state, matrices]), whole
     loads = _picked(state, slice(n))
-    away = Coefficients(-loads.plain, -loads.late, -loads.constant)
+    away = ExponentialSums(-loads.plain, -loads.late, -loads.constant)
     parts = [away, loads, motion.by_time(whole)]
-    if piece.anywhere:
+    if segment.anywhere:
         parts += [_picked(state, slice(n, size)), _picked(state, slice(size + n, 2 * size))]
     parts.append(matrices)
-    if piece.kind == "release":
+    if segment.kind == "release":
         return _joined(parts), whole
     plain, late, steeper = _means(motion, float(own[2 * n + 1]))
     parts = [part.weighted(plain, late) for part in parts]
@@ -249,12 +251,12 @@ def _functions(piece: Piece, motion: FreeMotion, own: Array) -> tuple[Coefficien
     return _joined(parts), whole.weighted(plain, late)
 
 
-def _picked(functions: Coefficients, which: slice) -> Coefficients:
-    return Coefficients(functions.plain[:, :, which], functions.late[:, :, which], functions.constant[:, which])
+def _picked(functions: ExponentialSums, which: slice) -> ExponentialSums:
+    return ExponentialSums(functions.plain[:, :, which], functions.late[:, :, which], functions.constant[:, which])
 
 
-def _joined(parts: list[Coefficients]) -> Coefficients:
-    return Coefficients(
+def _joined(parts: list[ExponentialSums]) -> ExponentialSums:
+    return ExponentialSums(
         np.concatenate([part.plain for part in parts], axis=2),
         np.concatenate([part.late for part in parts], axis=2),
         np.concatenate([part.constant for part in parts], axis=1),

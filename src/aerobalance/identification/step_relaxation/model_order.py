@@ -238,7 +238,7 @@ def _with_one_less(
 def _by_chance(fit: ReleaseFit, internal: int, more: int) -> float:
     """Log-likelihood that the parameters of the last modes more, of so many internal, may gain by chance."""
     size, fewer = fit.size + internal, internal - more
-    count = 2 * (size**2 - internal**2) - 2 * ((size - more) ** 2 - fewer**2) + 2 * more * len(fit.pieces)
+    count = 2 * (size**2 - internal**2) - 2 * ((size - more) ** 2 - fewer**2) + 2 * more * len(fit.segments)
     return count / 2 * float(np.log(max(fit.degrees_of_freedom, 2)))
 
 
@@ -260,7 +260,7 @@ def gain_over(larger: ReleaseFit, smaller: ReleaseFit) -> float:
 def _physical(fit: ReleaseFit, units: Units, rate: float) -> bool:
     """Whether all modes oscillate, decay lightly damped and lie in the band."""
     poles, sizes = fit.motion.poles, pairs(fit.motion)[1]
-    longest = max(float(piece.time[-1] - piece.edge[1]) for piece in fit.pieces)
+    longest = max(float(segment.time[-1] - segment.edge[1]) for segment in fit.segments)
     return bool(
         _lightly_damped(fit.motion, fit.size + fit.internal)
         and (-poles.real * longest > DECAYS).all()
@@ -334,7 +334,7 @@ def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
         return None
     whitener = whitener_of(fit.noise + ROUNDING**2 * np.eye(fit.size))
     power, beyond = np.zeros((2, count // 2))
-    interval = float(np.median(np.diff(fit.pieces[0].time)))
+    interval = float(np.median(np.diff(fit.segments[0].time)))
     products = _products(fit, count=count, interval=interval)
     for linear in fit.linears:
         left = linear.ringing[:count] @ whitener.T
@@ -379,11 +379,11 @@ def _products(fit: ReleaseFit, *, count: int, interval: float) -> Array:
 def _rings_before(fit: ReleaseFit, line: float, units: Units, records: Sequence[ReleaseRecord]) -> bool:
     """Whether a line is there before the releases as well, as hum is: over stretches of one length on both sides."""
     before, after = 0.0, 0.0
-    for piece, linear, record in zip(fit.pieces, fit.linears, records, strict=True):
-        held = int(np.searchsorted(piece.time, -margin_of(record, units)))
-        if held and piece.time[held - 1] - piece.time[0] > 2 * (2 * np.pi / line):
-            time = piece.time[-len(linear.ringing) :]
-            before += _power_of(line, piece.time[:held], record.values[:held] / units.sizes, fit.noise)
+    for segment, linear, record in zip(fit.segments, fit.linears, records, strict=True):
+        held = int(np.searchsorted(segment.time, -margin_of(record, units)))
+        if held and segment.time[held - 1] - segment.time[0] > 2 * (2 * np.pi / line):
+            time = segment.time[-len(linear.ringing) :]
+            before += _power_of(line, segment.time[:held], record.values[:held] / units.sizes, fit.noise)
             after += _power_of(line, time[:held], linear.ringing[:held], fit.noise)
     return before > BEFORE * after > 0
 

@@ -1,4 +1,4 @@
-"""Where in a recording several components begin to ring together."""
+"""Where in a recording the free decay of several coupled components begins."""
 
 from __future__ import annotations
 

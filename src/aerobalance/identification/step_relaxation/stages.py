@@ -21,7 +21,7 @@ from aerobalance.identification.step_relaxation.fit import (
 )
 from aerobalance.identification.step_relaxation.free_response import FreeMotion
 from aerobalance.identification.step_relaxation.internal_coordinates import renewed
-from aerobalance.identification.step_relaxation.model import Kind, Linear, Piece, state_at_the_edge
+from aerobalance.identification.step_relaxation.model import Kind, Linear, Segment, state_at_the_edge
 from aerobalance.identification.step_relaxation.record import ROUNDING, ReleaseRecord
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
@@ -136,13 +136,13 @@ def with_edges(free: ReleaseFit, records: Sequence[ReleaseRecord], units: Units)
     edged = free
     for number, record in enumerate(records):
         found = _with_edge(free, number, record, units)
-        edged = replaced(edged, number, piece=found.pieces[number], own=found.own[number])
+        edged = replaced(edged, number, segment=found.segments[number], own=found.own[number])
     if free.internal:
         _check_let_go(edged)  # then what fits from anywhere, and from rest
         near = float(edged.parameters)  # a start from which the next fit settles: a deviation off in each
-        edged = _from_rest(settle(edged.pieces, edged.matrices, edged.own, noise=edged.noise, flat=near))
+        edged = _from_rest(settle(edged.segments, edged.matrices, edged.own, noise=edged.noise, flat=near))
     try:
-        settled = settle(edged.pieces, edged.matrices, edged.own, noise=edged.noise)
+        settled = settle(edged.segments, edged.matrices, edged.own, noise=edged.noise)
         return _with_noise(settled, np.full(free.size, ROUNDING))
     except FitError:  # edges that do not agree with each other: the free decays stand
         if free.internal:
@@ -151,37 +151,40 @@ def with_edges(free: ReleaseFit, records: Sequence[ReleaseRecord], units: Units)
 
 
 def _with_noise(fit: ReleaseFit, least: Array) -> ReleaseFit:
-    return settle(fit.pieces, fit.matrices, fit.own, noise=residual_noise(fit, least=least))
+    return settle(fit.segments, fit.matrices, fit.own, noise=residual_noise(fit, least=least))
 
 
 def _check_let_go(fit: ReleaseFit) -> None:
     """Refuse internal coordinates where the loads that are let go are fewer than the components."""
     n = fit.size
-    loads = [own[n : 2 * n] - own[:n] for piece, own in zip(fit.pieces, fit.own, strict=True) if piece.kind != "free"]
+    loads = [
+        own[n : 2 * n] - own[:n] for segment, own in zip(fit.segments, fit.own, strict=True) if segment.kind != "free"
+    ]
     table = np.array([load / np.linalg.norm(load) for load in loads]).reshape(-1, n)
     apart = int(np.count_nonzero(np.linalg.svd(table, compute_uv=False) > APART))
     if apart < n:
         raise FitError(
             f"a mode of the model or sting needs releases of a held load along every component, {n} that are no "
-            f"combinations of each other; there are {apart} among {', '.join(piece.name for piece in fit.pieces)}"
+            f"combinations of each other; there are {apart} among "
+            f"{', '.join(segment.name for segment in fit.segments)}"
         )
 
 
 def _from_rest(fit: ReleaseFit) -> ReleaseFit:
     """The fit with internal coordinates that are at rest at zero before every release, not settled."""
     starts = [
-        np.concatenate(state_at_the_edge(piece, own))
-        for piece, own in zip(fit.pieces, fit.own, strict=True)
-        if piece.kind != "free"
+        np.concatenate(state_at_the_edge(segment, own))
+        for segment, own in zip(fit.segments, fit.own, strict=True)
+        if segment.kind != "free"
     ]
     matrices, turn = renewed(fit.matrices, fit.size, let_go=np.array(starts).T)
     n, unseen = fit.size, 2 * fit.internal
     own = [
-        np.concatenate([mine[:n], turn @ mine[n:]]) if piece.kind == "free" else mine[:-unseen]
-        for piece, mine in zip(fit.pieces, fit.own, strict=True)
+        np.concatenate([mine[:n], turn @ mine[n:]]) if segment.kind == "free" else mine[:-unseen]
+        for segment, mine in zip(fit.segments, fit.own, strict=True)
     ]
-    pieces = tuple(replace(piece, anywhere=False) for piece in fit.pieces)
-    return replace(fit, pieces=pieces, matrices=matrices, own=tuple(own))
+    segments = tuple(replace(segment, anywhere=False) for segment in fit.segments)
+    return replace(fit, segments=segments, matrices=matrices, own=tuple(own))
 
 
 def guess_of(records: Sequence[ReleaseRecord], *, internal: int = 0, guards: Sequence[float] = GUARDS) -> Start:
@@ -257,32 +260,32 @@ def _disturbed(left: Array, fit: ReleaseFit, record: ReleaseRecord) -> bool:
 def _free(
     records: Sequence[ReleaseRecord], units: Units, matrices: Array, *, guards: Sequence[float], noise: Array
 ) -> ReleaseFit:
-    pieces, own = [], []
+    segments, own = [], []
     motion = motion_of(matrices, units.sizes.size)
     for record, guard in zip(records, guards, strict=True):
         time = (record.time - record.time[record.onset]) * units.rate
         begin = float((4 / record.rate + guard) * units.rate) if record.onset else float(time[0])
         internal = motion.size - motion.components
-        piece = Piece(record.name, time, record.values / units.sizes, "free", (begin, begin), internal)
+        segment = Segment(record.name, time, record.values / units.sizes, "free", (begin, begin), internal)
         first = int(np.searchsorted(time, begin))
-        pieces.append(piece)
-        own.append(fit_state(motion, time[first:] - begin, piece.values[first:])[0])
-    return settle(pieces, matrices, own, noise=noise)
+        segments.append(segment)
+        own.append(fit_state(motion, time[first:] - begin, segment.values[first:])[0])
+    return settle(segments, matrices, own, noise=noise)
 
 
 def _with_edge(fit: ReleaseFit, number: int, record: ReleaseRecord, units: Units) -> ReleaseFit:
     """The fit with one record taken as a release from rest, at once or over a duration, where that explains it."""
-    piece = fit.pieces[number]
-    before = int(np.searchsorted(piece.time, -margin_of(record, units)))
+    segment = fit.segments[number]
+    before = int(np.searchsorted(segment.time, -margin_of(record, units)))
     if before < LEAST_HELD:
         return fit
-    held, earliest = piece.values[:before].mean(axis=0), float(piece.time[before - 1])
+    held, earliest = segment.values[:before].mean(axis=0), float(segment.time[before - 1])
     known = others_than(fit, number)
     loose = total_squares([fit.linears[number]], known, fit.matrices)
     kinds: tuple[tuple[Kind, tuple[float, ...]], ...] = (("release", (0.0,)), ("ramp", DURATIONS))
     for kind, shares in kinds:
         begun = [
-            _best_instant(fit, number, held=held, duration=share * (piece.edge[1] - earliest) / 2, earliest=earliest)
+            _best_instant(fit, number, held=held, duration=share * (segment.edge[1] - earliest) / 2, earliest=earliest)
             for share in shares
         ]
         place = int(np.argmin([misfit for _, _, misfit in begun]))
@@ -290,17 +293,17 @@ def _with_edge(fit: ReleaseFit, number: int, record: ReleaseRecord, units: Units
         own = np.concatenate([rest[: fit.size], held, [instant]])
         edge = (instant, instant)
         if kind == "ramp":
-            own = np.append(own, shares[place] * (piece.edge[1] - earliest) / 2)
-            edge = (earliest, piece.edge[1] + AT_FIRST * units.rate)
+            own = np.append(own, shares[place] * (segment.edge[1] - earliest) / 2)
+            edge = (earliest, segment.edge[1] + AT_FIRST * units.rate)
         own = np.append(own, rest[fit.size :])
-        trial = replace(piece, kind=kind, edge=edge, anywhere=fit.internal > 0)
+        trial = replace(segment, kind=kind, edge=edge, anywhere=fit.internal > 0)
         try:
             tight = settle([trial], fit.matrices, [own], noise=fit.noise, known=known, steps=TRIAL_STEPS, enough=1.0)
         except FitError:
             continue
         allowed = EVIDENCE + 6 * fit.size + _fresh(tight.linears[0], fit.linears[number].rows, fit.noise)
         if total_squares(tight.linears, known, tight.matrices) - loose < allowed:
-            return replaced(fit, number, piece=trial, own=tight.own[0])
+            return replaced(fit, number, segment=trial, own=tight.own[0])
     return fit
 
 
@@ -322,11 +325,11 @@ def _best_instant(
 
     What belongs to it are the loads that stay, and the internal coordinates and their rates at the instant.
     """
-    piece, motion, n = fit.pieces[number], fit.motion, fit.size
+    segment, motion, n = fit.segments[number], fit.motion, fit.size
     size = motion.size
-    begin = piece.edge[1]
-    factor = fit.linears[number].block[: piece.own, : piece.own]
-    interval = float(np.median(np.diff(piece.time)))
+    begin = segment.edge[1]
+    factor = fit.linears[number].block[: segment.own, : segment.own]
+    interval = float(np.median(np.diff(segment.time)))
     step = min(0.05 / float(np.abs(motion.poles).max()) * 2 * np.pi, interval)
     grid = np.arange(earliest, begin - duration, step)
     place, weight = (np.polynomial.legendre.leggauss(16)[0] + 1) / 2, np.polynomial.legendre.leggauss(16)[1] / 2

@@ -128,7 +128,7 @@ function choice(name) {
   return box;
 }
 
-// Inertia and damping of all components that ring together; written beside the first of the recordings.
+// Inertia and damping of all coupled components; written beside the first of the recordings.
 async function together() {
   const [recording, ...others] = [...chosen].sort();
   if (!recording) {
@@ -239,7 +239,7 @@ async function showResult(task) {
 }
 
 function showModes(task, account) {
-  open(`${task.recording}: components that ring together; ${task.files.join(", ")}`);
+  open(`${task.recording}: coupled components; ${task.files.join(", ")}`);
   const head = ["Mode", "Natural frequency [Hz]", "Damping ratio [%]"].map((name) =>
     element("th", { class: "n" }, name),
   );

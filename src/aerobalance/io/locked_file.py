@@ -44,7 +44,7 @@ class Mishap(NamedTuple):
     damaged: bool = False
 
 
-class HeldFile:
+class LockedFile:
     """Holds a file that is being written, under whatever name it has.
 
     Parameters
@@ -62,7 +62,7 @@ class HeldFile:
         self.path = path.absolute()
         self._first = self.path
         self._spare = self.path.with_name(f".{path.name[:_LONGEST]}{SPARE}")
-        self._handle = hold(self.path)
+        self._handle = open_locked(self.path)
         self._size = 0
         if sys.platform != "win32":  # there, an open file can be neither deleted nor replaced
             self._link()
@@ -89,7 +89,7 @@ class HeldFile:
         what = "was replaced by another file" if there else "was deleted"
         found = self._new_name() if self._is(self._spare) else None
         if found is not None:
-            handle = hold(found)  # by its new name, so that it can be followed from there
+            handle = open_locked(found)  # by its new name, so that it can be followed from there
             os.close(self._handle)
             self._handle, self.path = handle, found
         return Mishap(f"{old} {what} while it was written", found)
@@ -135,7 +135,7 @@ class HeldFile:
     def _link(self) -> None:
         """Give the file its second name, where the file system has such."""
         with contextlib.suppress(OSError):
-            if os.path.lexists(self._spare) and not is_held(self._spare):
+            if os.path.lexists(self._spare) and not is_locked(self._spare):
                 recover(self._spare)
             os.link(self.path, self._spare)
 
@@ -151,7 +151,7 @@ class HeldFile:
         return None
 
 
-def hold(path: Path) -> int:
+def open_locked(path: Path) -> int:
     """Return the handle of a file that is locked for others to see, where the file system has locks, until closed."""
     handle = os.open(path, os.O_RDONLY)
     if sys.platform != "win32":
@@ -160,8 +160,8 @@ def hold(path: Path) -> int:
     return handle
 
 
-def is_held(path: Path) -> bool:
-    """Say whether a file is being written at this moment, or is otherwise locked by another program."""
+def is_locked(path: Path) -> bool:
+    """Return whether a file is being written at this moment, or is otherwise locked by another program."""
     if sys.platform == "win32":
         return False
     try:
@@ -180,7 +180,7 @@ def is_held(path: Path) -> bool:
         os.close(handle)
 
 
-def refuse_held(path: Path) -> None:
+def refuse_locked(path: Path) -> None:
     """Refuse to replace a file that is being written.
 
     Raises
@@ -188,7 +188,7 @@ def refuse_held(path: Path) -> None:
     ValueError
         It is.
     """
-    if is_held(path):
+    if is_locked(path):
         raise ValueError(
             f"{path} is being recorded, or is in use by another program, and is not replaced; "
             "let that end first, or give another name"
@@ -203,7 +203,7 @@ def recover(spare: Path) -> Path | None:
     spare
         The second name.
     """
-    if not spare.is_file() or spare.is_symlink() or is_held(spare):
+    if not spare.is_file() or spare.is_symlink() or is_locked(spare):
         return None
     found: Path | None = None
     if os.lstat(spare).st_nlink == 1:  # its own name is gone
