@@ -14,7 +14,8 @@ import typer.main
 import aerobalance
 from aerobalance.app.cli.program import app
 from aerobalance.app.options import OPTIONS, as_options
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import force_record
 from aerobalance.identification.free_decay.event import first_look
 from aerobalance.identification.free_decay.fit import _kept_modes, _way_to_take_it_up, identify_decay
@@ -165,7 +166,7 @@ def test_no_ringing_is_said_to_be_more_than_the_load_has(seed):
         "ground_acceleration": Channel("ground_acceleration", ground, "m/s^2", noise=0.01),
     }
     recording = Recording.from_columns(time, channels, name="run")
-    found = misfit_of(force_record(recording, DYNAMICS).job("AF"), noise=1.0)
+    found = misfit_of(force_record(recording, DYNAMICS).component_record("AF"), noise=1.0)
     assert found.size is None or found.size <= 1.1
     for sentence in found.sentences(DYNAMICS):
         for percent in re.findall(r"(-?[\d.e+]+) % of a steady load", sentence):

@@ -10,7 +10,7 @@ import pytest
 from aerobalance.app.cli import main
 from aerobalance.app.commands.compare import compare
 from aerobalance.app.demos import tables
-from aerobalance.dynamics.single import Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.estimation.component_force import noise_of_job
+from aerobalance.estimation.component_force import noise_of_component
 from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.estimation.spectra import noise_floor
@@ -51,7 +51,9 @@ def test_white_spectrum_is_the_noise_of_the_channel(rng):
 
 
 def test_step_beside_one_over_f(rng):
-    noise = noise_of_job(force_record(record_of(noise_of(rng, one_over_f().density)), T128).job("AF"))
+    noise = noise_of_component(
+        force_record(record_of(noise_of(rng, one_over_f().density)), T128).component_record("AF")
+    )
     time = np.arange(N) / RATE
     values = 1020 * T128.step_response(time - 2.5) + noise_of(rng, one_over_f().density, n=N, longer=4)
     found = estimate_force(record_of(values), T128, noise={"AF": noise}).only

@@ -124,11 +124,11 @@ def test_noise_of_a_component_taken_apart_is_what_its_balance_makes_of_all_chann
     )
     found = noise_spectra(recording_of(colored(rng, corners, 40_000)), force_record(run, dynamics))
     frequency = np.array([8.0, 20.0, 400.0, 1000.0])
-    lones = CoupledRecord.of(run, dynamics).lones
+    decoupled = CoupledRecord.of(run, dynamics).decoupled
     for place, (name, spectrum) in enumerate(found.items()):
         density = (1 + np.array(corners) / frequency[:, None]) * NOISE**2 / RATE
         row = np.abs(dynamics.inverse_response(frequency)[:, place]) ** 2
-        expected = np.sum(row * density, axis=1) * np.abs(lones[place].dynamics.response(frequency)) ** 2
+        expected = np.sum(row * density, axis=1) * np.abs(decoupled[place].dynamics.response(frequency)) ** 2
         # 10 s of noise, its 1/f part from the ordinates below the mode: 30 % at 8 and 20 Hz, 5 % where it is white
         # (thousands of ordinates), the spectrum being no exact 1/f near the mode
         assert spectrum.density(frequency) == pytest.approx(expected, rel=0.5), name

@@ -38,7 +38,7 @@ def _noise(balance: CoupledBalance) -> Array:
     return np.outer(size, size) * (np.eye(6) + 0.3 * np.eye(6, k=1) + 0.3 * np.eye(6, k=-1))
 
 
-def test_the_lone_balance_has_the_noise_of_the_coupled_inverse(
+def test_the_decoupled_channel_has_the_noise_of_the_coupled_inverse(
     drawn: Drawn,
 ) -> None:
     balance, dynamics = drawn
@@ -46,10 +46,10 @@ def test_the_lone_balance_has_the_noise_of_the_coupled_inverse(
     frequency = np.geomspace(1, RATE / 2, 200)
     inverse = dynamics.inverse_response(frequency)
     for place, name in enumerate(dynamics.components):
-        lone = DecoupledChannel.of(dynamics, name, noise=noise)
+        decoupled = DecoupledChannel.of(dynamics, name, noise=noise)
         row = inverse[:, place]
         through_all = np.sqrt(np.real(np.einsum("mi,ij,mj->m", row, noise, row.conj())))
-        alone = np.sqrt(noise[place, place]) / np.abs(lone.dynamics.response(frequency))
+        alone = np.sqrt(noise[place, place]) / np.abs(decoupled.dynamics.response(frequency))
         # both are the root of a sum of six squares; the powers of frequency reach 1e4 here, so 1e-12 is rounding
         np.testing.assert_allclose(alone, through_all, rtol=1e-11, err_msg=name)
 
@@ -57,13 +57,13 @@ def test_the_lone_balance_has_the_noise_of_the_coupled_inverse(
 def test_a_component_by_itself_is_left_as_it_is() -> None:
     dynamics = CoupledDynamics(("NF", "AF"), np.diag([1e-6, 4e-6]), np.diag([1e-5, 2e-5]))
     loads = np.random.default_rng(1).normal(size=(100, 2))
-    lone = DecoupledChannel.of(dynamics, "AF", noise=np.diag([9.0, 1.0]))
-    assert lone.alone
-    assert (lone.dynamics.mass, lone.dynamics.damping) == pytest.approx((4e-6, 2e-5), rel=1e-13)
-    assert (lone.reading(loads, interval=1e-4) == loads[:, 1]).all()
+    decoupled = DecoupledChannel.of(dynamics, "AF", noise=np.diag([9.0, 1.0]))
+    assert decoupled.alone
+    assert decoupled.dynamics.quadratic == pytest.approx((2e-5, 4e-6), rel=1e-13)
+    assert (decoupled.reading(loads, interval=1e-4) == loads[:, 1]).all()
 
 
-def test_the_lone_reading_knows_its_own_force_only(drawn: Drawn, rng) -> None:
+def test_the_decoupled_reading_knows_its_own_force_only(drawn: Drawn, rng) -> None:
     """Loads at the frequencies of all modes on all components: what is left is the response to its own."""
     balance, dynamics = drawn
     half_range = balance.half_range
@@ -74,11 +74,11 @@ def test_the_lone_reading_knows_its_own_force_only(drawn: Drawn, rng) -> None:
     lines[~inside] = 0
     felt = np.fft.irfft(np.einsum("mij,mj->mi", dynamics.response(frequency), lines), count, axis=0)
     for place, name in enumerate(dynamics.components):
-        lone = DecoupledChannel.of(dynamics, name, noise=_noise(balance))
+        decoupled = DecoupledChannel.of(dynamics, name, noise=_noise(balance))
         # the free oscillation of the start has to die away to exp(-17) = 4e-8, and then a period and the end follow
-        periods = int(np.ceil(17 / lone.dynamics.decay_rate / (count / RATE))) + 2
-        found = lone.reading(np.tile(felt, (periods, 1)), interval=1 / RATE)[-2 * count : -count]
-        expected = np.fft.irfft(lone.dynamics.response(frequency) * lines[:, place], count)
+        periods = int(np.ceil(17 / decoupled.dynamics.decay_rate / (count / RATE))) + 2
+        found = decoupled.reading(np.tile(felt, (periods, 1)), interval=1 / RATE)[-2 * count : -count]
+        expected = np.fft.irfft(decoupled.dynamics.response(frequency) * lines[:, place], count)
         # straight lines on the finer clock leave (w h / 4)^4 / 240 = 5e-7 of a load at 700 Hz, the band-limited
         # interpolation up to 1e-4 of its rms where the loads of others are much larger than the component's own
         largest = np.abs(felt * (np.abs(dynamics.inertia[place, :6]) * (2 * np.pi * 700) ** 2 + 1)).max()
@@ -86,7 +86,7 @@ def test_the_lone_reading_knows_its_own_force_only(drawn: Drawn, rng) -> None:
 
 
 def test_slopes_are_those_of_differences(drawn: Drawn, rng) -> None:
-    """Change of a row of the inverse response with each element, times the lone balance's response, line by line."""
+    """Change of a row of the inverse response with each element, times its model's response, line by line."""
     balance, dynamics = drawn
     count = 2_500
     frequency = np.fft.rfftfreq(count, 1 / RATE)
@@ -94,14 +94,14 @@ def test_slopes_are_those_of_differences(drawn: Drawn, rng) -> None:
     lines = rng.normal(size=(frequency.size, 6, 2)) @ np.array([1, 1j]) * balance.half_range
     lines[~inside] = 0
     loads = np.fft.irfft(lines, count, axis=0)
-    lone = DecoupledChannel.of(dynamics, "YM", noise=_noise(balance))
-    decays = [mode.damping_ratio * mode.angular_frequency for mode in (*lone.dynamics.modes, *lone.still)]
+    decoupled = DecoupledChannel.of(dynamics, "YM", noise=_noise(balance))
+    decays = [mode.damping_ratio * mode.angular_frequency for mode in (*decoupled.dynamics.modes, *decoupled.still)]
     periods = int(np.ceil(17 / min(decays) / (count / RATE))) + 2
-    slopes = lone.parameter_slopes(np.tile(loads, (periods, 1)), interval=1 / RATE)[-2 * count : -count]
+    slopes = decoupled.parameter_slopes(np.tile(loads, (periods, 1)), interval=1 / RATE)[-2 * count : -count]
     # an internal coordinate has no unit of its own, and forces and moments differ in theirs: steps fit all only
     # in units that make the rows as large as the columns; without, some would make oscillations that grow
     unit = np.diag(matrix_balance(dynamics.inertia, permute=False)[1])
-    for number, own in zip(lone.rows(dynamics), slopes.T, strict=True):
+    for number, own in zip(decoupled.rows(dynamics), slopes.T, strict=True):
         kind, i, j = np.unravel_index(number, (2, *dynamics.inertia.shape))
         name = ("inertia", "damping")[kind]
         own_size = float(np.sqrt(dynamics.inertia[i, i] * dynamics.inertia[j, j])) * unit[i] / unit[j]
@@ -110,8 +110,10 @@ def test_slopes_are_those_of_differences(drawn: Drawn, rng) -> None:
         for sign in (1, -1):
             changed = getattr(dynamics, name).copy()
             changed[i, j] += sign * small
-            rows.append(replace(dynamics, **{name: changed}).inverse_response(frequency)[:, lone.place])
-        change = np.einsum("mj,mj->m", (rows[0] - rows[1]) / (2 * small), lines) * lone.dynamics.response(frequency)
+            rows.append(replace(dynamics, **{name: changed}).inverse_response(frequency)[:, decoupled.place])
+        change = np.einsum("mj,mj->m", (rows[0] - rows[1]) / (2 * small), lines) * decoupled.dynamics.response(
+            frequency
+        )
         expected = np.fft.irfft(change, count)
         # what the interpolation's window leaves (3e-6) each of the two times that something is driven; rounding of a
         # difference over 1e-6, which powers of the frequency raise from 1e-10 to as much; five of these together
@@ -142,10 +144,10 @@ def test_the_ends_of_a_record_are_as_good_as_its_middle(drawn: Drawn, rng) -> No
     turning = np.exp(2j * np.pi * 600 * time)[:, None]
     felt = np.real(turning * (response @ (size * np.exp(1j * phase))))
     for place, name in enumerate(dynamics.components):
-        lone = DecoupledChannel.of(dynamics, name, noise=_noise(balance))
-        own = lone.dynamics.response(np.array([600.0]))[0] * size[place] * np.exp(1j * phase[place])
-        error = lone.reading(felt, interval=1 / RATE) - np.real(turning[:, 0] * own)
-        if lone.dynamics.decay_rate * time[-1] < 17:
+        decoupled = DecoupledChannel.of(dynamics, name, noise=_noise(balance))
+        own = decoupled.dynamics.response(np.array([600.0]))[0] * size[place] * np.exp(1j * phase[place])
+        error = decoupled.reading(felt, interval=1 / RATE) - np.real(turning[:, 0] * own)
+        if decoupled.dynamics.decay_rate * time[-1] < 17:
             continue  # the free oscillation of the start is still there
         # a spline errs by (w h)^4 / 384 = 1e-6 of the sine, at its ends by ten times that (de Boor), and its second
         # difference with it; the loads of the others come in with what A makes of them

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from aerobalance.dynamics.single import PARAMETERS, Dynamics, Mode, extremum_ratio, stiffness_from_damped_frequency
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import PARAMETERS, Dynamics, extremum_ratio, stiffness_from_damped_frequency
 from helpers.cable_cut import T128
 
 RIG = Dynamics("AF", 0.68, 11.43e6, 371.98)

@@ -7,7 +7,7 @@ import pytest
 
 from aerobalance.dynamics.condensation import Condensed, modes_of, partial_fractions, spectral_factor
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.channel import Array
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_bending import Bending, bending_dynamics

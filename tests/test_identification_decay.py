@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2, norm
 
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.identification.free_decay.log_decrement import extrema_fit
 from aerobalance.recording.channel import Channel

@@ -10,7 +10,8 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, filtfilt
 from scipy.stats import chi2
 
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
 from aerobalance.identification import identify_rig
 from aerobalance.recording.channel import Channel

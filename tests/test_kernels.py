@@ -14,7 +14,8 @@ import numba
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force_smoother import LinearSmoother
 from aerobalance.estimation.live import _live_kernels
 from aerobalance.estimation.live.filter import KnownShape, LiveFilter

@@ -38,7 +38,7 @@ def noise_of(balance: CoupledBalance) -> np.ndarray:
     return balance.noise * balance.half_range
 
 
-def lones_of(balance: CoupledBalance) -> list[DecoupledChannel]:
+def channels_of(balance: CoupledBalance) -> list[DecoupledChannel]:
     noise = np.diag(noise_of(balance) ** 2)
     return [DecoupledChannel.of(balance.dynamics, name, noise=noise) for name in COMPONENTS]
 
@@ -48,8 +48,8 @@ def chunks(generator: np.random.Generator, count: int, most: int) -> list[slice]
     return [slice(first, stop) for first, stop in zip([0, *edges], [*edges, count], strict=True)]
 
 
-def apart(generator: np.random.Generator, lones, readings, net=None, *, most: int = 400) -> np.ndarray:
-    live = Decoupler(lones, interval=1 / RATE, moves=net is not None)
+def apart(generator: np.random.Generator, channels, readings, net=None, *, most: int = 400) -> np.ndarray:
+    live = Decoupler(channels, interval=1 / RATE, moves=net is not None)
     net = np.zeros(readings.shape) if net is None else net
     parts = [live.push(readings[part], net[part]) for part in chunks(generator, len(readings), most)]
     return np.concatenate([*parts, live.finish()])
@@ -62,7 +62,7 @@ def from_rest(count: int) -> np.ndarray:
 
 
 def largest(balance: CoupledBalance, readings: np.ndarray, place: int) -> float:
-    """Largest sum of what the loads, at 600 Hz at most, weigh in a lone reading."""
+    """Largest sum of what the loads, at 600 Hz at most, weigh in a channel reading."""
     weight = np.abs(balance.dynamics.inertia[place]) * (2 * np.pi * 600) ** 2
     weight[place] += 1
     return float(np.max(np.abs(readings) @ weight))
@@ -71,11 +71,11 @@ def largest(balance: CoupledBalance, readings: np.ndarray, place: int) -> float:
 def test_the_stream_drained_is_the_whole_record(rng):
     balance = random_balance(rng)
     readings = felt(rng, balance, 4000)
-    found = apart(rng, lones_of(balance), readings)
-    for place, lone in enumerate(lones_of(balance)):
-        expected = lone.reading(readings, interval=1 / RATE)
+    found = apart(rng, channels_of(balance), readings)
+    for place, channel in enumerate(channels_of(balance)):
+        expected = channel.reading(readings, interval=1 / RATE)
         # the same sums in another order: 2e-16 of each of a hundred products, kept for a memory of 1e3 samples
-        assert np.abs(found[:, place] - expected).max() < 2e-11 * largest(balance, readings, place), lone.component
+        assert np.abs(found[:, place] - expected).max() < 2e-11 * largest(balance, readings, place), channel.component
 
 
 def test_hidden_coordinates_are_taken_apart_too(rng):
@@ -87,17 +87,17 @@ def test_hidden_coordinates_are_taken_apart_too(rng):
     force = broadband(rng, Band(0, 150), rms=np.full(6, 50.0), period=1.0)(np.arange(4000) / RATE)[:, :2]
     force *= from_rest(4000)
     readings = load_felt(dynamics, force, interval=1 / RATE)
-    lones = [DecoupledChannel.of(dynamics, name, noise=np.diag([1.0, 0.01])) for name in dynamics.components]
-    found, freed = apart(rng, lones, readings), apart(rng, lones, readings, force)
-    for place, lone in enumerate(lones):
-        assert len(lone.dynamics.modes) == 2
+    channels = [DecoupledChannel.of(dynamics, name, noise=np.diag([1.0, 0.01])) for name in dynamics.components]
+    found, freed = apart(rng, channels, readings), apart(rng, channels, readings, force)
+    for place, channel in enumerate(channels):
+        assert len(channel.dynamics.modes) == 2
         # in the reading each load weighs some ten times itself; rounding as above, and what the weights of an
         # interpolated value leave of a load far below the sampling rate, all of which is known here
         reach = 1e1 * np.abs(readings).max()
-        assert np.abs(found[:, place] - lone.reading(readings, interval=1 / RATE)).max() < 2e-11 * reach, (
-            lone.component
+        assert np.abs(found[:, place] - channel.reading(readings, interval=1 / RATE)).max() < 2e-11 * reach, (
+            channel.component
         )
-        assert np.abs(freed[:, place]).max() < 3e-6 * reach, lone.component
+        assert np.abs(freed[:, place]).max() < 3e-6 * reach, channel.component
 
 
 def test_chunks_do_not_matter_when_taken_apart(rng):
@@ -105,10 +105,10 @@ def test_chunks_do_not_matter_when_taken_apart(rng):
     readings = felt(rng, balance, 2000)
     readings[rng.integers(300, 1900, 3), rng.integers(0, 6, 3)] = np.nan
     net = rng.standard_normal((2000, 6))
-    lones = lones_of(balance)
-    once = apart(rng, lones, readings, net, most=4000)
+    channels = channels_of(balance)
+    once = apart(rng, channels, readings, net, most=4000)
     for most in (3, 100):
-        other = apart(rng, lones, readings, net, most=most)
+        other = apart(rng, channels, readings, net, most=most)
         assert np.array_equal(other, once, equal_nan=True), most
 
 
@@ -119,12 +119,12 @@ def test_known_loads_are_taken_off(rng):
     known *= from_rest(count)
     readings = felt(rng, balance, count)
     more = readings + load_felt(balance.dynamics, known, interval=1 / RATE)
-    lones = lones_of(balance)
-    difference = apart(rng, lones, more, known) - apart(rng, lones, readings)
-    for place, lone in enumerate(lones):
-        # the band-limited interpolation is good to 1e-4 of a load and lone balances leave a tenth of that; straight
-        # lines on the finer clock leave less
-        assert np.abs(difference[:, place]).max() < 2e-5 * largest(balance, more, place), lone.component
+    channels = channels_of(balance)
+    difference = apart(rng, channels, more, known) - apart(rng, channels, readings)
+    for place, channel in enumerate(channels):
+        # the band-limited interpolation is good to 1e-4 of a load and equivalent models leave a tenth of that;
+        # straight lines on the finer clock leave less
+        assert np.abs(difference[:, place]).max() < 2e-5 * largest(balance, more, place), channel.component
 
 
 def test_gap_spoils_its_surroundings_alone(rng):
@@ -132,8 +132,8 @@ def test_gap_spoils_its_surroundings_alone(rng):
     readings = felt(rng, balance, 2000)
     gappy = readings.copy()
     gappy[1000:1030, 2] = np.nan
-    lones = lones_of(balance)
-    whole, found = apart(rng, lones, readings), apart(rng, lones, gappy)
+    channels = channels_of(balance)
+    whole, found = apart(rng, channels, readings), apart(rng, channels, gappy)
     missing = np.flatnonzero(np.isnan(found).any(axis=1))
     assert (missing[0], missing[-1]) == (1000 - MARGIN, 1029 + MARGIN)
     assert np.array_equal(found[: 1000 - MARGIN], whole[: 1000 - MARGIN])
@@ -176,26 +176,26 @@ def run(generator, live: LiveForce, readings: np.ndarray, *, most: int = 500, **
     }
 
 
-def test_live_is_the_smoother_of_the_lone_reading(rng):
+def test_live_is_the_smoother_of_the_decoupled_reading(rng):
     balance, live = started(rng)
     readings = felt(rng, balance, 4000)
     found = run(rng, live, readings)
-    for lone in lones_of(balance):
-        part = dict(live._named_parts())[lone.component]
-        reading = lone.reading(readings, interval=1 / RATE)
+    for channel in channels_of(balance):
+        part = dict(live._named_parts())[channel.component]
+        reading = channel.reading(readings, interval=1 / RATE)
         learned = part.settings.learned
         for k in rng.integers(1500, 3900, 2):
             seen = reading[: k + part.settings.lag + 1]
-            system = Observation(reading[: part.settings.lag // 2], 1 / RATE, lone.dynamics).system(learned)
+            system = Observation(reading[: part.settings.lag // 2], 1 / RATE, channel.dynamics).system(learned)
             filter_ = KalmanFilter.of(system, np.isfinite(seen))
             (size,), ((variance,),), _ = generalised_least_squares(filter_, seen, np.ones((seen.size, 1)))
             states, spread = filter_.smooth((seen - size)[:, None])[:, 0], filter_.smoothed_variance
             slope = 1 - filter_.smooth(np.ones((seen.size, 1)))[k, 0, FORCE]
             value, deviation = states[k, FORCE] + size, np.sqrt(spread[k] + variance * slope**2)
-            force, uncertainty = found[lone.component][k]
+            force, uncertainty = found[channel.component][k]
             # as for one component, where the gain changes slowly; the readings differ by 1e-5 of a noise of 1e-4
-            assert abs(force - value) < 1e-2 * deviation, (lone.component, k)
-            assert uncertainty == pytest.approx(deviation, rel=2e-3), (lone.component, k)
+            assert abs(force - value) < 1e-2 * deviation, (channel.component, k)
+            assert uncertainty == pytest.approx(deviation, rel=2e-3), (channel.component, k)
 
 
 def pair() -> CoupledDynamics:

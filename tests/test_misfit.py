@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import force_record
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array, Channel
@@ -34,7 +35,7 @@ def identified(truth: Dynamics, generator: np.random.Generator) -> Dynamics:
 
 
 def looked_at(recording: Recording, dynamics: Dynamics) -> Misfit:
-    return misfit_of(force_record(recording, dynamics).job(dynamics.component), noise=2.0)
+    return misfit_of(force_record(recording, dynamics).component_record(dynamics.component), noise=2.0)
 
 
 def shaken(

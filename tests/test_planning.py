@@ -12,7 +12,8 @@ from scipy.integrate import quad
 
 from aerobalance.app.cli import main
 from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Array

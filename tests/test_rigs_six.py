@@ -11,7 +11,7 @@ from scipy.linalg import eigh
 
 from aerobalance.balance.loads import loads_of_outputs
 from aerobalance.balance.zeros import gauge_zero
-from aerobalance.dynamics.single import Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.simulation import (
     Band,

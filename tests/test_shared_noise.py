@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import EquivalentModel, Mode
 from aerobalance.estimation.correlated_noise import UNSEEN, NoiseMatrix, SharedNoise, filtered, shared_noise
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force import Fitted, estimate_force, noise_shared
@@ -60,7 +60,7 @@ def _soft_loads(rng: np.random.Generator) -> tuple[CoupledBalance, SixSimulation
 
 def _record(balance: CoupledBalance, simulation: SixSimulation) -> tuple[CoupledRecord, dict[str, SharedNoise]]:
     record = CoupledRecord.of(simulation.recording, balance.dynamics)
-    fits = {name: Fitted.of(job, hum="keep") for name, job in record.jobs(record.loads).items()}
+    fits = {name: Fitted.of(one, hum="keep") for name, one in record.component_records(record.loads).items()}
     return record, noise_shared(fits, record, filled=record.loads)
 
 
@@ -69,7 +69,7 @@ def _random_matrix(rng: np.random.Generator) -> NoiseMatrix:
     mixed = rng.normal(size=(5, 3, 3)) + 1j * rng.normal(size=(5, 3, 3))
     whole = mixed @ mixed.conj().transpose(0, 2, 1) + 0.1 * np.eye(3)
     return NoiseMatrix(
-        balances=tuple(Dynamics(name, 1.0, 1e4, 1.0) for name in ("NF", "PM", "AF")),
+        models=tuple(EquivalentModel(name, Mode(16.0, 0.005)) for name in ("NF", "PM", "AF")),
         frequency=np.linspace(0, 1, 5),
         whole=whole,
         own=whole,
@@ -113,16 +113,16 @@ def test_noise_response_is_that_of_the_filters(rng) -> None:
     rate, count = 25_000.0, 400_000
     frequency = rate / (count // 10) * round(rng.uniform(40, 900) * (count // 10) / rate)
     time = np.arange(count) / rate
-    for lone in record.lones:
+    for decoupled in record.decoupled:
         sines = np.zeros((count, 6))
         channel = int(rng.integers(6))
         sines[:, channel] = balance.half_range[channel] * np.sin(2 * np.pi * frequency * time)
-        expected = balance.half_range[channel] * lone.noise_response(np.array([frequency]))[0, channel]
+        expected = balance.half_range[channel] * decoupled.noise_response(np.array([frequency]))[0, channel]
         # at the end, when free motion has died away
         late = slice(-count // 10, None)
-        read = lone.reading(sines, interval=1 / rate)[late]
+        read = decoupled.reading(sines, interval=1 / rate)[late]
         found = 2j * np.mean(read * np.exp(-2j * np.pi * frequency * time[late]))
-        size = abs(expected) + 1e-6 * balance.half_range[lone.place]
+        size = abs(expected) + 1e-6 * balance.half_range[decoupled.place]
         assert abs(found - expected) < 1e-3 * size
 
 
@@ -161,7 +161,7 @@ def test_what_is_left_is_as_noisy_as_said(rng) -> None:
     readings = readings - readings.mean(axis=0)
     for name, one in shared.items():
         place = balance.dynamics.components.index(name)
-        z = {other: record.lones[other].reading(readings, interval=1 / 25_000) for other in (place, *one.others)}
+        z = {other: record.decoupled[other].reading(readings, interval=1 / 25_000) for other in (place, *one.others)}
         left = z[place] - filtered(one.weights, np.column_stack([z[other] for other in one.others]))
         power = np.abs(np.fft.rfft(left * np.hanning(left.size))) ** 2 / (25_000 * np.sum(np.hanning(left.size) ** 2))
         frequency = np.fft.rfftfreq(left.size, 1 / 25_000)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.live.decoupling import Decoupler, decoupled
 from aerobalance.estimation.live.filter import false_alarm_evidence
 from aerobalance.estimation.live.health import wide_process

@@ -10,7 +10,7 @@ from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.force_smoother import LinearSmoother, SmootherResult
 from aerobalance.estimation.prior import SpectralPrior
-from aerobalance.estimation.record import ComponentRecord
+from aerobalance.estimation.record import SingleRecord
 from aerobalance.estimation.result import ComponentForce, with_balance
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import QUANTITIES, Channel
@@ -265,7 +265,7 @@ def test_the_fast_estimator_is_the_obvious_one(rng):
     values = given.channel("AF").values - 800 * T128.step_response(given.time - 0.40012)
     values[900:920] = np.nan
     given = record(AF=values)
-    reading = ComponentRecord.of(given, T128, GroundMotion.of(given, "AF")).reading()
+    reading = SingleRecord.of(given, T128, GroundMotion.of(given, "AF")).reading()
     estimate = estimate_force(given, T128).only
     assert len(estimate.steps) == 1
     obvious = SmootherResult.of(reading, learned=estimate.learned, steps=estimate.steps)
@@ -281,7 +281,7 @@ def test_the_fast_estimator_is_the_obvious_one(rng):
 def test_simulated_readings_are_those_of_the_model(rng):
     given = run(rng, count=4000)
     estimate = estimate_force(given, T128).only
-    reading = ComponentRecord.of(given, T128, GroundMotion.of(given, "AF")).reading()
+    reading = SingleRecord.of(given, T128, GroundMotion.of(given, "AF")).reading()
     estimator = LinearSmoother.of(reading, learned=estimate.learned, steps=())
     _, simulated = estimator.simulate(rng)
     white = estimator.filter.whiten(simulated[:, None])[:, 0]

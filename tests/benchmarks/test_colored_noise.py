@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aerobalance.estimation.component_force import noise_of_job
+from aerobalance.estimation.component_force import noise_of_component
 from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.recording import Recording
@@ -51,7 +51,7 @@ def test_load_beside_one_over_f(name: str, record, rng) -> None:
     shape = (SHARP | SOFT)[name]
     errors, covered = [], []
     for _ in range(60):
-        known = noise_of_job(force_record(record_of(noise(rng, 16_000)), T128).job("AF"))
+        known = noise_of_component(force_record(record_of(noise(rng, 16_000)), T128).component_record("AF"))
         run, force = smooth_run(rng, shape, dynamics=T128, rate=RATE, rms=500.0, noise=1e-9, seconds=5.0)
         values = run.channel("AF").values + noise(rng, force.size)
         estimate = estimate_force(record_of(values), T128, noise={"AF": {"AF": known}}).only
@@ -70,7 +70,7 @@ def test_step_beside_one_over_f(record, rng) -> None:
     """A step of 1020 N: found once, and the rest of the record as well as a constant and a step can be known."""
     errors, found = [], []
     for _ in range(40):
-        known = noise_of_job(force_record(record_of(noise(rng, 16_000)), T128).job("AF"))
+        known = noise_of_component(force_record(record_of(noise(rng, 16_000)), T128).component_record("AF"))
         time = np.arange(8000) / RATE
         instant = 2.5 + rng.uniform(0, 1) / RATE
         values = 1020 * T128.step_response(time - instant) + noise(rng, time.size)
@@ -88,7 +88,7 @@ def test_step_beside_one_over_f(record, rng) -> None:
 def test_no_step_is_found_in_one_over_f(record, rng) -> None:
     steps = 0
     for _ in range(100):
-        known = noise_of_job(force_record(record_of(noise(rng, 16_000)), T128).job("AF"))
+        known = noise_of_component(force_record(record_of(noise(rng, 16_000)), T128).component_record("AF"))
         steps += len(estimate_force(record_of(noise(rng, 8000)), T128, noise={"AF": {"AF": known}}).only.steps)
     record("records of 100 without a false step in 1/f noise", (100 - steps) / 100, 1.0)
     assert steps == 0

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import SixComponentRig

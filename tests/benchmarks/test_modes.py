@@ -7,7 +7,8 @@ import warnings
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array, Channel
@@ -79,7 +80,9 @@ def test_a_mode_left_out_is_named_after_a_release(noise: float, record, rng) -> 
         for _ in range(RUNS):
             truth = balance(rng, share)
             found = identified(truth, rng, noise=noise, modes=1)
-            misfit = misfit_of(force_record(released(truth, rng, noise=noise).recording, found).job("AF"), noise=noise)
+            misfit = misfit_of(
+                force_record(released(truth, rng, noise=noise).recording, found).component_record("AF"), noise=noise
+            )
             assert misfit.missing is not None, truth
             worst = max(worst, abs(misfit.missing.natural_frequency / truth.further_modes[0].natural_frequency - 1))
     record(f"1 % over the worst error of the frequency named, release, noise {noise:g} N", 0.01 / worst, 1.0)
@@ -92,7 +95,7 @@ def test_a_mode_left_out_is_named_under_a_broadband_load(record, rng) -> None:
         for _ in range(RUNS):
             truth = T128.with_modes(Mode(rng.uniform(140, 280), 0.008, share))
             run, _ = smooth_run(rng, SHARP["0-300 Hz"], dynamics=truth, rate=1600.0, rms=60.0, noise=2.0, seconds=10.0)
-            misfit = misfit_of(force_record(run, T128).job("AF"), noise=2.0)
+            misfit = misfit_of(force_record(run, T128).component_record("AF"), noise=2.0)
             if misfit.missing is not None:
                 named += 1
                 error = misfit.missing.natural_frequency / truth.further_modes[0].natural_frequency - 1
@@ -109,11 +112,11 @@ def test_smooth_loads_and_releases_raise_no_doubt(record, rng) -> None:
         for noise in (0.5, 2.0, 10.0):
             for _ in range(5):
                 run, _ = smooth_run(rng, shape, dynamics=T128, rate=1600.0, rms=60.0, noise=noise, seconds=8.0)
-                false += bool(misfit_of(force_record(run, T128).job("AF"), noise=noise).sentences(T128))
+                false += bool(misfit_of(force_record(run, T128).component_record("AF"), noise=noise).sentences(T128))
     for _ in range(10):
         found = identified(T128, rng, noise=2.0)
         again = force_record(released(T128, rng, noise=2.0).recording, found)
-        false += bool(misfit_of(again.job("AF"), noise=2.0).sentences(found))
+        false += bool(misfit_of(again.component_record("AF"), noise=2.0).sentences(found))
     record("records without a false doubt about the dynamics, of 100", (100 - false) / 100, 1.0)
     assert false == 0
 
@@ -122,4 +125,4 @@ def test_a_held_tone_is_no_mode(rng) -> None:
     time = np.arange(12_800) / 1600
     load = 500 * np.abs(T128.response(140.0)) * np.sin(2 * np.pi * 140 * time) + rng.normal(0, 2.0, time.size)
     run = Recording.from_columns(time, {"AF": Channel("AF", load, "N")}, name="tone")
-    assert misfit_of(force_record(run, T128).job("AF"), noise=2.0).missing is None
+    assert misfit_of(force_record(run, T128).component_record("AF"), noise=2.0).missing is None

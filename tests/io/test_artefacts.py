@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerobalance.dynamics.single import PARAMETERS, Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import PARAMETERS, Dynamics
 from aerobalance.io.artefacts import write_json
 from aerobalance.io.dynamics_file import read_dynamics, write_dynamics
 from aerobalance.io.mass_file import read_masses

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.channel import Array
 
 

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, COMPONENTS, DIRECTIONS, FROM_VECTORS, MOMENT_ROWS, STANDARD_GRAVITY
 from aerobalance.recording.gravity import gravity_components

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from aerobalance.dynamics.condensation import Condensed, modes_of, partial_fractions, spectral_factor
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.driven_modes import DrivenModes
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import EquivalentModel, Mode
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import FINE, upsample_compensated
 
@@ -71,14 +71,14 @@ class Fractions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecoupledChannel:
-    """The balance of one component that gives its force with the same noise as the coupled one.
+    """The single-input model that gives a component's force with the same noise as the coupled balance.
 
     Attributes
     ----------
     place
         Row of the component.
     dynamics
-        That balance, its stiffness taken as 1.
+        That model.
     row
         What its reading is of the loads felt, over the product of its modes: powers of s, shape (n, 2 e + 3).
     internal
@@ -91,7 +91,7 @@ class DecoupledChannel:
     """
 
     place: int
-    dynamics: Dynamics
+    dynamics: EquivalentModel
     row: Array
     internal: Array
     still: tuple[Mode, ...]
@@ -120,9 +120,9 @@ class DecoupledChannel:
         row, common = free.forces[place], free.common
         still = modes_of(polynomial.polyroots(common).astype(np.complex128)) if dynamics.internal else ()
         if still or np.delete(row, place, axis=0).any():
-            own = _balance(component, spectral_factor(_spectrum(row, noise) / noise[place, place]), common)
+            own = _equivalent(component, spectral_factor(_spectrum(row, noise) / noise[place, place]), common)
         else:
-            own = Dynamics(component, mass=float(row[place, 2]), stiffness=1.0, damping=float(row[place, 1]))
+            own = EquivalentModel(component, Mode.of_quadratic(float(row[place, 1]), float(row[place, 2])))
         return cls(place, own, row, free.internal, still, np.vstack([common, -free.carried[place]]))
 
     @property
@@ -213,14 +213,11 @@ def _spectrum(row: Array, noise: Array) -> Array:
     return found[::2]
 
 
-def _balance(component: str, modes: Sequence[Mode], common: Array) -> Dynamics:
-    """The balance of one component whose response is a polynomial over the product of modes."""
+def _equivalent(component: str, modes: Sequence[Mode], common: Array) -> EquivalentModel:
+    """The model of one component whose response is a polynomial over the product of modes."""
     _, shares, rates = partial_fractions(common, modes)
-    first, *_ = modes
-    w0 = first.angular_frequency
     further = [
         Mode(mode.natural_frequency, mode.damping_ratio, float(share), float(rate))
         for mode, share, rate in list(zip(modes, shares, rates, strict=True))[1:]
     ]
-    single = Dynamics(component, mass=w0**-2, stiffness=1.0, damping=2 * first.damping_ratio / w0)
-    return single.with_modes(*further)
+    return EquivalentModel(component, modes[0], tuple(further))

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from aerobalance.dynamics.single import Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import FINE, interpolation
 

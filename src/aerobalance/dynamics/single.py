@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import lfilter
 
+from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.gravity import gravity_share
@@ -29,93 +29,8 @@ MODE_PARAMETERS: Final = ("natural_frequency", "damping_ratio", "share")
 """Order of the rows and columns that every further mode adds to `Dynamics.covariance`."""
 
 
-@dataclass(frozen=True, slots=True)
-class Mode:
-    """One mode of the balance with its model: q'' + 2 zeta w q' + w^2 q = w^2 N under the net force N.
-
-    Attributes
-    ----------
-    natural_frequency
-        Undamped natural frequency w / 2 pi [Hz].
-    damping_ratio
-        Damping ratio zeta [1].
-    share
-        Share of a steady load that the mode carries, r / w^2 [1]; of either sign.
-    rate_share
-        What the mode shows of its rate beside, [s]: share + rate_share s over N. Zero but in one of several
-        components (`aerobalance.dynamics.decoupling`), where the modes' swings are not in phase.
-    """
-
-    natural_frequency: float
-    damping_ratio: float
-    share: float = 1.0
-    rate_share: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 0 < self.natural_frequency < np.inf:
-            raise ValueError(f"natural_frequency must be positive and finite, not {self.natural_frequency}")
-        if not 0 <= self.damping_ratio < np.inf:
-            raise ValueError(f"damping_ratio must be zero or more and finite, not {self.damping_ratio}")
-        for name in ("share", "rate_share"):
-            if not np.isfinite(getattr(self, name)):
-                raise ValueError(f"{name} must be finite, not {getattr(self, name)}")
-
-    @property
-    def angular_frequency(self) -> float:
-        """Undamped natural angular frequency w [rad/s]."""
-        return 2 * np.pi * self.natural_frequency
-
-    @property
-    def poles(self) -> tuple[complex, complex]:
-        """The two poles [rad/s]; real when the damping ratio is above 1."""
-        w, decay = self.angular_frequency, self.damping_ratio * self.angular_frequency
-        split = np.sqrt(complex(decay**2 - w**2))
-        split = split or 1e-6 * w  # critical damping: a double pole has no partial fractions
-        return -decay + split, -decay - split
-
-    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
-        """q/N at frequencies [Hz]; 1 at rest."""
-        ratio = np.asarray(frequency) / self.natural_frequency
-        return np.asarray(1 / (1 - ratio**2 + 2j * self.damping_ratio * ratio), dtype=np.complex128)
-
-    def free_decay(self, time: ArrayLike) -> Array:
-        """Release from rest at time 0, over the load held before [1]."""
-        t = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
-        p, q = self.poles
-        return np.asarray(np.real((p * np.exp(q * t) - q * np.exp(p * t)) / (p - q)))
-
-    def free_decay_rate(self, time: ArrayLike) -> Array:
-        """Rate of `free_decay` [1/s]."""
-        t = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
-        p, q = self.poles
-        return np.asarray(np.real(p * q * (np.exp(q * t) - np.exp(p * t)) / (p - q)))
-
-    def integrated_step(self, time: Array) -> Array:
-        """Integral of the response to a step of 1 at time 0, from 0 to time [s]."""
-        t = np.maximum(time, 0.0)
-        p, q = self.poles
-        swing = q / p * np.expm1(p * t) - p / q * np.expm1(q * t)
-        return np.asarray(t + np.real(swing / (p - q)))
-
-    def driven(self, net: Array, *, interval: float) -> tuple[Array, Array]:
-        """Response and its rate under a net force that is linear between samples, held before; shape (n,) each."""
-        response, rate = np.zeros((2, net.size), dtype=np.complex128)
-        change = net - net[0]
-        before = np.concatenate(([0.0], change[:-1]))
-        p, q = self.poles
-        for pole, sign in ((p, 1.0), (q, -1.0)):
-            growth = np.exp(pole * interval)
-            late = (np.expm1(pole * interval) - pole * interval) / (pole**2 * interval)
-            early = np.expm1(pole * interval) / pole - late
-            part = sign * lfilter([1.0], [1.0, -growth], early * before + late * change)
-            response += part
-            rate += pole * part
-        size = self.angular_frequency**2 / (p - q)
-        return np.asarray(net[0] + np.real(response * size)), np.asarray(np.real(rate * size))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Dynamics:
+class Dynamics(ModalModel):
     """Moving mass, stiffness and damping of one component, and the further modes that it has.
 
     One mode is the paper's balance, Eq. (8) of [Gorbushin2020]_, whose gauges read the elastic force AF = k x alone,
@@ -181,21 +96,16 @@ class Dynamics:
         further = range(2, 2 + len(self.further_modes))
         return (*PARAMETERS, *(f"{name}_{number}" for number in further for name in MODE_PARAMETERS))
 
-    @property
-    def modes(self) -> tuple[Mode, ...]:
-        """All modes, the first one first."""
-        share = 1.0 - sum(mode.share for mode in self.further_modes)
-        # a force changes the load's rate, not the load, at once: the rates that the modes show at first cancel
-        at_once = sum(mode.rate_share * mode.natural_frequency**2 for mode in self.further_modes)
-        rate_share = -at_once / self.natural_frequency**2
-        return (Mode(self.natural_frequency, self.damping_ratio, share, rate_share), *self.further_modes)
-
     def with_modes(self, *further: Mode) -> Dynamics:
         """The same balance with these further modes, taken as known exactly."""
         size = len(PARAMETERS) + len(MODE_PARAMETERS) * len(further)
         covariance = np.zeros((size, size))
         covariance[: len(PARAMETERS), : len(PARAMETERS)] = self.covariance[: len(PARAMETERS), : len(PARAMETERS)]
         return replace(self, covariance=covariance, further_modes=further)
+
+    def retuned(self, *, frequency: float, damping: float) -> Dynamics:
+        """The same balance with natural frequency and damping ratio of its first mode times these factors [1]."""
+        return replace(self, stiffness=self.stiffness * frequency**2, damping=self.damping * frequency * damping)
 
     def with_parameters(self, values: Array) -> Dynamics:
         """The same balance with other values of `parameters`, shape (4 + 3 m,); the covariance is left out.
@@ -209,6 +119,11 @@ class Dynamics:
         mass, stiffness, damping, delay = (float(value) for value in values[: len(PARAMETERS)])
         modes = tuple(Mode(*(float(value) for value in row)) for row in further)
         return Dynamics(self.component, mass, stiffness, damping, delay, further_modes=modes)
+
+    @property
+    def exact(self) -> Dynamics:
+        """The same balance, taken as known exactly."""
+        return self.with_parameters(self.values)
 
     @property
     def values(self) -> Array:
@@ -230,6 +145,11 @@ class Dynamics:
     def damping_ratio(self) -> float:
         """Damping over critical damping, b / (2 sqrt(k M)) [1]."""
         return float(self.damping / (2 * np.sqrt(self.stiffness * self.mass)))
+
+    @property
+    def quadratic(self) -> tuple[float, float]:
+        """D = b / k [s] and A = M / k [s^2] of Eq. (17) of [Gorbushin2020]_, F = AF + D AF' + A AF''."""
+        return self.damping / self.stiffness, self.mass / self.stiffness
 
     @property
     def decay_rate(self) -> float:
@@ -281,15 +201,6 @@ class Dynamics:
             raise ValueError(f"parameter must be one of {', '.join(names)}, natural_frequency, damping_ratio, share")
         return gradient
 
-    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
-        """Load felt over force applied, AF/F, at frequencies [Hz]; the transform of Eq. (8) with x1 at rest.
-
-        The delay is not included.
-        """
-        s = 2j * np.pi * np.asarray(frequency)
-        parts = ((mode.share + mode.rate_share * s) * mode.response(frequency) for mode in self.modes)
-        return np.asarray(sum(parts), dtype=np.complex128)
-
     def base_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
         """Load felt over ground acceleration, AF/x1'' [kg], at frequencies [Hz], for F = 0.
 
@@ -314,60 +225,6 @@ class Dynamics:
     def extension_lag(self, frequency: ArrayLike) -> Array:
         """Phase by which the extension lags the ground displacement x1, Eq. (11) of [Gorbushin2020]_ [rad]."""
         return np.asarray(-np.angle(self.response(frequency)))
-
-    @property
-    def poles(self) -> tuple[complex, complex]:
-        """The two poles of Eq. (8) of [Gorbushin2020]_ [rad/s]; real when the damping ratio is above 1."""
-        return self.modes[0].poles
-
-    def free_decay(self, time: ArrayLike) -> Array:
-        """Release from rest at time 0, over the load held before, Eq. (6) of [Gorbushin2020]_ [1].
-
-        The sine term that (6) leaves out makes the velocity at release zero; with it the extrema of (7) are exact.
-        It is 1 before the release.
-        """
-        parts = (
-            mode.share * mode.free_decay(time) + mode.rate_share * mode.free_decay_rate(time) for mode in self.modes
-        )
-        return np.asarray(sum(parts))
-
-    def step_response(self, time: ArrayLike, *, duration: float = 0.0) -> Array:
-        """Load felt after a force of 1 N is applied at time 0, at once or linearly over a duration.
-
-        Parameters
-        ----------
-        time
-            Time since the force began to change [s]; the response is 0 before.
-        duration
-            Time over which the force rises from 0 to 1 N [s].
-        """
-        t = np.asarray(time, dtype=np.float64)
-        if duration <= 0:
-            return 1 - self.free_decay(t)
-        late = t - duration
-        risen = (
-            mode.share * (mode.integrated_step(t) - mode.integrated_step(late))
-            + mode.rate_share * (mode.free_decay(late) - mode.free_decay(t))
-            for mode in self.modes
-        )
-        return np.asarray(sum(risen) / duration)
-
-    def load_felt(self, net: Array, *, interval: float) -> Array:
-        """Load felt under a net force that is linear between samples: Eq. (8) integrated exactly.
-
-        Parameters
-        ----------
-        net
-            Net force on the moving mass, F + M g sin(theta) - M x1'', shape (n,) [N]; before its first sample it is
-            held at that value and the balance is at rest.
-        interval
-            Time between samples [s].
-        """
-        whole = np.zeros(net.shape)
-        for mode in self.modes:
-            load, rate = mode.driven(net, interval=interval)
-            whole += mode.share * load + mode.rate_share * rate
-        return whole
 
 
 def extremum_ratio(damping: float, mass: float, period: float, half_periods: ArrayLike) -> Array:

@@ -40,27 +40,27 @@ SLOW: Final = 0.5
 """Frequency over the natural one below which noise that rises at low frequency has most of its power."""
 
 
-def noise_of_job(job: ComponentRecord) -> NoiseSpectrum:
+def noise_of_component(record: ComponentRecord) -> NoiseSpectrum:
     """Spectrum of the noise of a component that has been made ready, its record being one of noise alone."""
-    reading = job.reading()
+    reading = record.reading()
     return noise_spectrum_of(
         reading.values,
-        job.dynamics,
+        record.dynamics,
         interval=reading.interval,
         input_density=reading.input_density,
-        name=job.recording.name,
+        name=record.recording.name,
     )
 
 
-def estimated(job: ComponentRecord, *, method: Method, bandwidth: float | None, hum: Hum) -> ComponentForce:
+def estimated(record: ComponentRecord, *, method: Method, bandwidth: float | None, hum: Hum) -> ComponentForce:
     """Work out the force of one component that has been made ready."""
     if by_smoother(method=method, bandwidth=bandwidth):
-        return Fitted.of(job, hum=hum).estimate()
-    if job.noise is not None or hum not in ("mains", "keep"):
-        what = "lines for hum" if job.noise is None else "a spectrum of noise"
+        return Fitted.of(record, hum=hum).estimate()
+    if record.noise is not None or hum not in ("mains", "keep"):
+        what = "lines for hum" if record.noise is None else "a spectrum of noise"
         raise ValueError(f"only the smoother without a bandwidth can take {what}")
-    _check(job)
-    return central_differences(job) if bandwidth is None else band_limited(job, bandwidth)
+    _check(record)
+    return central_differences(record) if bandwidth is None else band_limited(record, bandwidth)
 
 
 def by_smoother(*, method: Method, bandwidth: float | None) -> bool:
@@ -76,16 +76,16 @@ def by_smoother(*, method: Method, bandwidth: float | None) -> bool:
     return method == "smoother" and bandwidth is None
 
 
-def _check(job: ComponentRecord) -> None:
-    if not np.isfinite(job.dynamics.natural_frequency):
+def _check(record: ComponentRecord) -> None:
+    if not np.isfinite(record.dynamics.natural_frequency):
         raise FitError(
-            f"mass and stiffness of {job.dynamics.component} leave the range that can be calculated with; check the "
-            "units"
+            f"mass and stiffness of {record.dynamics.component} leave the range that can be calculated with; check "
+            "the units"
         )
-    if job.noise is not None and abs(job.noise.interval / job.interval - 1) > SAME_RATE:
+    if record.noise is not None and abs(record.noise.interval / record.interval - 1) > SAME_RATE:
         raise FitError(
-            f"{job.recording.name} has {1 / job.interval:g} samples a second and the record of noise "
-            f"{1 / job.noise.interval:g}: record the noise with the rate, gains and filters of the run"
+            f"{record.recording.name} has {1 / record.interval:g} samples a second and the record of noise "
+            f"{1 / record.noise.interval:g}: record the noise with the rate, gains and filters of the run"
         )
 
 
@@ -95,7 +95,7 @@ class Fitted:
 
     Attributes
     ----------
-    job
+    record
         The component made ready.
     hum
         What was to be taken for hum.
@@ -105,13 +105,13 @@ class Fitted:
         The force.
     """
 
-    job: ComponentRecord
+    record: ComponentRecord
     hum: Hum
     apart: SignalModel
     smoothed: SmootherResult
 
     @classmethod
-    def of(cls, job: ComponentRecord, *, hum: Hum) -> Fitted:
+    def of(cls, record: ComponentRecord, *, hum: Hum) -> Fitted:
         """Work out the force of a component that has been made ready.
 
         Raises
@@ -119,26 +119,28 @@ class Fitted:
         FitError
             The balance is not in the range that can be calculated with, or the noise has another sampling rate.
         """
-        _check(job)
-        apart = fit_signal_model(_with_noise(job), hum=hum)
-        return cls(job, hum, apart, SmootherResult.of(apart.reading, learned=apart.learned, steps=apart.steps))
+        _check(record)
+        apart = fit_signal_model(_with_noise(record), hum=hum)
+        return cls(record, hum, apart, SmootherResult.of(apart.reading, learned=apart.learned, steps=apart.steps))
 
     def estimate(self) -> ComponentForce:
         """The force with its uncertainty; says what is doubtful about it."""
-        job, apart, fit = self.job, self.apart, self.smoothed
+        record, apart, fit = self.record, self.apart, self.smoothed
         reading, steps, learned = apart.reading, apart.steps, apart.learned
         if apart.floor is not None:
-            _doubt(job, apart.floor.sentence(job.dynamics.component, unit=si_unit(job.dynamics.component)))
-        elif job.noise is None and job.shared is None:
-            _tell_of_faint(job, learned)
+            _doubt(record, apart.floor.sentence(record.dynamics.component, unit=si_unit(record.dynamics.component)))
+        elif record.noise is None and record.shared is None:
+            _tell_of_faint(record, learned)
         white = fit.innovations
-        if job.shared is None:
-            level = _unexplained(job, white)
+        if record.shared is None:
+            level = _unexplained(record, white)
         else:  # what is noisier by what is not known there is no fault of the model
-            level = np.maximum(job.shared.level, _unexplained(job, np.where(job.shared.level > 1, 0.0, white)))
+            level = np.maximum(
+                record.shared.level, _unexplained(record, np.where(record.shared.level > 1, 0.0, white))
+            )
         lines = fit.sized(apart.hum)
         if self.hum == "mains":
-            _tell_of_hum(job, lines, large=apart.large)
+            _tell_of_hum(record, lines, large=apart.large)
         estimator = fit.estimator
 
         def through(series: Array) -> Array:
@@ -149,70 +151,70 @@ class Fitted:
             return LinearSmoother.of(changed, learned=learned, steps=steps).run(changed.filled[:, None])[:, 0]
 
         def moved(item: SystematicParameter) -> Array:
-            return -through(job.felt_under(item)[:, None])[:, 0]
+            return -through(record.felt_under(item)[:, None])[:, 0]
 
-        noise = learned.noise if job.shared is None else job.shared.before
-        return job.finish(
+        noise = learned.noise if record.shared is None else record.shared.before
+        return record.finish(
             fit.force,
             [
-                *fit.noise_errors(level, sources=(job.dynamics.component, job.motion_source)),
+                *fit.noise_errors(level, sources=(record.dynamics.component, record.motion_source)),
                 *fit.step_errors(),
-                job.parameter_errors(through(reading.filled[:, None])[:, 0], again, through),
-                *job.motion_errors(moved),
-                *job.reading_errors(fit.force, through),
+                record.parameter_errors(through(reading.filled[:, None])[:, 0], again, through),
+                *record.motion_errors(moved),
+                *record.reading_errors(fit.force, through),
             ],
-            method=f"smoother: {learned.spectrum}, by Whittle's likelihood{_words_on_noise(job, learned)}",
+            method=f"smoother: {learned.spectrum}, by Whittle's likelihood{_words_on_noise(record, learned)}",
             noise=noise,
             bandwidth=_resolved_bandwidth(reading, learned),
             noise_gain=float(np.sqrt(np.mean(fit.variance))) / noise,
             steps=tuple(steps),
             hum=lines,
             learned=learned,
-            shared=job.shared,
+            shared=record.shared,
         )
 
 
-def _words_on_noise(job: ComponentRecord, learned: SpectralPrior) -> str:
+def _words_on_noise(record: ComponentRecord, learned: SpectralPrior) -> str:
     """What the noise of the readings is taken for, where that is said or seen."""
-    if job.noise is not None:
-        return f"; noise of the record of noise: {job.noise}"
-    if job.shared is not None:
+    if record.noise is not None:
+        return f"; noise of the record of noise: {record.noise}"
+    if record.shared is not None:
         return "; noise that other components show is taken off"
     if isinstance(learned.color, ColoredNoise):
         return f"; noise with {len(learned.color.humps)} hump(s), seen in the run"
     return ""
 
 
-def _doubt(job: ComponentRecord, text: str) -> None:
-    warn_quality(f"{job.recording.name}: {text}")
+def _doubt(record: ComponentRecord, text: str) -> None:
+    warn_quality(f"{record.recording.name}: {text}")
 
 
-def _with_noise(job: ComponentRecord) -> Observation:
+def _with_noise(record: ComponentRecord) -> Observation:
     """The reading with the noise that was given, unless its white part is not that of the run."""
-    reading = job.reading()
-    ratio = None if job.noise is None else departure_of(reading)
+    reading = record.reading()
+    ratio = None if record.noise is None else departure_of(reading)
     if ratio is None:
         return reading
     _doubt(
-        job,
-        f"the white noise of {job.dynamics.component} has {ratio:.2g} times the power that it has in the record of "
+        record,
+        f"the white noise of {record.dynamics.component} has {ratio:.2g} times the power that it has in the record of "
         "noise, as another gain, filter or cabling, or a force of a very wide band, would make it; it is judged from "
         "the run, and what the noise has beyond white is taken as recorded",
     )
     return replace(reading, noise=None)
 
 
-def _tell_of_faint(job: ComponentRecord, learned: SpectralPrior) -> None:
+def _tell_of_faint(record: ComponentRecord, learned: SpectralPrior) -> None:
     """Say that a force which is fainter than the noise may be noise with a color."""
-    frequency = np.linspace(0, 0.5 / job.interval, FREQUENCIES)[1:]
-    felt = np.abs(job.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
-    size = float(np.sqrt(np.mean(felt) / job.interval))
-    low = float(np.sum(felt[frequency < SLOW * job.dynamics.natural_frequency]))
+    frequency = np.linspace(0, 0.5 / record.interval, FREQUENCIES)[1:]
+    felt = np.abs(record.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
+    size = float(np.sqrt(np.mean(felt) / record.interval))
+    low = float(np.sum(felt[frequency < SLOW * record.dynamics.natural_frequency]))
     if not 0 < size < learned.noise or low < float(np.sum(felt)) / 2:
         return
-    name, unit = job.dynamics.component, si_unit(job.dynamics.component)
+    name, unit = record.dynamics.component, si_unit(record.dynamics.component)
     _doubt(
-        job,
+        record,
         f"{name} fluctuates by {size:.2g} {unit} rms beside a white noise of {learned.noise:.2g} {unit}: that is "
         "taken for force, but noise of the electronics that rises at low frequency (1/f) looks the same and is then "
         "an error of that size, which the uncertainty does not hold; a record of noise alone "
@@ -220,7 +222,7 @@ def _tell_of_faint(job: ComponentRecord, learned: SpectralPrior) -> None:
     )
 
 
-def _tell_of_hum(job: ComponentRecord, lines: tuple[Line, ...], *, large: tuple[Line, ...]) -> None:
+def _tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, large: tuple[Line, ...]) -> None:
     """Say which lines at frequencies of the mains are not in the force, and which are because they are large."""
     told = (
         (
@@ -238,16 +240,16 @@ def _tell_of_hum(job: ComponentRecord, lines: tuple[Line, ...], *, large: tuple[
             ),
         ),
     )
-    unit = si_unit(job.dynamics.component)
+    unit = si_unit(record.dynamics.component)
     for some, what in told:
         named = [f"{line.frequency:.7g} Hz ({line.amplitude:.3g} {unit} in the reading)" for line in some]
         if named:
             warn_quality(
-                f"{job.recording.name}: steady lines of {job.dynamics.component} at {', '.join(named)} {what}"
+                f"{record.recording.name}: steady lines of {record.dynamics.component} at {', '.join(named)} {what}"
             )
 
 
-def _unexplained(job: ComponentRecord, white: Array) -> Array:
+def _unexplained(record: ComponentRecord, white: Array) -> Array:
     """Variance of the innovations over what is expected, 1 where chance explains it, shape (n,); warns elsewhere."""
     count = max(white.size // EXPLAINED_BLOCK, 1)
     blocks = np.array_split(white, count)
@@ -256,9 +258,12 @@ def _unexplained(job: ComponentRecord, white: Array) -> Array:
     strange = np.flatnonzero(level > 1 + 8 * np.sqrt(2 * count / white.size))
     if strange.size:
         worst = int(strange[np.argmax(level[strange])])
-        start, stop = (job.recording.start + edge * white.size / count * job.interval for edge in (worst, worst + 1))
+        start, stop = (
+            record.recording.start + edge * white.size / count * record.interval for edge in (worst, worst + 1)
+        )
+        name = record.dynamics.component
         warn_quality(
-            f"{job.recording.name}: in {strange.size} of {count} stretches the readings of {job.dynamics.component} "
+            f"{record.recording.name}: in {strange.size} of {count} stretches the readings of {name} "
             f"depart from what the model of balance and load expects, most between {start:.4g} and {stop:.4g} s "
             f"({np.sqrt(level[worst]):.2g} times the chance scatter); the uncertainty from noise is raised by as much "
             "there, but an error that the model makes everywhere is not in it"

@@ -26,7 +26,7 @@ from scipy.ndimage import minimum_filter1d
 from scipy.signal import oaconvolve
 
 from aerobalance.dynamics.decoupling import DecoupledChannel
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import EquivalentModel
 from aerobalance.estimation.prior import BESIDE_A_GAP, Observation, SpectralPrior
 from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
 from aerobalance.estimation.spectra.periodogram import Periodogram
@@ -67,8 +67,8 @@ class SharedNoise:
     ----------
     others
         Places of those others, c of them.
-    balances
-        Their balances: with other dynamics of the components it is these that the others go on to be read with.
+    models
+        Their models: with other dynamics of the components it is these that the others go on to be read with.
     found
         The noise to be taken off its reading, shape (samples,) [N].
     readings
@@ -89,7 +89,7 @@ class SharedNoise:
     """
 
     others: tuple[int, ...]
-    balances: tuple[Dynamics, ...]
+    models: tuple[EquivalentModel, ...]
     found: Array
     readings: Array
     weights: Array
@@ -123,8 +123,8 @@ class NoiseMatrix:
 
     Attributes
     ----------
-    balances
-        The components' own balances, n of them.
+    models
+        The components' equivalent models, n of them.
     frequency
         Frequencies [Hz], shape (m,).
     whole
@@ -134,10 +134,10 @@ class NoiseMatrix:
     force
         Spectral densities of the forces, shape (m, n).
     gain
-        Squares of the balances' responses, shape (m, n).
+        Squares of their responses, shape (m, n).
     """
 
-    balances: tuple[Dynamics, ...]
+    models: tuple[EquivalentModel, ...]
     frequency: Array
     whole: NDArray[np.complex128]
     own: NDArray[np.complex128]
@@ -147,7 +147,7 @@ class NoiseMatrix:
     @classmethod
     def of(
         cls,
-        lones: Sequence[DecoupledChannel],
+        decoupled: Sequence[DecoupledChannel],
         learned: Sequence[SpectralPrior],
         *,
         interval: float,
@@ -158,8 +158,8 @@ class NoiseMatrix:
 
         Parameters
         ----------
-        lones, learned
-            The components' own balances, and what was learned of their forces and noise.
+        decoupled, learned
+            How the components are decoupled, and what was learned of their forces and noise.
         interval
             Time between samples [s].
         noise
@@ -168,13 +168,13 @@ class NoiseMatrix:
             Covariance of the force that the noise of the ground's motion is taken for, shape (n, n) [N^2].
         """
         frequency: Array = np.linspace(0, 0.5 / interval, FREQUENCIES + 1)
-        rows = np.stack([lone.noise_response(frequency) for lone in lones], axis=1)
-        answers = np.stack([lone.dynamics.response(frequency) for lone in lones], axis=1)
+        rows = np.stack([one.noise_response(frequency) for one in decoupled], axis=1)
+        answers = np.stack([one.dynamics.response(frequency) for one in decoupled], axis=1)
         size = np.array([one.noise for one in learned]) / np.sqrt(np.diag(noise))
         own = interval * (rows * size[:, None]) @ noise @ (rows * size[:, None]).conj().transpose(0, 2, 1)
         shaken = interval * answers[:, :, None] * ground * answers.conj()[:, None, :]
         force = np.stack([one.shaping.spectrum(frequency) for one in learned], axis=1)
-        return cls(tuple(lone.dynamics for lone in lones), frequency, own + shaken, own, force, np.abs(answers) ** 2)
+        return cls(tuple(one.dynamics for one in decoupled), frequency, own + shaken, own, force, np.abs(answers) ** 2)
 
     @property
     def felt(self) -> Array:
@@ -256,7 +256,7 @@ def shared_noise(
     error = float(np.sqrt(after / before))
     return SharedNoise(
         others=tuple(others),
-        balances=tuple(spectra.balances[other] for other in others),
+        models=tuple(spectra.models[other] for other in others),
         found=filtered(_impulses(weights * shown), residuals[:, others]),
         readings=np.column_stack([readings(other) for other in others]),
         weights=_impulses(weights),

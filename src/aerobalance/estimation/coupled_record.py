@@ -1,7 +1,7 @@
 """A recording of coupled components, made ready for the estimator of one component.
 
-The load that ground motion and gravity put on the moving mass is taken off, and every component is taken apart from
-the others (`aerobalance.dynamics.decoupling`).
+The load that ground motion and gravity put on the moving mass is taken off, and every component is decoupled from the
+others (`aerobalance.dynamics.decoupling`).
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import EquivalentModel
 from aerobalance.estimation.correlated_noise import SharedNoise
-from aerobalance.estimation.decoupled_record import DecoupledRecord, load_felt, mass_rows
+from aerobalance.estimation.decoupled_record import DecoupledRecord, load_felt
 from aerobalance.estimation.record import FEWEST_SAMPLES
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.platform import PlatformMotion
-from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, argument, warn_quality
@@ -53,8 +52,8 @@ class CoupledRecord:
         dynamics' mass would have put on the zero that the loads count from, where that was read under the weight.
     on_zero
         Weight in the loads that was taken out of their zero, shape (n,) [N, N*m].
-    lones
-        The components' own balances.
+    decoupled
+        How each component is decoupled from the others.
     """
 
     recording: Recording
@@ -65,7 +64,7 @@ class CoupledRecord:
     noise: Array
     from_ground: Array
     on_zero: Array
-    lones: tuple[DecoupledChannel, ...]
+    decoupled: tuple[DecoupledChannel, ...]
 
     @classmethod
     def of(
@@ -102,7 +101,7 @@ class CoupledRecord:
             dynamics=dynamics,
             noise=noise,
             from_ground=fractional_delay(from_ground, delay=-self.platform.delay, interval=self.interval) + shift,
-            lones=tuple(DecoupledChannel.of(dynamics, name, noise=noise) for name in dynamics.components),
+            decoupled=tuple(DecoupledChannel.of(dynamics, name, noise=noise) for name in dynamics.components),
         )
 
     @property
@@ -113,14 +112,16 @@ class CoupledRecord:
     @property
     def rings_together(self) -> bool:
         """True where a component's force needs the readings of another."""
-        return not all(lone.alone for lone in self.lones)
+        return not all(one.alone for one in self.decoupled)
 
     @property
     def has_gaps(self) -> bool:
         """True where readings are missing that the force of another component needs."""
         return self.rings_together and not np.isfinite(self.loads).all()
 
-    def jobs(self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None) -> dict[str, DecoupledRecord]:
+    def component_records(
+        self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None
+    ) -> dict[str, DecoupledRecord]:
         """The decoupled components, by name.
 
         Parameters
@@ -132,9 +133,11 @@ class CoupledRecord:
             Spectra of the noise of the decoupled components, where they are known.
         """
         spectra = {} if noises is None else noises
-        return {name: self.job(name, filled, noise=spectra.get(name)) for name in self.dynamics.components}
+        return {
+            name: self.component_record(name, filled, noise=spectra.get(name)) for name in self.dynamics.components
+        }
 
-    def job(
+    def component_record(
         self,
         component: str,
         filled: Array | None = None,
@@ -142,53 +145,53 @@ class CoupledRecord:
         noise: NoiseSpectrum | None = None,
         shared: SharedNoise | None = None,
     ) -> DecoupledRecord:
-        """One decoupled component; the arguments are those of `jobs`, and the noise that is to be taken off."""
+        """One decoupled component; its arguments are those of `component_records`, and noise to be taken off."""
         filled = interpolate_gaps(self.loads) if filled is None else filled
-        lone = self.lones[self.dynamics.components.index(component)]
-        channel = self.channels[lone.place]
+        decoupled = self.decoupled[self.dynamics.components.index(component)]
+        channel = self.channels[decoupled.place]
         own = align_channels(filled, self.channels, to=channel, interval=self.interval)
-        reading = self.reading(lone.place, on_clock_of=lone.place, filled=filled)
+        reading = self.reading(decoupled.place, on_clock_of=decoupled.place, filled=filled)
         others = () if shared is None else shared.others
-        gap = ~np.isfinite(self.loads[:, lone.partners]).all(axis=1)
+        gap = ~np.isfinite(self.loads[:, decoupled.partners]).all(axis=1)
         if shared is not None:
             theirs = [
-                self.reading(other, on_clock_of=lone.place, filled=filled, balance=balance)
-                for other, balance in zip(others, shared.balances, strict=True)
+                self.reading(other, on_clock_of=decoupled.place, filled=filled, model=model)
+                for other, model in zip(others, shared.models, strict=True)
             ]
             reading = reading - shared.of(np.column_stack(theirs))
         values = np.where(gap, np.nan, reading)
         apart = Channel(name=channel.name, values=values, unit=channel.unit, noise=channel.noise)
         return DecoupledRecord(
             recording=replace(self.recording, channels={channel.name: apart}),
-            dynamics=lone.dynamics,
-            motion=_at_rest(self.platform, self.dynamics, lone),
+            dynamics=decoupled.dynamics,
             coupled=self.dynamics,
-            lone=lone,
+            decoupled=decoupled,
             loads=own,
             channels=self.channels,
             platform=self.platform,
             noise=noise,
             shared=shared,
-            others=tuple(self.lones[place] for place in others),
+            others=tuple(self.decoupled[place] for place in others),
         )
 
-    def reading(self, place: int, *, on_clock_of: int, filled: Array, balance: Dynamics | None = None) -> Array:
-        """What a component's own balance reads at the instants of a component's channel, shape (samples,).
+    def reading(self, place: int, *, on_clock_of: int, filled: Array, model: EquivalentModel | None = None) -> Array:
+        """Reading of a decoupled component at the instants of a component's channel, shape (samples,) [N, N*m].
 
         Parameters
         ----------
         place, on_clock_of
             Rows of the two.
         filled
-            The readings without gaps, as in `jobs`; what the ground's motion has put on them is taken off.
-        balance
-            Another balance in the place of the component's own.
+            The readings without gaps, as in `component_records`; the load from the ground's motion is taken off.
+        model
+            Another model in the place of the component's own.
         """
         channel = self.channels[on_clock_of]
         own = align_channels(filled, self.channels, to=channel, interval=self.interval)
         ground = fractional_delay(self.from_ground, delay=channel.delay, interval=self.interval)
-        lone = self.lones[place] if balance is None else replace(self.lones[place], dynamics=balance)
-        return lone.reading(own - ground, interval=self.interval)
+        decoupled = self.decoupled[place]
+        decoupled = decoupled if model is None else replace(decoupled, dynamics=model)
+        return decoupled.reading(own - ground, interval=self.interval)
 
     def filled_by(self, forces: Mapping[str, Array], *, filled: Array) -> Array:
         """Readings with their gaps filled by what forces make the balance read, shape (samples, n).
@@ -276,21 +279,6 @@ def noise_covariance(channels: Sequence[Channel], filled: Array) -> Array:
     # between independent channels it scatters by 1 / sqrt(2 m) over m ordinates; one in 1e8 passes this
     correlation[np.abs(correlation) < 4 / np.sqrt(upper.shape[0])] = 0.0
     return np.outer(deviation, deviation) * correlation
-
-
-def _at_rest(platform: PlatformMotion, dynamics: CoupledDynamics, lone: DecoupledChannel) -> GroundMotion:
-    """No motion, but the noise that the motion taken off has brought into the component's force."""
-    rows = mass_rows(dynamics)[lone.place]
-    force_noise = float(np.sqrt(max(rows @ platform.covariance @ rows, 0.0)))
-    still = np.zeros(platform.specific_force.shape[0])
-    return GroundMotion(
-        specific_force=still,
-        noise=force_noise / lone.dynamics.mass,
-        acceleration=still,
-        relative_uncertainty=0.0,
-        delay=0.0,
-        assumptions=platform.assumptions,
-    )
 
 
 def _free_motion(dynamics: CoupledDynamics, left: Array, present: NDArray[np.bool_], *, interval: float) -> Array:

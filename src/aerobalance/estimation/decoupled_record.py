@@ -1,7 +1,7 @@
-"""One of several coupled components, decoupled from the others: a job for the estimator of one component.
+"""The record of one of several coupled components, decoupled from the others and ready for the estimator.
 
 What a unit of anything that is not known does to the readings of the coupled balance becomes here what it does to the
-reading of the component's own balance, and less the noise that the others show, where that is taken off.
+reading of the decoupled channel, and less the noise that the others show, where that is taken off.
 """
 
 from __future__ import annotations
@@ -35,14 +35,15 @@ SMALL: Final = 1e-6
 class DecoupledRecord(ComponentRecord):
     """One of several coupled components, decoupled from the others.
 
-    `recording` holds what a balance of this component alone would read under its force, and no motion of the ground.
+    `recording` holds what the equivalent model of this component alone would read under its force: what gravity and
+    the ground's motion do has been taken off.
 
     Attributes
     ----------
     coupled
         The coupled components.
-    lone
-        The component's balance.
+    decoupled
+        How the component is decoupled from the others.
     loads
         Readings of all components without gaps, shape (samples, n).
     channels
@@ -50,15 +51,26 @@ class DecoupledRecord(ComponentRecord):
     platform
         What the ground end does.
     others
-        The balances of those others whose noise is taken off its reading.
+        Those others whose noise is taken off its reading.
     """
 
     coupled: CoupledDynamics
-    lone: DecoupledChannel
+    decoupled: DecoupledChannel
     loads: Array
     channels: tuple[Channel, ...]
     platform: PlatformMotion
     others: tuple[DecoupledChannel, ...] = ()
+
+    @property
+    def input_noise(self) -> float:
+        """White noise of the ground's motion as a force per sample [N]."""
+        row = mass_rows(self.coupled)[self.decoupled.place]
+        return float(np.sqrt(max(row @ self.platform.covariance @ row, 0.0)))
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What had to be taken as zero because the recording does not have it."""
+        return self.platform.assumptions
 
     @property
     def motion_source(self) -> str:
@@ -68,7 +80,7 @@ class DecoupledRecord(ComponentRecord):
     @property
     def rows(self) -> NDArray[np.intp]:
         """Which of the parameters of the coupled dynamics have a part in the reading."""
-        parts = [lone.rows(self.coupled) for lone in (self.lone, *self.others)]
+        parts = [one.rows(self.coupled) for one in (self.decoupled, *self.others)]
         return np.unique(np.concatenate(parts))
 
     def parameter_errors(
@@ -102,8 +114,8 @@ class DecoupledRecord(ComponentRecord):
     def _parameter_slopes(self, rows: NDArray[np.intp]) -> Array:
         """Change of the reading with each of these parameters, shape (samples, k)."""
         slopes = np.zeros((self.loads.shape[0], rows.size))
-        own = np.searchsorted(rows, self.lone.rows(self.coupled))
-        slopes[:, own] = self.lone.parameter_slopes(self.loads, interval=self.interval)
+        own = np.searchsorted(rows, self.decoupled.rows(self.coupled))
+        slopes[:, own] = self.decoupled.parameter_slopes(self.loads, interval=self.interval)
         for other in self.others:
             # what is wrong in the row of another is taken for noise that it shows
             theirs = np.searchsorted(rows, other.rows(self.coupled))
@@ -116,7 +128,7 @@ class DecoupledRecord(ComponentRecord):
 
     def _read(self, felt: Array) -> Array:
         """What the component reads of a part of the loads felt, shape (samples,); both linear."""
-        own = self.lone.reading(felt, interval=self.interval)
+        own = self.decoupled.reading(felt, interval=self.interval)
         for other in self.others:
             own = own - self._taken_off(other.reading(felt, interval=self.interval)[:, None], other)[:, 0]
         return own
@@ -131,7 +143,7 @@ class DecoupledRecord(ComponentRecord):
 
     def as_force(self, item: SystematicParameter) -> Array:
         """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, (samples,)."""
-        return np.asarray((item.slope @ mass_rows(self.coupled).T)[:, self.lone.place])
+        return np.asarray((item.slope @ mass_rows(self.coupled).T)[:, self.decoupled.place])
 
     @property
     def unknowns(self) -> tuple[SystematicParameter, ...]:
@@ -148,7 +160,7 @@ class DecoupledRecord(ComponentRecord):
                 slope = through(self._read(alone)[:, None])
                 name, variance = f"gain of {channel.name}", channel.relative_uncertainty**2
                 parts.append(Systematic(name, channel.name, (name,), slope, np.array([[variance]])))
-        own = self.channels[self.lone.place]
+        own = self.channels[self.decoupled.place]
         if own.zero_uncertainty > 0:
             name, variance = f"zero of {own.name}", own.zero_uncertainty**2
             one = np.ones((values.size, 1))

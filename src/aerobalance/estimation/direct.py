@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce
@@ -26,33 +26,33 @@ BAND_ORDER: Final = 8
 """Order of the zero-phase Butterworth roll-off of the band-limited inverse."""
 
 
-def _without_gaps(job: ComponentRecord, what: str) -> Array:
-    load = job.load
+def _without_gaps(record: ComponentRecord, what: str) -> Array:
+    load = record.load
     missing = int(np.count_nonzero(~np.isfinite(load)))
     if missing:
         raise FitError(
-            f"{job.recording.name}: {missing} reading(s) of {job.dynamics.component} are missing and {what} cannot "
-            "bridge them; use the smoother without a bandwidth"
+            f"{record.recording.name}: {missing} reading(s) of {record.dynamics.component} are missing and {what} "
+            "cannot bridge them; use the smoother without a bandwidth"
         )
     return load
 
 
-def central_differences(job: ComponentRecord) -> ComponentForce:
+def central_differences(record: ComponentRecord) -> ComponentForce:
     """Eq. (17) of [Gorbushin2020]_ as it stands: AF' and AF'' by three-point central differences.
 
     The first and last sample have one neighbour only. The load is continued there by odd reflection, which makes AF''
     zero; repeating the neighbour's AF'' instead would give two samples the same amplified noise, which no later
     low-pass takes out. What this may miss is in the uncertainty of these two samples.
     """
-    d, h = job.dynamics, job.interval
-    load = _without_gaps(job, "central differences")
-    known = _delayed_force(job)
-    values = _differences(load, d, interval=h) - known
+    d, h = record.dynamics, record.interval
+    load = _without_gaps(record, "central differences")
+    values = _differences(load, d, interval=h) - record.motion_force
     ends = np.zeros(load.size)
-    ends[[0, -1]] = d.mass / d.stiffness * np.abs(np.diff(load, 2)[[0, -1]]) / h**2
-    noise = job.recording.channel(d.component).noise
+    damping, inertia = d.quadratic
+    ends[[0, -1]] = inertia * np.abs(np.diff(load, 2)[[0, -1]]) / h**2
+    noise = record.recording.channel(d.component).noise
     noise = white_noise(load) if noise is None else noise
-    slope, curve = d.damping / d.stiffness / (2 * h), d.mass / d.stiffness / h**2
+    slope, curve = damping / (2 * h), inertia / h**2
     gain = float(np.sqrt((1 - 2 * curve) ** 2 + (curve + slope) ** 2 + (curve - slope) ** 2))
     frequency = np.linspace(0, np.pi, DENSE)
     density = (1 - 2 * curve + 2 * curve * np.cos(frequency)) ** 2 + (2 * slope * np.sin(frequency)) ** 2
@@ -62,16 +62,16 @@ def central_differences(job: ComponentRecord) -> ComponentForce:
 
     parts = [
         Noise("noise of the readings", d.component, np.full(load.size, gain * noise), density / gain**2),
-        Noise("noise of the ground motion", job.motion_source, np.full(load.size, job.input_noise), np.ones(1)),
+        Noise("noise of the ground motion", record.motion_source, np.full(load.size, record.input_noise), np.ones(1)),
         Noise("ends of the record", d.component, ends, np.ones(1)),
-        job.parameter_errors(values, lambda other: central_differences(other).values, through),
-        *job.motion_errors(job.as_force),
-        *job.reading_errors(values, through),
+        record.parameter_errors(values, lambda other: central_differences(other).values, through),
+        *record.motion_errors(record.as_force),
+        *record.reading_errors(values, through),
     ]
     bandwidth = DIFFERENCE_BANDWIDTH / h
     further = ", ".join(f"{mode.natural_frequency:.4g}" for mode in d.further_modes)
     left = f"; one mode only, {further} Hz left out" if further else ""
-    return job.finish(
+    return record.finish(
         values,
         parts,
         method=f"paper: Eq. (17), three-point central differences, 3 dB low at {bandwidth:.4g} Hz{left}",
@@ -81,31 +81,22 @@ def central_differences(job: ComponentRecord) -> ComponentForce:
     )
 
 
-def _differences(load: Array, dynamics: Dynamics, *, interval: float) -> Array:
+def _differences(load: Array, dynamics: ModalModel, *, interval: float) -> Array:
     """Eq. (18) of [Gorbushin2020]_: (17) on a ground end at rest, with AF'' taken as zero at both ends, shape (n,)."""
     load_rate = np.gradient(load, interval)
     load_acceleration = np.concatenate(([0.0], np.diff(load, 2) / interval**2, [0.0]))
-    b, M, k = dynamics.damping, dynamics.mass, dynamics.stiffness
-    return np.asarray(load + b / k * load_rate + M / k * load_acceleration)
+    damping, inertia = dynamics.quadratic
+    return np.asarray(load + damping * load_rate + inertia * load_acceleration)
 
 
-def _delayed_force(job: ComponentRecord) -> Array:
-    """Known force of the ground's motion at the load's sampling instants, shape (n,) [N]."""
-    known = job.motion.force(job.dynamics.mass)
-    lag = job.dynamics.delay + job.recording.channel(job.dynamics.component).delay - job.motion.delay
-    if not lag or not known.any():
-        return known
-    return _filtered(known, job.interval, lambda f: np.exp(-2j * np.pi * f * lag))[0]
-
-
-def band_limited(job: ComponentRecord, bandwidth: float) -> ComponentForce:
+def band_limited(record: ComponentRecord, bandwidth: float) -> ComponentForce:
     """Eq. (17) of [Gorbushin2020]_ in the frequency domain, times a zero-phase Butterworth roll-off."""
-    d, h = job.dynamics, job.interval
+    d, h = record.dynamics, record.interval
     if not 0 < bandwidth <= 0.5 / h:
         raise ValueError(
             f"bandwidth must lie between 0 and half the sampling rate ({0.5 / h:g} Hz), not {bandwidth:g}"
         )
-    load = _without_gaps(job, "the band-limited inverse")
+    load = _without_gaps(record, "the band-limited inverse")
 
     def band(f: Array) -> Array:
         return np.asarray(1 / (1 + (f / bandwidth) ** (2 * BAND_ORDER)))
@@ -114,10 +105,10 @@ def band_limited(job: ComponentRecord, bandwidth: float) -> ComponentForce:
         return np.asarray(band(f) / d.response(f))
 
     from_load, ends = _filtered(load, h, inverse)
-    known = _delayed_force(job)
+    known = record.motion_force
     from_ground, ground_ends = _filtered(known, h, band) if known.any() else (known, np.zeros(known.size))
     values = from_load - from_ground
-    noise = job.recording.channel(d.component).noise
+    noise = record.recording.channel(d.component).noise
     noise = white_noise(load) if noise is None else noise
     frequency = np.linspace(0, 0.5 / h, DENSE)
     gain = float(np.sqrt(np.mean(np.abs(inverse(frequency)) ** 2)))
@@ -126,16 +117,16 @@ def band_limited(job: ComponentRecord, bandwidth: float) -> ComponentForce:
     def through(series: Array) -> Array:
         return np.column_stack([_filtered(column, h, inverse)[0] for column in series.T])
 
-    of_ground = np.full(load.size, job.input_noise * np.sqrt(np.mean(passed)))
+    of_ground = np.full(load.size, record.input_noise * np.sqrt(np.mean(passed)))
     parts = [
         Noise("noise of the readings", d.component, np.full(load.size, gain * noise), density / gain**2),
-        Noise("noise of the ground motion", job.motion_source, of_ground, passed / np.mean(passed)),
+        Noise("noise of the ground motion", record.motion_source, of_ground, passed / np.mean(passed)),
         Noise("ends of the record", d.component, np.hypot(ends, ground_ends), np.ones(1)),
-        job.parameter_errors(values, lambda other: band_limited(other, bandwidth).values, through),
-        *job.motion_errors(job.as_force),
-        *job.reading_errors(values, through),
+        record.parameter_errors(values, lambda other: band_limited(other, bandwidth).values, through),
+        *record.motion_errors(record.as_force),
+        *record.reading_errors(values, through),
     ]
-    return job.finish(
+    return record.finish(
         values,
         parts,
         method=f"band-limited inverse to {bandwidth:g} Hz, zero phase, Butterworth roll-off of order {2 * BAND_ORDER}",

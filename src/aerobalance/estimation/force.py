@@ -22,7 +22,7 @@ from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.zeros import Zero
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
-from aerobalance.estimation.component_force import Fitted, Method, by_smoother, estimated, noise_of_job
+from aerobalance.estimation.component_force import Fitted, Method, by_smoother, estimated, noise_of_component
 from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.decoupled_record import mass_rows
@@ -317,7 +317,10 @@ def noise_spectra(
     record = force_record(calm, run.dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
     if isinstance(record, CoupledRecord) and isinstance(run, CoupledRecord):
         record = record.taken_with(record.dynamics, noise=run.noise)
-    return {name: noise_of_job(job) for name, job in record.jobs(interpolate_gaps(record.loads)).items()}
+    return {
+        name: noise_of_component(component)
+        for name, component in record.component_records(interpolate_gaps(record.loads)).items()
+    }
 
 
 def _with_matrix(
@@ -352,9 +355,9 @@ def _forces(
         record, fitted, lambda fit: (fit.smoothed.force, fit.apart.learned.noise), noises=noises
     )
     for name, shared in noise_shared(fits, record, filled=filled).items():
-        job = record.job(name, filled, shared=shared)
-        if as_expected(job.reading(), fits[name].apart.learned):
-            fits[name] = fitted(job)
+        component = record.component_record(name, filled, shared=shared)
+        if as_expected(component.reading(), fits[name].apart.learned):
+            fits[name] = fitted(component)
     return {name: fit.estimate() for name, fit in fits.items()}
 
 
@@ -382,14 +385,14 @@ def _with_gaps_filled(
         Spectra of the noise of the decoupled components, where they are known.
     """
     filled = interpolate_gaps(record.loads)
-    found = {name: work(job) for name, job in record.jobs(filled, noises=noises).items()}
+    found = {name: work(component) for name, component in record.component_records(filled, noises=noises).items()}
     for _ in range(PASSES if record.has_gaps else 0):
         facts = {name: known(one) for name, one in found.items()}
         better = record.filled_by({name: force for name, (force, _) in facts.items()}, filled=filled)
         if (np.abs(better - filled) < SETTLED * np.array([noise for _, noise in facts.values()])).all():
             break
         filled = better
-        found = {name: work(job) for name, job in record.jobs(filled, noises=noises).items()}
+        found = {name: work(component) for name, component in record.component_records(filled, noises=noises).items()}
     return found, filled
 
 
@@ -410,14 +413,14 @@ def noise_shared(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: Arr
         return {}
     mass = mass_rows(record.dynamics)
     spectra = NoiseMatrix.of(
-        record.lones,
+        record.decoupled,
         learned,
         interval=record.interval,
         noise=record.noise,
         ground=mass @ record.platform.covariance @ mass.T,
     )
     residuals = np.column_stack([fit.smoothed.residuals for fit in fits.values()])
-    present = np.column_stack([np.isfinite(record.loads[:, lone.partners]).all(axis=1) for lone in record.lones])
+    present = np.column_stack([np.isfinite(record.loads[:, one.partners]).all(axis=1) for one in record.decoupled])
     shared = {}
     for place, channel in enumerate(record.channels):
         one = shared_noise(

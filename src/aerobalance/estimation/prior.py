@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, share_seen
 from aerobalance.estimation.spectra.whittle import fit_spectrum
@@ -89,7 +89,7 @@ class Observation:
 
     values: Array
     interval: float
-    dynamics: Dynamics
+    dynamics: ModalModel
     input_density: float = 0.0
     noise: float | None = None
     hum: tuple[float, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -9,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.error_sources import Contribution, Systematic, total_deviation
@@ -20,6 +22,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, acceleration_name
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import fractional_delay
 from aerobalance.recording.sensors import corrected
 
 FEWEST_SAMPLES: Final = 32
@@ -37,31 +40,27 @@ Through = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ComponentRecord:
-    """One component of a recording with the balance and the ground's motion that go with it.
+class ComponentRecord(ABC):
+    """One component of a recording, ready for the estimator: its load, the model that reads it, and what is known.
 
     Attributes
     ----------
-    recording, dynamics, motion
-        The recording, the balance and the ground's motion.
+    recording, dynamics
+        The recording, and the model of how the load follows the force.
     noise
         Spectrum of the noise of the readings, where it is known.
     shared
         Noise that other components show and that has been taken off the readings; None where none was.
+    motion_error
+        Error of the force that the ground's motion puts on the moving mass, shape (n,) or () [N]: what a Monte Carlo
+        draw adds.
     """
 
     recording: Recording
-    dynamics: Dynamics
-    motion: GroundMotion
+    dynamics: ModalModel
     noise: NoiseSpectrum | None = field(default=None, kw_only=True)
     shared: SharedNoise | None = field(default=None, kw_only=True)
-
-    @classmethod
-    def of(
-        cls, recording: Recording, dynamics: Dynamics, motion: GroundMotion, *, noise: NoiseSpectrum | None = None
-    ) -> ComponentRecord:
-        """Take a recording as it was written: what its channels' filters have done is undone first."""
-        return cls(corrected(recording), dynamics, motion, noise=noise)
+    motion_error: Array = field(default_factory=lambda: np.zeros(()), kw_only=True)
 
     @property
     def load(self) -> Array:
@@ -72,6 +71,128 @@ class ComponentRecord:
     def interval(self) -> float:
         """Time between samples [s]."""
         return 1 / self.recording.rate
+
+    @property
+    @abstractmethod
+    def input_noise(self) -> float:
+        """White noise of the ground's motion as a force per sample [N]."""
+
+    @property
+    @abstractmethod
+    def motion_source(self) -> str:
+        """Channels that the noise of the ground's motion comes from."""
+
+    @property
+    @abstractmethod
+    def assumptions(self) -> tuple[str, ...]:
+        """What had to be taken as zero because the recording does not have it."""
+
+    @property
+    def from_ground(self) -> Array:
+        """Load that the ground's motion has put on the readings and that is still in them, shape (n,) [N]."""
+        return np.zeros(self.recording.samples)
+
+    @property
+    def motion_force(self) -> Array:
+        """Force of the ground's motion on the moving mass at the load's instants, still in the readings, (n,) [N]."""
+        return np.zeros(self.recording.samples) + self.motion_error
+
+    def reading(self, *, hum: tuple[float, ...] = ()) -> Observation:
+        """The record as the estimator takes it: the load that the ground's motion has put on it is taken off.
+
+        Hum is named by its frequencies [Hz] and left in; readings that rest on a limit count as missing.
+        """
+        channel = self.recording.channel(self.dynamics.component)
+        reading = Observation(
+            values=np.where(channel.at_limit, np.nan, channel.values - self.from_ground),
+            interval=self.interval,
+            dynamics=self.dynamics,
+            input_density=self.input_noise**2 * self.interval,
+            noise=channel.noise,
+            hum=hum,
+        )
+        if self.noise is not None:
+            color = self.noise.colored_part(channel.values.size * self.interval)
+            return replace(reading, noise=self.noise.deviation, color=color)
+        if self.shared is not None:
+            return replace(reading, noise=self.shared.white, color=self.shared.color)
+        return reading
+
+    @abstractmethod
+    def parameter_errors(
+        self, values: Array, again: Callable[[ComponentRecord], Array], through: Through
+    ) -> Systematic:
+        """What the parameters of the dynamics do to the force.
+
+        Parameters
+        ----------
+        values
+            The force, shape (n,) [N].
+        again
+            Works out the force of another record in the same way, shape (n,).
+        through
+            What the method makes of a change of the readings.
+        """
+
+    @abstractmethod
+    def felt_under(self, item: SystematicParameter) -> Array:
+        """Load felt under a unit of an unknown of the ground's motion, shape (n,)."""
+
+    @abstractmethod
+    def as_force(self, item: SystematicParameter) -> Array:
+        """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, shape (n,)."""
+
+    @property
+    @abstractmethod
+    def unknowns(self) -> tuple[SystematicParameter, ...]:
+        """What holds along the ground's motion and is not known exactly."""
+
+    @abstractmethod
+    def reading_errors(self, values: Array, through: Through) -> list[Contribution]:
+        """What gain and zero of the load's channel do to the force."""
+
+    def motion_errors(self, slope: Callable[[SystematicParameter], Array]) -> list[Contribution]:
+        """What holds along the ground's motion and is not known, by what a unit of it does to the force, (n,)."""
+        return [
+            Systematic(item.name, item.source, (item.name,), slope(item)[:, None], np.array([[item.uncertainty**2]]))
+            for item in self.unknowns
+        ]
+
+    def finish(self, values: Array, contributions: list[Contribution], **facts: object) -> ComponentForce:
+        """Put the answer together; a contribution that is nothing is left out, but for those that are always there."""
+        parts = tuple(part for part in contributions if part.deviation.any() or part.source == "dynamics")
+        return ComponentForce(
+            component=self.dynamics.component,
+            values=values,
+            uncertainty=total_deviation(parts),
+            assumptions=self.assumptions,
+            budget={part.name: float(np.sqrt(np.mean(part.deviation**2))) for part in parts},
+            contributions=parts,
+            **facts,  # type: ignore[arg-type]
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SingleRecord(ComponentRecord):
+    """One component that rings for itself, with the ground's motion along it.
+
+    Attributes
+    ----------
+    dynamics
+        The balance.
+    motion
+        The ground's motion.
+    """
+
+    dynamics: Dynamics
+    motion: GroundMotion
+
+    @classmethod
+    def of(
+        cls, recording: Recording, dynamics: Dynamics, motion: GroundMotion, *, noise: NoiseSpectrum | None = None
+    ) -> SingleRecord:
+        """Take a recording as it was written: what its channels' filters have done is undone first."""
+        return cls(corrected(recording), dynamics, motion, noise=noise)
 
     @property
     def input_noise(self) -> float:
@@ -85,29 +206,27 @@ class ComponentRecord:
         names = [name for name in given if name in self.recording]
         return " and ".join(names) or "ground_acceleration"
 
-    def reading(self, *, hum: tuple[float, ...] = ()) -> Observation:
-        """The record as the estimator takes it: the load that the ground's motion has put on it is taken off.
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What had to be taken as zero because the recording does not have it."""
+        return self.motion.assumptions
 
-        Hum is named by its frequencies [Hz] and left in; readings that rest on a limit count as missing.
-        """
-        channel, d = self.recording.channel(self.dynamics.component), self.dynamics
-        from_ground = load_from_ground(self.motion, d, rate=self.recording.rate, load_delay=channel.delay)
-        reading = Observation(
-            values=np.where(channel.at_limit, np.nan, channel.values - from_ground),
-            interval=self.interval,
-            dynamics=d,
-            input_density=self.input_noise**2 * self.interval,
-            noise=channel.noise,
-            hum=hum,
-        )
-        if self.noise is not None:
-            color = self.noise.colored_part(channel.values.size * self.interval)
-            return replace(reading, noise=self.noise.deviation, color=color)
-        if self.shared is not None:
-            return replace(reading, noise=self.shared.white, color=self.shared.color)
-        return reading
+    @property
+    def from_ground(self) -> Array:
+        """Load that the ground's motion alone makes the balance feel, shape (n,) [N]."""
+        delay = self.recording.channel(self.dynamics.component).delay
+        return load_from_ground(self.motion, self.dynamics, rate=self.recording.rate, load_delay=delay)
 
-    def with_dynamics(self, other: Dynamics) -> ComponentRecord:
+    @property
+    def motion_force(self) -> Array:
+        """Force of the ground's motion on the moving mass at the load's sampling instants, shape (n,) [N]."""
+        known = self.motion.force(self.dynamics.mass) + self.motion_error
+        lag = self.dynamics.delay + self.recording.channel(self.dynamics.component).delay - self.motion.delay
+        if not lag or not known.any():
+            return known
+        return fractional_delay(known, delay=lag, interval=self.interval)
+
+    def with_dynamics(self, other: Dynamics) -> SingleRecord:
         """The same record with other dynamics, whose mass has another weight in the zero that the load counts from."""
         shift = (other.mass - self.dynamics.mass) * self.motion.gravity_on_zero
         channel = self.recording.channel(self.dynamics.component)
@@ -147,13 +266,6 @@ class ComponentRecord:
         """What holds along the ground's motion and is not known exactly."""
         return self.motion.unknowns
 
-    def motion_errors(self, slope: Callable[[SystematicParameter], Array]) -> list[Contribution]:
-        """What holds along the ground's motion and is not known, by what a unit of it does to the force, (n,)."""
-        return [
-            Systematic(item.name, item.source, (item.name,), slope(item)[:, None], np.array([[item.uncertainty**2]]))
-            for item in self.unknowns
-        ]
-
     def reading_errors(self, values: Array, through: Through) -> list[Contribution]:
         """Gain and zero of the load's channel: a gain acts on all that the readings say of the net force."""
         channel = self.recording.channel(self.dynamics.component)
@@ -167,19 +279,6 @@ class ComponentRecord:
             for name, slope, u in unknown
             if u > 0
         ]
-
-    def finish(self, values: Array, contributions: list[Contribution], **facts: object) -> ComponentForce:
-        """Put the answer together; a contribution that is nothing is left out, but for those that are always there."""
-        parts = tuple(part for part in contributions if part.deviation.any() or part.source == "dynamics")
-        return ComponentForce(
-            component=self.dynamics.component,
-            values=values,
-            uncertainty=total_deviation(parts),
-            assumptions=self.motion.assumptions,
-            budget={part.name: float(np.sqrt(np.mean(part.deviation**2))) for part in parts},
-            contributions=parts,
-            **facts,  # type: ignore[arg-type]
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,20 +340,22 @@ class IndependentRecord:
         """The readings as they are filled: nothing is filled, as no force needs it."""
         return filled
 
-    def jobs(self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None) -> dict[str, ComponentRecord]:
-        """The components made ready, by name; arguments as `CoupledRecord.jobs` has them, but gaps stay gaps."""
+    def component_records(
+        self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None
+    ) -> dict[str, SingleRecord]:
+        """The records of the components, by name; as `CoupledRecord.component_records`, but gaps stay gaps."""
         spectra = {} if noises is None else noises
-        return {name: self.job(name, filled, noise=spectra.get(name)) for name in self.dynamics}
+        return {name: self.component_record(name, filled, noise=spectra.get(name)) for name in self.dynamics}
 
-    def job(
+    def component_record(
         self,
         component: str,
         filled: Array | None = None,
         *,
         noise: NoiseSpectrum | None = None,
         shared: SharedNoise | None = None,
-    ) -> ComponentRecord:
+    ) -> SingleRecord:
         """One component made ready."""
-        return ComponentRecord(
+        return SingleRecord(
             self.recording, self.dynamics[component], self.motions[component], noise=noise, shared=shared
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.identification.step_relaxation.free_response import Complex
 from aerobalance.recording.channel import Array
 

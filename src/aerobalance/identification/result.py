@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.identification.rigid_body import RigidMassFit
 from aerobalance.identification.step_relaxation.experiment_design import ReleaseAdvice, combination_text
 from aerobalance.identification.step_relaxation.free_response import Complex

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from aerobalance.dynamics.coupled import CoupledDynamics, internal_names
-from aerobalance.dynamics.single import Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.io.artefacts import (
     IN_EVERY_FILE,
     Covariance,

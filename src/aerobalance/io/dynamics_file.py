@@ -14,7 +14,8 @@ from typing import Annotated, Any, Final, Literal, Unpack
 from pydantic import Field
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import MODE_PARAMETERS, PARAMETERS, Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import MODE_PARAMETERS, PARAMETERS, Dynamics
 from aerobalance.io.artefacts import (
     IN_EVERY_FILE,
     Covariance,

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.recording.recording import Recording

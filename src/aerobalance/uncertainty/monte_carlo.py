@@ -31,7 +31,7 @@ from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.force import Force, ForceRecord
 from aerobalance.estimation.force_smoother import LinearSmoother
 from aerobalance.estimation.prior import Observation, SpectralPrior
-from aerobalance.estimation.record import ComponentRecord
+from aerobalance.estimation.record import ComponentRecord, SingleRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import Step, shape_of
 from aerobalance.recording.channel import Array
@@ -152,35 +152,35 @@ def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, M
         record, filled = force.record, force.filled
         found = {}
         for name, estimate in force.items():
-            job = record.job(name, filled, shared=estimate.shared)
-            changed = partial(_changed, record, job, filled, draws)
-            trial = _Trial(job, estimate, changed, draws, np.random.default_rng(seed))
+            component = record.component_record(name, filled, shared=estimate.shared)
+            changed = partial(_changed, record, component, filled, draws)
+            trial = _Trial(component, estimate, changed, draws, np.random.default_rng(seed))
             found[name] = trial.run(seed, method=settings.method, bandwidth=settings.bandwidth)
     return found
 
 
 def _changed(
-    record: ForceRecord, job: ComponentRecord, filled: Array, draws: int, generator: np.random.Generator
+    record: ForceRecord, given: ComponentRecord, filled: Array, draws: int, generator: np.random.Generator
 ) -> Iterator[ComponentRecord]:
-    """The component made ready with one draw of the dynamics after the other."""
-    if not isinstance(record, CoupledRecord) or not isinstance(job, DecoupledRecord):
-        if not job.dynamics.covariance.any():
-            return repeat(job, draws)
-        return (job.with_dynamics(other) for other in drawn_dynamics(generator, job.dynamics, draws))
+    """The record of a component with one draw of the dynamics after the other."""
+    if isinstance(given, SingleRecord) and given.dynamics.covariance.any():
+        return (given.with_dynamics(other) for other in drawn_dynamics(generator, given.dynamics, draws))
+    if not isinstance(record, CoupledRecord) or not isinstance(given, DecoupledRecord):
+        return repeat(given, draws)
     matrices = record.dynamics.covariance.any()
     mass = record.dynamics.mass is not None and record.dynamics.mass.covariance.any()
     if not (matrices or (mass and record.platform.specific_force.any())):
-        return repeat(job, draws)
-    drawn = drawn_coupled(generator, record.dynamics, job.rows, draws)
-    component, shared = job.dynamics.component, job.shared
-    return (record.taken_with(other).job(component, filled, shared=shared) for other in drawn)
+        return repeat(given, draws)
+    drawn = drawn_coupled(generator, record.dynamics, given.rows, draws)
+    component, shared = given.dynamics.component, given.shared
+    return (record.taken_with(other).component_record(component, filled, shared=shared) for other in drawn)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Trial:
     """An estimate, what it was worked out from, and where the draws come from."""
 
-    job: ComponentRecord
+    record: ComponentRecord
     estimate: ComponentForce
     changed: Callable[[np.random.Generator], Iterator[ComponentRecord]]
     draws: int
@@ -200,15 +200,15 @@ class _Trial:
     def by_smoother(self, learned: SpectralPrior) -> Iterator[Mapping[str, Array]]:
         """Errors of the smoother's force by contribution, one draw after the other."""
         hum = tuple(line.frequency for line in self.estimate.hum)
-        reading = self.job.reading(hum=hum)
+        reading = self.record.reading(hum=hum)
         steps = self.estimate.steps
         nominal = LinearSmoother.of(reading, learned=learned, steps=steps)
         found = nominal.run(reading.filled[:, None])[:, 0]
-        for job, others in zip(self.changed(self.generator), self.others(), strict=True):
-            exact = job is self.job
+        for record, others in zip(self.changed(self.generator), self.others(), strict=True):
+            exact = record is self.record
             estimator, drawn = nominal, reading
             if not exact:
-                drawn = job.reading(hum=hum)
+                drawn = record.reading(hum=hum)
                 estimator = LinearSmoother.of(drawn, learned=learned, steps=steps)
             truth, simulated = estimator.simulate(self.generator)
             series = np.column_stack([drawn.filled, simulated, simulated])
@@ -228,20 +228,19 @@ class _Trial:
         noise, first = self.estimate.noise, self.estimate.values
         zero = np.zeros(first.size)
 
-        def run(job: ComponentRecord, more: Array, shaking: Array) -> Array:
-            load = job.recording.channel(job.dynamics.component)
+        def run(record: ComponentRecord, more: Array, shaking: Array) -> Array:
+            load = record.recording.channel(record.dynamics.component)
             channel = replace(load, values=load.values + more, noise=noise)
-            noisy = replace(job.recording, channels={**job.recording.channels, load.name: channel})
-            moved = replace(job.motion, specific_force=job.motion.specific_force + shaking)
-            again = replace(job, recording=noisy, motion=moved)
+            noisy = replace(record.recording, channels={**record.recording.channels, load.name: channel})
+            again = replace(record, recording=noisy, motion_error=-shaking)
             return estimated(again, method=method, bandwidth=bandwidth, hum="mains").values
 
-        for job, others in zip(self.changed(self.generator), self.others(), strict=True):
+        for record, others in zip(self.changed(self.generator), self.others(), strict=True):
             normals = self.generator.normal(size=(2, first.size))
-            quiet = run(job, zero, zero)
+            quiet = run(record, zero, zero)
             yield {
                 self.parameters: quiet - first,
-                " and ".join(NOISES): run(job, noise * normals[0], job.motion.noise * normals[1]) - quiet,
+                " and ".join(NOISES): run(record, noise * normals[0], record.input_noise * normals[1]) - quiet,
                 **others,
             }
 

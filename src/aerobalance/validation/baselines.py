@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import butter, filtfilt, iirnotch, sosfiltfilt
 
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
 from aerobalance.motion.single_axis import GroundMotion
@@ -99,12 +100,12 @@ class BaselineEstimate:
         return not self.lacking
 
 
-Estimator = Callable[[Recording, Dynamics, BaselineSettings], BaselineEstimate]
+Estimator = Callable[[Recording, ModalModel, BaselineSettings], BaselineEstimate]
 
 ZERO_PHASE: Final = "no delay; the record is continued by odd reflection at its ends"
 
 
-def raw_reading(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+def raw_reading(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """Take the load felt for the force, less the weight where the pitch is known."""
     load = recording.channel(dynamics.component).values
     weight = _weight(recording, dynamics, settings)
@@ -112,19 +113,19 @@ def raw_reading(recording: Recording, dynamics: Dynamics, settings: BaselineSett
     return BaselineEstimate("raw reading", load - (0.0 if weight is None else weight), words, "no delay")
 
 
-def low_pass(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+def low_pass(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """Zero-phase Butterworth low-pass, customarily at a third of the natural frequency."""
-    corner = _corner(recording, settings, dynamics.natural_frequency / 3)
+    corner = corner_frequency(recording, settings, dynamics.natural_frequency / 3)
     values = _smoothed(_reading(recording, dynamics, settings), corner, recording.rate)
     return BaselineEstimate("low-pass", values, f"{_butterworth(corner)}", ZERO_PHASE, tuning=corner)
 
 
-def notch(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+def notch(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """Notch at every natural frequency and a low-pass, customarily at twice the first natural frequency."""
     f0, rate = dynamics.natural_frequency, recording.rate
     if f0 >= rate / 2:
         raise FitError(f"the natural frequency of {f0:.4g} Hz is above half the sampling rate")
-    corner = _corner(recording, settings, 2 * f0)
+    corner = corner_frequency(recording, settings, 2 * f0)
     values = _reading(recording, dynamics, settings)
     words = ""
     for frequency in (mode.natural_frequency for mode in dynamics.modes):
@@ -135,21 +136,24 @@ def notch(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) 
     return BaselineEstimate("notch and low-pass", _smoothed(values, corner, rate), words, ZERO_PHASE, tuning=corner)
 
 
-def accelerometer_correction(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+def accelerometer_correction(
+    recording: Recording, dynamics: ModalModel, settings: BaselineSettings
+) -> BaselineEstimate:
     """F = AF + M x2'' - M g sin(theta): the inertia of the live end by its own accelerometer, damping left out.
 
     A dc-coupled accelerometer reads x2'' - g sin(theta), so that the weight is in its reading already.
     """
-    name = acceleration_name("live", dynamics.component)
+    balance = _balance(dynamics)
+    name = acceleration_name("live", balance.component)
     name = name if name in recording else "live_acceleration"
     channel = recording.channel(name)
     load = recording.channel(dynamics.component)
-    lag = dynamics.delay + load.delay - channel.delay
+    lag = balance.delay + load.delay - channel.delay
     acceleration = interpolate_gaps_linearly(channel.values)
     acceleration = fractional_delay(acceleration, delay=lag, interval=1 / recording.rate)
-    values = interpolate_gaps_linearly(load.values) + dynamics.mass * acceleration
+    values = interpolate_gaps_linearly(load.values) + balance.mass * acceleration
     weight = None if channel.coupling == "dc" else _weight(recording, dynamics, settings)
-    words = f"M = {dynamics.mass:.5g} kg, {name} {channel.coupling}"
+    words = f"M = {balance.mass:.5g} kg, {name} {channel.coupling}"
     delay = f"no delay{_one_mode(dynamics, 'the live end moves as one mass')}"
     if weight is not None:
         values = values - weight
@@ -157,14 +161,14 @@ def accelerometer_correction(recording: Recording, dynamics: Dynamics, settings:
         words += ", no pitch"
     if settings.tuning is None:
         return BaselineEstimate("accelerometer correction", values, f"{words}, no filter", delay)
-    corner = _corner(recording, settings, settings.tuning)
+    corner = corner_frequency(recording, settings, settings.tuning)
     return BaselineEstimate(
         "accelerometer correction", _smoothed(values, corner, recording.rate), f"{words}, {_butterworth(corner)}",
         f"{ZERO_PHASE}{_one_mode(dynamics, 'the live end moves as one mass')}", tuning=corner,
     )  # fmt: skip
 
 
-def correction_factor(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+def correction_factor(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """Divide what departs from the mean by |G(f)| at one frequency, customarily the record's strongest."""
     load, known = _load(recording, dynamics), _known(recording, dynamics, settings)
     frequency = dominant_frequency(load, recording.rate) if settings.tuning is None else settings.tuning
@@ -176,7 +180,7 @@ def correction_factor(recording: Recording, dynamics: Dynamics, settings: Baseli
     )  # fmt: skip
 
 
-def factor_and_phase(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+def factor_and_phase(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """Apply the correction factor, and undo the phase at the same frequency by a shift in time."""
     plain = correction_factor(recording, dynamics, settings)
     known = _known(recording, dynamics, settings)
@@ -190,7 +194,7 @@ def factor_and_phase(recording: Recording, dynamics: Dynamics, settings: Baselin
     )
 
 
-def fir_deconvolution(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+def fir_deconvolution(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """Black-box inverse of a measured step or impulse response, and a low-pass, as PyDynamic does it."""
     rate = recording.rate
     frequency = fit_frequencies(rate)
@@ -201,7 +205,7 @@ def fir_deconvolution(recording: Recording, dynamics: Dynamics, settings: Baseli
     if load.size <= 4 * ORDER:
         raise FitError(f"{load.size} readings are too few for a filter of {ORDER + 1} coefficients")
     coefficients = _design(response, rate)
-    corner = _corner(recording, settings, 2 * dynamics.natural_frequency)
+    corner = corner_frequency(recording, settings, 2 * dynamics.natural_frequency)
     return BaselineEstimate(
         "FIR deconvolution",
         _smoothed(undo(load, coefficients) - _known(recording, dynamics, settings), corner, rate),
@@ -211,7 +215,7 @@ def fir_deconvolution(recording: Recording, dynamics: Dynamics, settings: Baseli
     )
 
 
-def model_response(dynamics: Dynamics, rate: float) -> MeasuredResponse:
+def model_response(dynamics: ModalModel, rate: float) -> MeasuredResponse:
     """Response of the dynamics, where none was measured."""
     frequency = fit_frequencies(rate)
     return MeasuredResponse(frequency, dynamics.response(frequency), "the model's own response, as no step was given")
@@ -223,28 +227,28 @@ def _design(response: MeasuredResponse, rate: float) -> Array:
     return fir_inverse(response, rate=rate)
 
 
-def central_differences(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+def central_differences(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """Eq. (17) of [Gorbushin2020]_ with the paper's derivatives."""
     whole = without_gaps(recording, dynamics.component)
-    estimate = estimate_force(whole, dynamics, method="paper", gravity=settings.gravity).only
+    estimate = estimate_force(whole, _balance(dynamics), method="paper", gravity=settings.gravity).only
     left = _one_mode(dynamics, "M, b and k are those of the first")
     return BaselineEstimate(
         "central differences", estimate.values, estimate.method, f"no delay; first and last sample poor{left}"
     )
 
 
-def band_limited(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+def band_limited(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """Eq. (17) of [Gorbushin2020]_ limited to a band, customarily twice the natural frequency."""
-    bandwidth = _corner(recording, settings, 2 * dynamics.natural_frequency)
+    bandwidth = corner_frequency(recording, settings, 2 * dynamics.natural_frequency)
     estimate = estimate_force(
-        without_gaps(recording, dynamics.component), dynamics, bandwidth=bandwidth, gravity=settings.gravity
+        without_gaps(recording, dynamics.component), _balance(dynamics), bandwidth=bandwidth, gravity=settings.gravity
     ).only
     return BaselineEstimate("band-limited inverse", estimate.values, estimate.method, ZERO_PHASE, tuning=bandwidth)
 
 
-def this_estimator(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+def this_estimator(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """The program's own estimate."""
-    estimate = estimate_force(recording, dynamics, gravity=settings.gravity).only
+    estimate = estimate_force(recording, _balance(dynamics), gravity=settings.gravity).only
     return BaselineEstimate(THIS, estimate.values, estimate.method, "no delay; every sample has its uncertainty")
 
 
@@ -276,7 +280,7 @@ TUNED: Final = (
 
 def estimates(
     recording: Recording,
-    dynamics: Dynamics,
+    dynamics: ModalModel,
     *,
     settings: BaselineSettings | None = None,
     truth: Truth | None = None,
@@ -301,7 +305,7 @@ def estimates(
     settings = replace(settings or BaselineSettings(), tuning=None)
     recording = replace(corrected(recording), from_outputs=False)  # what is compared are values
     # what is compared are values: without a covariance no method is run again to learn its uncertainty
-    dynamics = dynamics.with_parameters(dynamics.values)
+    dynamics = dynamics.exact
     if settings.response is None:
         settings = replace(settings, response=model_response(dynamics, recording.rate))
     found = []
@@ -314,7 +318,7 @@ def estimates(
 
 
 def _attempt(
-    name: str, rival: Estimator, recording: Recording, dynamics: Dynamics, settings: BaselineSettings
+    name: str, rival: Estimator, recording: Recording, dynamics: ModalModel, settings: BaselineSettings
 ) -> BaselineEstimate:
     try:
         return rival(recording, dynamics, settings)
@@ -324,7 +328,7 @@ def _attempt(
 
 
 def _at_its_best(
-    rival: Estimator, recording: Recording, dynamics: Dynamics, settings: BaselineSettings, *, truth: Truth
+    rival: Estimator, recording: Recording, dynamics: ModalModel, settings: BaselineSettings, *, truth: Truth
 ) -> BaselineEstimate:
     """Choose the tuning number on the truth: a search over decades, then within the best step."""
 
@@ -367,19 +371,28 @@ def dominant_frequency(values: Array, rate: float) -> float:
     return float(minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 1e-6 * step}).x)
 
 
-def _one_mode(dynamics: Dynamics, why: str) -> str:
+def _balance(dynamics: ModalModel) -> Dynamics:
+    """The balance, for what needs a mass."""
+    if not isinstance(dynamics, Dynamics):
+        raise FitError(f"the model of {dynamics.component} has no mass")
+    return dynamics
+
+
+def _one_mode(dynamics: ModalModel, why: str) -> str:
     """What a method with one mode leaves out; empty where the balance has no more."""
     further = ", ".join(f"{mode.natural_frequency:.4g}" for mode in dynamics.further_modes)
     return f"; knows one mode only, {why}: {further} Hz left out" if further else ""
 
 
-def _load(recording: Recording, dynamics: Dynamics) -> Array:
+def _load(recording: Recording, dynamics: ModalModel) -> Array:
     """Load felt, without gaps."""
     return interpolate_gaps_linearly(recording.channel(dynamics.component).values)
 
 
-def _known(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> Array:
+def _known(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> Array:
     """Force of the ground's motion and gravity at the load's instants, as in Eq. (17) of [Gorbushin2020]_."""
+    if not isinstance(dynamics, Dynamics):  # the reading of a decoupled channel: they have been taken off
+        return np.zeros(recording.samples)
     return _known_force(recording, dynamics, settings.gravity)
 
 
@@ -393,18 +406,18 @@ def _known_force(recording: Recording, dynamics: Dynamics, gravity: float) -> Ar
     return force
 
 
-def _reading(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> Array:
+def _reading(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> Array:
     """Load felt less the known force: what a filter makes of it is the slow part of the force applied."""
     return _load(recording, dynamics) - _known(recording, dynamics, settings)
 
 
-def _weight(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> Array | None:
+def _weight(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> Array | None:
     """Weight along the component [N]; None where the pitch is not known."""
     if "pitch" not in recording:
         return None
     pitch = interpolate_gaps_linearly(recording.channel("pitch").values)
     roll = interpolate_gaps_linearly(recording.channel("roll").values) if "roll" in recording else np.zeros(pitch.size)
-    return dynamics.mass * settings.gravity * gravity_share(dynamics.component, pitch=pitch, roll=roll)
+    return _balance(dynamics).mass * settings.gravity * gravity_share(dynamics.component, pitch=pitch, roll=roll)
 
 
 def without_gaps(recording: Recording, component: str) -> Recording:
@@ -416,7 +429,8 @@ def without_gaps(recording: Recording, component: str) -> Recording:
     return replace(recording, channels=channels)
 
 
-def _corner(recording: Recording, settings: BaselineSettings, customary: float) -> float:
+def corner_frequency(recording: Recording, settings: BaselineSettings, customary: float) -> float:
+    """Corner or bandwidth that is set, or else the customary one; below half the sampling rate [Hz]."""
     wanted = customary if settings.tuning is None else settings.tuning
     return float(min(wanted, HIGHEST_CORNER * recording.rate))
 

@@ -12,7 +12,7 @@ from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.zeros import Zero
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.recording import Recording
@@ -46,7 +46,7 @@ class Comparison(Mapping[str, Sequence[BaselineEstimate]]):
     estimates: Mapping[str, Sequence[BaselineEstimate]]
     recording: Recording
     dynamics: IndependentDynamics | CoupledDynamics
-    responses: Mapping[str, Dynamics]
+    responses: Mapping[str, ModalModel]
     truths: Mapping[str, Truth]
     loads: Loads | None = None
 

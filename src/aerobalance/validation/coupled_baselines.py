@@ -14,16 +14,15 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import EquivalentModel, ModalModel, Mode
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.component_force import estimated
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.prior import fit_prior
-from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import columns_of
-from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.recording.errors import FitError
@@ -35,8 +34,7 @@ from aerobalance.validation.baselines import (
     BaselineSettings,
     Estimator,
     accelerometer_correction,
-    band_limited,
-    central_differences,
+    corner_frequency,
     correction_factor,
     estimates,
     factor_and_phase,
@@ -93,11 +91,11 @@ class _Component:
         return replace(self.record.recording, channels={own.name: channel})
 
     @property
-    def diagonal(self) -> Dynamics:
+    def diagonal(self) -> CoupledDynamics:
         """The component with the diagonals of the matrices."""
-        inertia, damping = (getattr(self.record.dynamics, kind) for kind in ("inertia", "damping"))
-        here = self.place, self.place
-        return Dynamics(self.name, mass=float(inertia[here]), stiffness=1.0, damping=max(float(damping[here]), 0.0))
+        here = np.ix_([self.place], [self.place])
+        damping = np.maximum(self.record.dynamics.damping[here], 0.0)
+        return CoupledDynamics((self.name,), self.record.dynamics.inertia[here], damping)
 
     def rivals(self) -> dict[str, Estimator]:
         """All of them by name."""
@@ -112,15 +110,15 @@ class _Component:
         return {
             "raw reading": self.raw,
             **{name: _noted(rival) for name, rival in one.items()},
-            "central differences, diagonal": self.with_diagonal(central_differences),
+            "central differences, diagonal": self.differences_by_diagonal,
             "central differences, coupled": self.differences,
-            "band-limited inverse, diagonal": self.with_diagonal(band_limited),
+            "band-limited inverse, diagonal": self.limited_by_diagonal,
             "band-limited inverse, coupled": self.limited,
             f"{THIS}, diagonal": self.smoothed_by_diagonal,
             THIS: self.estimator,
         }
 
-    def raw(self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+    def raw(self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
         """Take the load felt for the force, less the weight where the attitude and the mass are known."""
         load, whole, mass = self.filled[:, self.place], self.record.recording, self.record.dynamics.mass
         if mass is None or "pitch" not in whole:
@@ -130,7 +128,7 @@ class _Component:
         return BaselineEstimate("raw reading", load - weight, "as read, less the weight", "no delay")
 
     def by_accelerometer(
-        self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings
+        self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings
     ) -> BaselineEstimate:
         """The inertia of the live end by its own accelerometer, which is that of a force."""
         mass = self.record.dynamics.mass
@@ -138,19 +136,29 @@ class _Component:
             raise FitError("has no meaning for a moment: an accelerometer does not measure how the live end turns")
         if mass is None:
             raise FitError("the dynamics hold no mass")
-        balance = Dynamics(self.name, mass=mass.mass, stiffness=mass.mass / self.diagonal.mass, damping=0.0)
+        balance = Dynamics(
+            self.name, mass=mass.mass, stiffness=mass.mass / float(self.diagonal.inertia[0, 0]), damping=0.0
+        )
         return accelerometer_correction(self.record.recording, balance, settings)
 
-    def with_diagonal(self, rival: Estimator) -> Estimator:
-        """A rival with the diagonals of the matrices."""
+    def differences_by_diagonal(
+        self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings
+    ) -> BaselineEstimate:
+        """Eq. (17) of [Gorbushin2020]_ with the paper's derivatives and the diagonals of the matrices."""
+        found = estimate_force(without_gaps(recording, self.name), self.diagonal, method="paper").only
+        note = f"no delay; first and last sample poor; {ONE_COMPONENT}"
+        return BaselineEstimate("central differences, diagonal", found.values, found.method, note)
 
-        def run(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
-            found = rival(recording, self.diagonal, settings)
-            return replace(found, name=f"{found.name}, diagonal", note=f"{found.note}; {ONE_COMPONENT}")
+    def limited_by_diagonal(
+        self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings
+    ) -> BaselineEstimate:
+        """The inverse by the diagonals limited to a band, customarily twice the component's natural frequency."""
+        bandwidth = corner_frequency(recording, settings, 2 * self.diagonal.modes[0].natural_frequency)
+        found = estimate_force(without_gaps(recording, self.name), self.diagonal, bandwidth=bandwidth).only
+        note = f"{ZERO_PHASE}; {ONE_COMPONENT}"
+        return BaselineEstimate("band-limited inverse, diagonal", found.values, found.method, note, tuning=bandwidth)
 
-        return run
-
-    def differences(self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+    def differences(self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
         """X + D X' + A X'' with three-point central differences of all readings."""
         coupled, n = self.record.dynamics, len(self.record.dynamics.components)
         felt, interval = self.filled - self.record.from_ground, self.record.interval
@@ -166,30 +174,29 @@ class _Component:
             "no delay; first and last sample poor",
         )
 
-    def limited(self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+    def limited(self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
         """The inverse by the matrices limited to a band, customarily twice the highest natural frequency."""
         customary = 2 * max(mode.natural_frequency for mode in self.record.dynamics.modes)
         wanted = customary if settings.tuning is None else settings.tuning
         bandwidth = min(wanted, 0.49 * recording.rate)
-        job = self.record.job(self.name, self.filled)
-        job = replace(job, recording=without_gaps(job.recording, self.name))
-        found = estimated(job, method="smoother", bandwidth=bandwidth, hum="mains")
+        ready = self.record.component_record(self.name, self.filled)
+        ready = replace(ready, recording=without_gaps(ready.recording, self.name))
+        found = estimated(ready, method="smoother", bandwidth=bandwidth, hum="mains")
         return BaselineEstimate(
             "band-limited inverse, coupled", found.values, found.method, ZERO_PHASE, tuning=bandwidth
         )
 
     def smoothed_by_diagonal(
-        self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings
+        self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings
     ) -> BaselineEstimate:
         """The smoother with the diagonals of the matrices; what they leave ringing would be taken for steps."""
-        job = ComponentRecord.of(recording, self.diagonal, GroundMotion.of(recording, self.name))
-        reading = job.reading()
+        reading = CoupledRecord.of(recording, self.diagonal).component_record(self.name).reading()
         learned = fit_prior(reading, columns=columns_of([], reading))
         values = SmootherResult.of(reading, learned=learned, steps=()).force
         words = f"smoother: {learned.spectrum}; no steps looked for: what the diagonal leaves ringing looks like many"
         return BaselineEstimate(f"{THIS}, diagonal", values, words, f"no delay; {ONE_COMPONENT}")
 
-    def estimator(self, recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+    def estimator(self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
         """The program's own estimate."""
         found = self.own[self.name]
         return BaselineEstimate(THIS, found.values, found.method, "no delay; every sample has its uncertainty")
@@ -249,7 +256,7 @@ def estimates_of_coupled(
     return found
 
 
-def own_response(dynamics: CoupledDynamics, component: str) -> Dynamics:
+def own_response(dynamics: CoupledDynamics, component: str) -> EquivalentModel:
     """One component's reading under its own load alone, the others free: every mode with its share of a steady load.
 
     The part of a residue that goes with the rate of the load, which damping that couples the modes gives, is left out.
@@ -270,21 +277,13 @@ def own_response(dynamics: CoupledDynamics, component: str) -> Dynamics:
         Mode(float(abs(pole)) / (2 * np.pi), float(-pole.real / abs(pole)), float(share))
         for pole, share in zip(poles[up][order], (-2 * np.real(residues / poles[up]))[order], strict=True)
     ]
-    first, *further = modes
-    w = first.angular_frequency
-    return Dynamics(
-        component,
-        mass=1 / w**2,
-        stiffness=1.0,
-        damping=2 * first.damping_ratio / w,
-        further_modes=tuple(further),
-    )
+    return EquivalentModel(component, modes[0], tuple(modes[1:]))
 
 
 def _noted(rival: Estimator) -> Estimator:
     """A rival that says that it knows one component only."""
 
-    def run(recording: Recording, dynamics: Dynamics, settings: BaselineSettings) -> BaselineEstimate:
+    def run(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
         found = rival(recording, dynamics, settings)
         return replace(found, note=f"{found.note}; {ONE_COMPONENT}")
 

@@ -14,7 +14,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import minimize
 
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.recording.channel import Array
 
 PARTS: Final = 8
@@ -147,7 +147,7 @@ class MissingMode(NamedTuple):
     u_share: float
 
 
-def missing_mode(seen: Averaged, dynamics: Dynamics) -> MissingMode | None:
+def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
     """The strongest peak that a further mode explains and a smooth load does not.
 
     A narrow band of the load itself looks the same.
@@ -160,7 +160,7 @@ def missing_mode(seen: Averaged, dynamics: Dynamics) -> MissingMode | None:
         best: tuple[_LocalFit, Mode] | None = None
         for share in (0.05, -0.05):
 
-            def bent(point: Array, share: float = share) -> Dynamics:
+            def bent(point: Array, share: float = share) -> ModalModel:
                 mode = Mode(float(np.exp(point[0])), float(np.exp(point[1])), share * float(np.exp(point[2])))
                 return dynamics.with_modes(*dynamics.further_modes, mode)
 
@@ -180,7 +180,7 @@ def missing_mode(seen: Averaged, dynamics: Dynamics) -> MissingMode | None:
     return None
 
 
-def own_resonance(seen: Averaged, dynamics: Dynamics) -> tuple[Array, Array, float] | None:
+def own_resonance(seen: Averaged, dynamics: ModalModel) -> tuple[Array, Array, float] | None:
     """Relative change of natural frequency and damping ratio of the first mode, their covariance and the evidence.
 
     Returns
@@ -191,12 +191,12 @@ def own_resonance(seen: Averaged, dynamics: Dynamics) -> tuple[Array, Array, flo
     """
     band = seen.near(dynamics.natural_frequency)
     place = int(np.argmin(np.abs(seen.frequency - dynamics.natural_frequency)))
-    if band.size < 16 or dynamics.damping == 0 or seen.power[place - 1 : place + 2].max() < EXCITED * seen.noise:
+    if band.size < 16 or dynamics.damping_ratio == 0 or seen.power[place - 1 : place + 2].max() < EXCITED * seen.noise:
         return None
 
-    def changed(point: Array) -> Dynamics:
+    def changed(point: Array) -> ModalModel:
         w, ratio = np.exp(point)
-        return replace(dynamics, stiffness=dynamics.stiffness * w**2, damping=dynamics.damping * w * ratio)
+        return dynamics.retuned(frequency=float(w), damping=float(ratio))
 
     plain = _fit(seen, band, lambda _: dynamics, start=np.zeros(0), scale=np.zeros(0))
     found = _fit(seen, band, changed, start=np.zeros(2), scale=np.array([0.3 * dynamics.damping_ratio, 0.2]))
@@ -206,7 +206,7 @@ def own_resonance(seen: Averaged, dynamics: Dynamics) -> tuple[Array, Array, flo
     return found.point, found.covariance, found.twice_log_likelihood - plain.twice_log_likelihood
 
 
-def _peaks(seen: Averaged, dynamics: Dynamics) -> list[float]:
+def _peaks(seen: Averaged, dynamics: ModalModel) -> list[float]:
     """Frequencies of the peaks that stand out of their surroundings, the strongest first [Hz]; not the modes known."""
     count = seen.power.size
     width = np.clip((BAND * np.arange(count)).astype(int), 12, None)
@@ -232,7 +232,7 @@ def _peaks(seen: Averaged, dynamics: Dynamics) -> list[float]:
 
 
 def _fit(
-    seen: Averaged, band: NDArray[np.intp], model: Callable[[Array], Dynamics], *, start: Array, scale: Array
+    seen: Averaged, band: NDArray[np.intp], model: Callable[[Array], ModalModel], *, start: Array, scale: Array
 ) -> _LocalFit:
     """Maximum likelihood over a band; level and slope of the force's spectrum come after the given parameters."""
     centre = float(seen.frequency[band].mean())

@@ -9,15 +9,16 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force import Force
 from aerobalance.estimation.prior import Observation
-from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord
+from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord, SingleRecord
 from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
 from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.identification.free_decay.event import first_look
@@ -134,57 +135,62 @@ def contradictions(force: Force) -> list[str]:
     force
         The force, which holds the record.
     """
-    jobs = force.record.jobs(force.filled)
-    both = [(jobs[name], part) for name, part in force.items()]
-    if isinstance(force.dynamics, CoupledDynamics):
-        peaks = [peak for job, part in both for peak in _peaks(job, noise=part.noise, steps=part.steps, hum=part.hum)]
-        turning = turning_by_angles(force.recording, force.dynamics, force)
-        return [*peak_sentences(peaks, force.dynamics.modes), *turning]
-    misfits = [(job, misfit_of(job, noise=part.noise, steps=part.steps, hum=part.hum)) for job, part in both]
-    return [text for job, misfit in misfits for text in misfit.sentences(job.dynamics)]
+
+    def known(component: str) -> dict[str, Any]:
+        part = force[component]
+        return {"noise": part.noise, "steps": part.steps, "hum": part.hum}
+
+    record = force.record
+    if isinstance(record, CoupledRecord):
+        decoupled = record.component_records(force.filled)
+        peaks = [peak for name in force for peak in _peaks(decoupled[name], **known(name))]
+        turning = turning_by_angles(force.recording, record.dynamics, force)
+        return [*peak_sentences(peaks, record.dynamics.modes), *turning]
+    single = record.component_records(force.filled)
+    return [text for name in force for text in misfit_of(single[name], **known(name)).sentences(single[name].dynamics)]
 
 
-def misfit_of(job: ComponentRecord, *, noise: float, steps: Sequence[Step] = (), hum: Sequence[Line] = ()) -> Misfit:
+def misfit_of(record: SingleRecord, *, noise: float, steps: Sequence[Step] = (), hum: Sequence[Line] = ()) -> Misfit:
     """A mode of a record that the dynamics lack, and a frequency or damping that has changed.
 
     Parameters
     ----------
-    job
+    record
         The component with its record and dynamics.
     noise
         Standard uncertainty of a reading of the load [N].
     steps, hum
         Sudden changes of the force, and lines of hum, that were found in the record.
     """
-    seen = _unbroken(job, steps, hum)
+    seen = _unbroken(record, steps, hum)
     if seen is None:
-        return Misfit(job.dynamics.component)
+        return Misfit(record.dynamics.component)
     reading, within = seen
-    release = _release(job, reading.values, noise=noise)
-    known = job.load
+    release = _release(record, reading.values, noise=noise)
+    known = record.load
     if release is not None:
-        return _possible(_after_release(release, job.dynamics), most=float(np.nanmax(known) - np.nanmin(known)))
+        return _possible(_after_release(release, record.dynamics), most=float(np.nanmax(known) - np.nanmin(known)))
     left = _without_steps(reading, within)
-    found = _in_spectrum(left, job.dynamics, interval=reading.interval, noise=noise)
+    found = _in_spectrum(left, record.dynamics, interval=reading.interval, noise=noise)
     return _possible(found, most=float(np.nanstd(known)))
 
 
-def _peaks(job: ComponentRecord, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]) -> list[Peak]:
+def _peaks(record: ComponentRecord, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]) -> list[Peak]:
     """A narrow peak in the reading of a decoupled component, in which no mode of the dynamics shows."""
-    seen = _unbroken(job, steps, hum)
+    seen = _unbroken(record, steps, hum)
     if seen is None:
         return []
     reading, within = seen
     averaged = Averaged.of(_without_steps(reading, within), interval=reading.interval, noise=noise)
-    mode = None if averaged is None else missing_mode(averaged, job.dynamics)
-    return [] if mode is None else [Peak(job.dynamics.component, mode.mode.natural_frequency, mode.u_frequency)]
+    mode = None if averaged is None else missing_mode(averaged, record.dynamics)
+    return [] if mode is None else [Peak(record.dynamics.component, mode.mode.natural_frequency, mode.u_frequency)]
 
 
 def _unbroken(
-    job: ComponentRecord, steps: Sequence[Step], hum: Sequence[Line]
+    record: ComponentRecord, steps: Sequence[Step], hum: Sequence[Line]
 ) -> tuple[Observation, list[Step]] | None:
     """The longest stretch of a reading without a gap, hum taken out, and the steps within; None where it is still."""
-    reading = job.reading()
+    reading = record.reading()
     lines = reading_of_lines(tuple(hum), count=reading.values.size, interval=reading.interval) if hum else 0.0
     edges = np.flatnonzero(np.diff(np.concatenate(([False], reading.present, [False])).astype(np.int8)))
     stretches = edges.reshape(-1, 2)
@@ -212,10 +218,9 @@ def _possible(found: Misfit, *, most: float) -> Misfit:
     return found if found.size is None or found.size <= most else replace(found, size=None)
 
 
-def _release(job: ComponentRecord, values: Array, *, noise: float) -> DecayFit | None:
+def _release(record: SingleRecord, values: Array, *, noise: float) -> DecayFit | None:
     """The record as a free decay, where that explains it down to its noise."""
-    recording, dynamics = job.recording, job.dynamics
-    name = dynamics.component
+    recording, name = record.recording, record.dynamics.component
     channel = replace(recording.channel(name), values=values)
     alone = Recording.from_columns(np.arange(values.size) / recording.rate, {name: channel}, name=recording.name)
     with warnings.catch_warnings():
@@ -228,7 +233,7 @@ def _release(job: ComponentRecord, values: Array, *, noise: float) -> DecayFit |
             near = np.abs(time - look.start) < NEAR / look.frequency
             if fit_ring(time[near], values[near], look).variance > RELEASED * float(np.var(values[near])):
                 return None
-            fit = identify_decay(alone, component=name, mass=dynamics.mass, modes="auto")
+            fit = identify_decay(alone, component=name, mass=record.dynamics.mass, modes="auto")
         except FitError:
             return None
     return fit if fit.release is not None and fit.residual_deviation < EXPLAINED * noise else None

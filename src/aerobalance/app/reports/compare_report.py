@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from aerobalance.app.reports.page import PLACE_HOLDERS, empty_figure, inline, legend, write_page
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.io.artefacts import provenance
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
@@ -109,7 +109,7 @@ def best(found: Sequence[BaselineEstimate], truth: Truth | None) -> list[Baselin
 
 
 def shown_part(
-    recording: Recording, dynamics: Dynamics, found: Sequence[BaselineEstimate], truth: Truth | None
+    recording: Recording, dynamics: ModalModel, found: Sequence[BaselineEstimate], truth: Truth | None
 ) -> slice:
     """Samples around the largest change of the force within a tenth of a natural period."""
     own = next(row for row in found if row.name == THIS)
@@ -128,7 +128,7 @@ def comparison_figure(
     found: Sequence[BaselineEstimate],
     *,
     recording: Recording,
-    dynamics: Dynamics,
+    dynamics: ModalModel,
     truth: Truth | None,
     window: slice,
 ) -> str:

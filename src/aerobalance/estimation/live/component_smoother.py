@@ -24,7 +24,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.live import _live_kernels as kernels
 from aerobalance.estimation.live.filter import HISTORY, PIECE, SCAN_LAGS, LiveFilter, false_alarm_evidence
 from aerobalance.estimation.live.health import (
@@ -156,7 +156,7 @@ class ComponentSmoother:
         Where the stream stands.
     """
 
-    def __init__(self, dynamics: Dynamics, settings: SmootherSettings) -> None:
+    def __init__(self, dynamics: ModalModel, settings: SmootherSettings) -> None:
         self.dynamics, self.settings = dynamics, settings
         learned = settings.learned
         if learned is not None and learned.color is not None:

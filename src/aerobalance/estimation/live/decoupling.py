@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel, Fractions
 from aerobalance.dynamics.driven_modes import DrivenModes
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import REACH, hold_over_gaps
@@ -28,12 +29,12 @@ MARGIN: Final = REACH
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveDecoupledChannel:
-    """The balance of one component that gives its force, and how its reading comes from all.
+    """The model of one component that gives its force, and how its reading comes from those of all.
 
     Attributes
     ----------
     dynamics
-        That balance.
+        That model.
     fractions
         How its reading comes from those of the n components.
     partners
@@ -42,7 +43,7 @@ class LiveDecoupledChannel:
         Whether it is the component's own reading.
     """
 
-    dynamics: Dynamics
+    dynamics: ModalModel
     fractions: Fractions
     partners: NDArray[np.bool_]
     alone: bool
@@ -51,8 +52,8 @@ class LiveDecoupledChannel:
 def decoupled(dynamics: Dynamics | CoupledDynamics, *, noise: Array) -> list[LiveDecoupledChannel]:
     """Return the decoupled channels of n components; `noise` is the covariance of a reading, shape (n, n)."""
     if isinstance(dynamics, CoupledDynamics):
-        lones = [DecoupledChannel.of(dynamics, name, noise=noise) for name in dynamics.components]
-        return [LiveDecoupledChannel(one.dynamics, one.fractions, one.partners, one.alone) for one in lones]
+        channels = [DecoupledChannel.of(dynamics, name, noise=noise) for name in dynamics.components]
+        return [LiveDecoupledChannel(one.dynamics, one.fractions, one.partners, one.alone) for one in channels]
     none = np.zeros((len(dynamics.modes), 1))
     own = Fractions(np.ones(1), dynamics.modes, none, none)
     return [LiveDecoupledChannel(dynamics, own, np.ones(1, dtype=np.bool_), alone=True)]

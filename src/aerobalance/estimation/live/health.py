@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import gamma
 
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.live.filter import strange_square
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.spectra.periodogram import Spectrum
@@ -216,7 +216,7 @@ class Watch:
         Mean square of the normalised residuals over the last stretch.
     """
 
-    def __init__(self, dynamics: Dynamics, *, interval: float) -> None:
+    def __init__(self, dynamics: ModalModel, *, interval: float) -> None:
         self._turn = dynamics.angular_frequency * interval
         self._long = RINGING / (dynamics.decay_rate * interval) if dynamics.decay_rate > 0 else np.inf
         self.mean_square = 1.0

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from scipy.stats import norm
 
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.live import _live_kernels as kernels
 from aerobalance.estimation.live.filter import MOST_STEPS, KnownShape, LiveFilter
 from aerobalance.estimation.steps import SETTINGS as SEARCH
@@ -57,7 +57,7 @@ class Following:
         Time between samples [s].
     """
 
-    def __init__(self, dynamics: Dynamics, *, interval: float) -> None:
+    def __init__(self, dynamics: ModalModel, *, interval: float) -> None:
         self._dynamics, self._interval = dynamics, interval
         self._followed: list[Followed] = []
         self._past: list[Step] = []
@@ -151,7 +151,7 @@ class Following:
                 self._followed.remove(one)
 
 
-def shapes_of(step: Step, dynamics: Dynamics, *, interval: float) -> list[KnownShape]:
+def shapes_of(step: Step, dynamics: ModalModel, *, interval: float) -> list[KnownShape]:
     """What the live filter follows of a step: 1 N of it, and its changes by a sampling interval of time."""
     small = SHIFT * interval
 
@@ -176,7 +176,7 @@ def shapes_of(step: Step, dynamics: Dynamics, *, interval: float) -> list[KnownS
 
 
 def place_step(
-    live: LiveFilter, dynamics: Dynamics, start: Step, *, own: Collection[int], search: bool, ramps: bool
+    live: LiveFilter, dynamics: ModalModel, start: Step, *, own: Collection[int], search: bool, ramps: bool
 ) -> tuple[Step, float]:
     """Instant, duration and height of a step from the readings that the filter has taken, and twice its likelihood.
 

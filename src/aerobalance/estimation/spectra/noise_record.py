@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 from scipy.signal.windows import tukey
 from scipy.stats import gamma
 
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.spectra.line_noise import columns_of_lines, hum_lines
 from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, Hump, NoiseSpectrum
 from aerobalance.recording.channel import Array
@@ -74,7 +74,7 @@ FAINTEST: Final = 0.05
 
 
 def noise_spectrum_of(
-    values: Array, dynamics: Dynamics, *, interval: float, input_density: float = 0.0, name: str = "noise"
+    values: Array, dynamics: ModalModel, *, interval: float, input_density: float = 0.0, name: str = "noise"
 ) -> NoiseSpectrum:
     """Learn it from a record of noise alone: wind off, balance at rest.
 
@@ -187,7 +187,7 @@ class Ordinates:
     def of(
         cls,
         values: Array,
-        dynamics: Dynamics,
+        dynamics: ModalModel,
         *,
         interval: float,
         input_density: float = 0.0,

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.recording.channel import Array
 
 LONGEST: Final = 1 << 17
@@ -155,7 +155,7 @@ class Periodogram:
     def of(
         cls,
         values: Array,
-        dynamics: Dynamics,
+        dynamics: ModalModel,
         *,
         interval: float,
         input_density: float = 0.0,
@@ -231,7 +231,7 @@ def _parts(values: Array) -> tuple[list[Array], Array]:
     return parts, np.hanning(length + 2)[1:-1]
 
 
-def _smeared_gain(dynamics: Dynamics, frequency: Array) -> Array:
+def _smeared_gain(dynamics: ModalModel, frequency: Array) -> Array:
     """Square of the response as a Hann window sees it: averaged over the main lobe, eight points an ordinate."""
     step = frequency[1]
     fine = (np.arange(8 * (frequency.size + 4)) / 8 - 2) * step

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.estimation.statespace import _kernels
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.channel import Array
@@ -61,7 +61,7 @@ class StateSpace:
     @classmethod
     def of_balance(
         cls,
-        dynamics: Dynamics,
+        dynamics: ModalModel,
         force: ShapingFilter,
         *,
         interval: float,

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.single import Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.identification.base_excitation.first_guess import first_guess, incoherent_noise
 from aerobalance.identification.base_excitation.frf_model import (
     FIRST,

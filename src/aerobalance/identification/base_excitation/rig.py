@@ -17,7 +17,8 @@ from typing import Final, Literal
 
 import numpy as np
 
-from aerobalance.dynamics.single import Dynamics, Mode
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.base_excitation.frf_model import Problem
 from aerobalance.identification.base_excitation.further_modes import one_more_mode, with_further_modes
 from aerobalance.identification.base_excitation.live_check import LiveCheck, live_check
