@@ -16,7 +16,7 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
-from aerobalance.validation.local_modes import REACH, Averaged, missing_mode, own_resonance, smeared
+from aerobalance.validation.local_modes import SETTINGS, Averaged, missing_mode, own_resonance, smeared
 from aerobalance.validation.model_check import Misfit, misfit_of
 
 RATE = 1600.0
@@ -141,7 +141,7 @@ def test_smearing_is_that_of_the_window(rng):
     size = 2 * (seen.frequency.size - 1)
     middle = band[band.size // 2]
     line = np.zeros(seen.fine(band).size)
-    line[2 * (band.size // 2 + REACH)] = 1.0
+    line[2 * (band.size // 2 + SETTINGS.reach)] = 1.0
     # the window's own spectrum about a line in the middle of the band, by the transform
     window = np.hanning(size + 1)[:-1]
     wave = np.exp(2j * np.pi * middle * np.arange(size) / size)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from aerobalance.balance.calibration.selection import WORTH_LEAVING, select
-from aerobalance.balance.calibration.shrinkage import TAILS, Coefficients, Design, shrink
+from aerobalance.balance.calibration.shrinkage import SETTINGS, Coefficients, Design, shrink
 from aerobalance.recording.channel import Array
 
 COMPONENTS, LINEAR, OF_A_KIND, POINTS = 6, 6, 15, 200
@@ -66,8 +66,8 @@ def test_a_few_large_among_many_that_are_not_there_stay_as_they_are(rng) -> None
     points, ordinary = readings(truth, rng)
     found = shrink(points, KINDS)
     for place in few:
-        # the weight of a large one is at most (TAILS + 1) width^2 / b^2, so its penalty (TAILS + 1) scatter / b^2
-        limit = (TAILS + 1) * SIGMA**2 / abs(truth[place])
+        # the weight of a large one is at most (tails + 1) width^2 / b^2, so its penalty (tails + 1) scatter / b^2
+        limit = (SETTINGS.tails + 1) * SIGMA**2 / abs(truth[place])
         # scatter is known to 3 %, and b to 1 %: twice the limit is far beyond both
         assert abs(found.mean[place] - ordinary[place]) < 2 * limit
     none = np.ones_like(truth, dtype=bool)

@@ -25,17 +25,33 @@ from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 
-BEYOND: Final = 0.02
-"""Excess over the calibrated range, over the range, from which it is warned."""
 
-NEARLY_DIVERGING: Final = 0.5
-"""Contraction of the iteration from which it is warned: at 1 the plain iteration no longer converges."""
+@dataclass(frozen=True, slots=True)
+class LoadSettings:
+    """Thresholds of the warnings about balance loads.
 
-MOST_POINTS: Final = 500
-"""Rows up to which a recording may be averaged points."""
+    Attributes
+    ----------
+    beyond
+        Excess over the calibrated range, over the range, from which it is warned.
+    nearly_diverging
+        Contraction of the iteration from which it is warned: at 1 the plain iteration no longer converges.
+    most_points
+        Rows up to which a recording may be averaged points.
+    points_apart
+        Noise from row to row, over the scatter of the calibration's readings, from which rows are doubted to be
+        samples.
+    """
 
-POINTS_APART: Final = 20.0
-"""Noise from row to row, over the scatter of the calibration's readings, from which rows are doubted to be samples."""
+    beyond: float = 0.02
+    nearly_diverging: float = 0.5
+    most_points: int = 500
+    points_apart: float = 20.0
+
+
+SETTINGS: Final = LoadSettings()
+"""Thresholds that are used."""
+
 
 SHARED_PITCH: Final = np.radians(0.2)
 """Difference of the mean pitch up to which a wind-off recording is at the same attitude [rad]."""
@@ -285,7 +301,7 @@ def _check_range(recording: Recording, balance: BalanceMatrix, native: Array) ->
     least, most = balance.calibrated
     span = most - least
     beyond = np.maximum(native - most, least - native) / span
-    counts = {name: int(np.count_nonzero(beyond[:, i] > BEYOND)) for i, name in enumerate(balance.components)}
+    counts = {name: int(np.count_nonzero(beyond[:, i] > SETTINGS.beyond)) for i, name in enumerate(balance.components)}
     for i, (name, count) in enumerate(counts.items()):
         if count:
             _warn(
@@ -300,7 +316,7 @@ def _check_iteration(recording: Recording, balance: BalanceMatrix, native: Array
     """Largest contraction factor, looked for where each load is least and largest."""
     extremes = np.unique(np.concatenate([native.argmin(axis=0), native.argmax(axis=0)]))
     factor = float(np.max(balance.contraction(native[extremes])))
-    if factor > NEARLY_DIVERGING:
+    if factor > SETTINGS.nearly_diverging:
         _warn(
             f"{recording.name}: the interactions are so strong at the largest loads that the iteration shrinks an "
             f"error only by {factor:.2g} a step (at 1 it diverges and loads are not unique); check zeros and units"
@@ -319,19 +335,19 @@ def _noise(channel: Channel) -> float:
 def _check_rows(recording: Recording, balance: BalanceMatrix, channels: Sequence[Channel], noise: Array) -> None:
     """Warn where rows look like averaged points at several loads: what their outputs differ by is no noise."""
     scatter = balance.residual_deviation * balance.output_scale  # of the iterative way, and near enough of the other
-    if recording.samples > MOST_POINTS or not scatter.any():
+    if recording.samples > SETTINGS.most_points or not scatter.any():
         return
     uneven = [
         channel.name
         for channel, own, usual in zip(channels, noise, scatter, strict=True)
-        if channel.noise is None and own > POINTS_APART * usual > 0
+        if channel.noise is None and own > SETTINGS.points_apart * usual > 0
     ]
     if uneven:
         _warn(
-            f"{recording.name}: from row to row {', '.join(uneven)} change by more than {POINTS_APART:g} times what "
-            "readings of the calibration scatter, and that is taken for noise. If the rows are averaged points at "
-            "several loads, it is far too large, and the uncertainty with it: say the noise of a row in a channel map "
-            '(noise = ... under [channels.rNAME], with "aerobalance map")'
+            f"{recording.name}: from row to row {', '.join(uneven)} change by more than {SETTINGS.points_apart:g} "
+            "times what readings of the calibration scatter, and that is taken for noise. If the rows are averaged "
+            "points at several loads, it is far too large, and the uncertainty with it: say the noise of a row in a "
+            'channel map (noise = ... under [channels.rNAME], with "aerobalance map")'
         )
 
 

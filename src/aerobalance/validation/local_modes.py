@@ -25,38 +25,53 @@ from scipy.optimize import minimize
 from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.recording.channel import Array
 
-PARTS: Final = 8
-"""Parts of the record whose periodograms are averaged; they overlap by half."""
 
-FEWEST_SAMPLES: Final = 4096
-"""Samples below which a record's spectrum tells no resonance from chance."""
+@dataclass(frozen=True, slots=True)
+class LocalModeSettings:
+    """Thresholds of the search for resonances in a spectrum.
 
-INDEPENDENT: Final = 0.53
-"""Independent ordinates per ordinate of a Hann periodogram, over the 11/18 by which half overlap thins the average."""
+    Attributes
+    ----------
+    parts
+        Parts of the record whose periodograms are averaged; they overlap by half.
+    fewest_samples
+        Samples below which a record's spectrum tells no resonance from chance.
+    independent
+        Independent ordinates per ordinate of a Hann periodogram, over the 11/18 by which half overlap thins the
+        average.
+    band
+        Half width of the band in which the force's spectrum is taken for a power of frequency, over its centre.
+    reach
+        Ordinates over which the window smears a line.
+    chance
+        Standard deviations of an ordinate, in the logarithm, by which a peak that is looked at stands out.
+    evidence
+        Gain in twice the log-likelihood that a further mode must bring.
+    likely
+        Damping ratio from which the search for that of a further mode starts.
+    heaviest
+        Damping ratio above which a peak is the load's and no mode.
+    excited
+        Level of the balance's own resonance over the noise from which its frequency and damping are looked at.
+    misfit
+        Standard deviations by which the band may fit worse than by chance.
+    """
 
-BAND: Final = 0.25
-"""Half width of the band in which the force's spectrum is taken for a power of frequency, over its centre."""
+    parts: int = 8
+    fewest_samples: int = 4096
+    independent: float = 0.53
+    band: float = 0.25
+    reach: int = 12
+    chance: float = 4.5
+    evidence: float = 60.0
+    likely: float = 0.008
+    heaviest: float = 0.1
+    excited: float = 20.0
+    misfit: float = 5.0
 
-REACH: Final = 12
-"""Ordinates over which the window smears a line."""
 
-CHANCE: Final = 4.5
-"""Standard deviations of an ordinate, in the logarithm, by which a peak that is looked at stands out."""
-
-EVIDENCE: Final = 60.0
-"""Gain in twice the log-likelihood that a further mode must bring."""
-
-LIKELY: Final = 0.008
-"""Damping ratio from which the search for that of a further mode starts."""
-
-HEAVIEST: Final = 0.1
-"""Damping ratio above which a peak is the load's and no mode."""
-
-EXCITED: Final = 20.0
-"""Level of the balance's own resonance over the noise from which its frequency and damping are looked at."""
-
-MISFIT: Final = 5.0
-"""Standard deviations by which the band may fit worse than by chance."""
+SETTINGS: Final = LocalModeSettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,9 +98,9 @@ class Averaged:
     @classmethod
     def of(cls, values: Array, *, interval: float, noise: float) -> Averaged | None:
         """Average over the parts of a record without gaps, or None where it is too short."""
-        if values.size < FEWEST_SAMPLES:
+        if values.size < SETTINGS.fewest_samples:
             return None
-        size = 2 * values.size // (PARTS + 1) // 2 * 2
+        size = 2 * values.size // (SETTINGS.parts + 1) // 2 * 2
         window = np.hanning(size + 1)[:-1]
         starts = range(0, values.size - size + 1, size // 2)
         ordinates = [
@@ -102,26 +117,28 @@ class Averaged:
         return float(self.frequency[1])
 
     def fine(self, band: NDArray[np.intp]) -> Array:
-        """Frequencies at half the distance, from `REACH` ordinates below a band to as many above it [Hz]."""
-        first, last = (2 * int(band[place]) + shift for place, shift in ((0, -2 * REACH), (-1, 2 * REACH)))
+        """Frequencies at half the distance, from `SETTINGS.reach` ordinates below a band to as many above it [Hz]."""
+        first, last = (
+            2 * int(band[place]) + shift for place, shift in ((0, -2 * SETTINGS.reach), (-1, 2 * SETTINGS.reach))
+        )
         return np.abs(np.arange(first, last + 1)) * self.resolution / 2
 
     def near(self, centre: float) -> NDArray[np.intp]:
         """Places of the ordinates within the band about a frequency; not the lowest, from which the mean is taken."""
-        lowest, highest = max((1 - BAND) * centre, 4 * self.resolution), (1 + BAND) * centre
+        lowest, highest = max((1 - SETTINGS.band) * centre, 4 * self.resolution), (1 + SETTINGS.band) * centre
         return np.flatnonzero((self.frequency >= lowest) & (self.frequency <= highest))
 
 
 def smeared(density: Array) -> Array:
     """A density at `Averaged.fine` as the Hann window shows it at the ordinates of the band.
 
-    Beyond `REACH` ordinates the window passes less than 1e-6 of a line's power.
+    Beyond `SETTINGS.reach` ordinates the window passes less than 1e-6 of a line's power.
     """
     return np.convolve(density, _LOBE, mode="valid")[::2]
 
 
 def _lobe() -> Array:
-    place = np.arange(-2 * REACH, 2 * REACH + 1) / 2
+    place = np.arange(-2 * SETTINGS.reach, 2 * SETTINGS.reach + 1) / 2
     power = (np.sinc(place) + 0.5 * np.sinc(place - 1) + 0.5 * np.sinc(place + 1)) ** 2
     return np.asarray(power / power.sum())
 
@@ -164,8 +181,8 @@ def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
                 mode = Mode(float(np.exp(point[0])), float(np.exp(point[1])), share * float(np.exp(point[2])))
                 return dynamics.with_modes(*dynamics.further_modes, mode)
 
-            start = np.array([np.log(centre), np.log(LIKELY), 0.0])
-            found = _fit(seen, band, bent, start=start, scale=np.array([0.2 * LIKELY, 0.3, 0.5]))
+            start = np.array([np.log(centre), np.log(SETTINGS.likely), 0.0])
+            found = _fit(seen, band, bent, start=start, scale=np.array([0.2 * SETTINGS.likely, 0.3, 0.5]))
             if best is None or found.twice_log_likelihood > best[0].twice_log_likelihood:
                 best = found, bent(found.point).further_modes[-1]
         if best is None:
@@ -173,8 +190,8 @@ def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
         found, mode = best
         gain = found.twice_log_likelihood - plain.twice_log_likelihood
         width = 2 * mode.damping_ratio * mode.natural_frequency
-        inside = abs(mode.natural_frequency / centre - 1) < BAND / 2
-        if gain > EVIDENCE and mode.damping_ratio < HEAVIEST and width > seen.resolution and inside:
+        inside = abs(mode.natural_frequency / centre - 1) < SETTINGS.band / 2
+        if gain > SETTINGS.evidence and mode.damping_ratio < SETTINGS.heaviest and width > seen.resolution and inside:
             relative = np.sqrt(np.diag(found.covariance))  # of the logarithms
             return MissingMode(mode, float(relative[0]) * mode.natural_frequency, float(relative[2]) * abs(mode.share))
     return None
@@ -191,7 +208,11 @@ def own_resonance(seen: Averaged, dynamics: ModalModel) -> tuple[Array, Array, f
     """
     band = seen.near(dynamics.natural_frequency)
     place = int(np.argmin(np.abs(seen.frequency - dynamics.natural_frequency)))
-    if band.size < 16 or dynamics.damping_ratio == 0 or seen.power[place - 1 : place + 2].max() < EXCITED * seen.noise:
+    if (
+        band.size < 16
+        or dynamics.damping_ratio == 0
+        or seen.power[place - 1 : place + 2].max() < SETTINGS.excited * seen.noise
+    ):
         return None
 
     def changed(point: Array) -> ModalModel:
@@ -201,7 +222,9 @@ def own_resonance(seen: Averaged, dynamics: ModalModel) -> tuple[Array, Array, f
     plain = _fit(seen, band, lambda _: dynamics, start=np.zeros(0), scale=np.zeros(0))
     found = _fit(seen, band, changed, start=np.zeros(2), scale=np.array([0.3 * dynamics.damping_ratio, 0.2]))
     moved, ratio = np.exp(np.clip(found.point, -700, 700)) * (1.0, dynamics.damping_ratio)
-    if found.misfit > MISFIT or abs(moved - 1) > BAND or ratio >= 1:  # beyond the band, or no resonance: not told
+    if (
+        found.misfit > SETTINGS.misfit or abs(moved - 1) > SETTINGS.band or ratio >= 1
+    ):  # beyond the band, or no resonance: not told
         return None
     return found.point, found.covariance, found.twice_log_likelihood - plain.twice_log_likelihood
 
@@ -209,7 +232,7 @@ def own_resonance(seen: Averaged, dynamics: ModalModel) -> tuple[Array, Array, f
 def _peaks(seen: Averaged, dynamics: ModalModel) -> list[float]:
     """Frequencies of the peaks that stand out of their surroundings, the strongest first [Hz]; not the modes known."""
     count = seen.power.size
-    width = np.clip((BAND * np.arange(count)).astype(int), 12, None)
+    width = np.clip((SETTINGS.band * np.arange(count)).astype(int), 12, None)
     level = np.log(np.maximum(seen.power, 1e-300))
     surroundings = np.empty(count)
     edge = 12
@@ -222,7 +245,7 @@ def _peaks(seen: Averaged, dynamics: ModalModel) -> list[float]:
     for mode in dynamics.modes:
         reach = 6 * mode.damping_ratio * mode.natural_frequency + 4 * seen.resolution
         above[np.abs(seen.frequency - mode.natural_frequency) < reach] = 0.0
-    limit = CHANCE / np.sqrt(seen.averages)
+    limit = SETTINGS.chance / np.sqrt(seen.averages)
     found: list[float] = []
     while len(found) < 3 and above.max() > limit:
         place = int(np.argmax(above))
@@ -238,7 +261,7 @@ def _fit(
     centre = float(seen.frequency[band].mean())
     frequency = seen.fine(band)
     log_ratio = np.log(np.maximum(frequency, seen.resolution) / centre)
-    weight = seen.averages * INDEPENDENT
+    weight = seen.averages * SETTINGS.independent
 
     def expected(point: Array) -> Array:
         transfer = np.abs(model(point[: start.size]).response(frequency)) ** 2
@@ -267,5 +290,5 @@ def _fit(
     )  # fmt: skip
     covariance = np.linalg.pinv(weight * slopes.T @ slopes)
     ratio = seen.power[band] / shown
-    misfit = float(np.mean((ratio - 1) ** 2) * seen.averages - 1) * np.sqrt(band.size * INDEPENDENT / 2)
+    misfit = float(np.mean((ratio - 1) ** 2) * seen.averages - 1) * np.sqrt(band.size * SETTINGS.independent / 2)
     return _LocalFit(point[: start.size], covariance[: start.size, : start.size], -2 * float(found.fun), misfit)

@@ -33,32 +33,44 @@ from aerobalance.validation.local_modes import Averaged, missing_mode, own_reson
 from aerobalance.validation.peaks import Peak, peak_sentences
 from aerobalance.validation.unmeasured_rotation import turning_by_angles
 
-DRIFT: Final = 5.0
-"""Standard uncertainties that frequency or damping has to be off before it is said to have changed."""
 
-SAME_MODE: Final = 0.02
-"""Relative difference of frequency up to which a mode in the record is one of the dynamics'."""
+@dataclass(frozen=True, slots=True)
+class ModelCheckSettings:
+    """Thresholds of the checks of dynamics against a record.
 
-LONGEST: Final = 1 << 17
-"""Samples from the start that are looked at: more tell nothing new."""
+    Attributes
+    ----------
+    drift
+        Standard uncertainties that frequency or damping has to be off before it is said to have changed.
+    same_mode
+        Relative difference of frequency up to which a mode in the record is one of the dynamics'.
+    longest
+        Samples from the start that are looked at: more tell nothing new.
+    changed
+        Gain in twice the log-likelihood that another frequency and damping must bring: chance has it once in 3
+        million. The curvature at the optimum alone says too much of a resonance that the load hardly excites.
+    least_damping
+        Part of a known damping ratio below which only that it is smaller is said: so narrow a line is rather hum.
+    explained
+        Residuals of a release over the noise of the readings up to which it is explained.
+    near
+        Periods either side of a release over which it is looked whether it is one.
+    released
+        Share of a record's variance that a release of one mode leaves over at most.
+    """
 
-CHANGED: Final = 30.0
-"""Gain in twice the log-likelihood that another frequency and damping must bring: chance has it once in 3 million.
+    drift: float = 5.0
+    same_mode: float = 0.02
+    longest: int = 1 << 17
+    changed: float = 30.0
+    least_damping: float = 0.05
+    explained: float = 1.2
+    near: float = 40.0
+    released: float = 0.1
 
-The curvature at the optimum alone says too much of a resonance that the load hardly excites.
-"""
 
-LEAST_DAMPING: Final = 0.05
-"""Part of a known damping ratio below which only that it is smaller is said: so narrow a line is rather hum."""
-
-EXPLAINED: Final = 1.2
-"""Residuals of a release over the noise of the readings up to which it is explained."""
-
-NEAR: Final = 40.0
-"""Periods either side of a release over which it is looked whether it is one."""
-
-RELEASED: Final = 0.1
-"""Share of a record's variance that a release of one mode leaves over at most."""
+SETTINGS: Final = ModelCheckSettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +127,8 @@ class Misfit:
             changed.append(f"natural frequency, {own * (1 + self.frequency[0]):.5g} Hz and not {own:.5g} Hz")
         if self.damping is not None:
             own = dynamics.damping_ratio
-            now = own * max(1 + self.damping[0], LEAST_DAMPING)
-            least = "less than " if 1 + self.damping[0] < LEAST_DAMPING else ""
+            now = own * max(1 + self.damping[0], SETTINGS.least_damping)
+            least = "less than " if 1 + self.damping[0] < SETTINGS.least_damping else ""
             changed.append(f"damping ratio, {least}{now:.3g} and not {own:.3g}")
         if changed:
             found.append(
@@ -197,7 +209,7 @@ def _unbroken(
     if not len(stretches):
         return None
     first, last = (int(edge) for edge in stretches[np.argmax(stretches[:, 1] - stretches[:, 0])])
-    last = min(last, first + LONGEST)
+    last = min(last, first + SETTINGS.longest)
     values = (reading.values - lines)[first:last]
     if values.size < FEWEST_SAMPLES or float(np.ptp(values)) == 0:
         return None
@@ -230,13 +242,13 @@ def _release(record: SingleRecord, values: Array, *, noise: float) -> DecayFit |
             if look.shape != "release":
                 return None
             time = np.arange(values.size) / recording.rate
-            near = np.abs(time - look.start) < NEAR / look.frequency
-            if fit_ring(time[near], values[near], look).variance > RELEASED * float(np.var(values[near])):
+            near = np.abs(time - look.start) < SETTINGS.near / look.frequency
+            if fit_ring(time[near], values[near], look).variance > SETTINGS.released * float(np.var(values[near])):
                 return None
             fit = identify_decay(alone, component=name, mass=record.dynamics.mass, modes="auto")
         except FitError:
             return None
-    return fit if fit.release is not None and fit.residual_deviation < EXPLAINED * noise else None
+    return fit if fit.release is not None and fit.residual_deviation < SETTINGS.explained * noise else None
 
 
 def _after_release(fit: DecayFit, dynamics: Dynamics) -> Misfit:
@@ -250,7 +262,9 @@ def _after_release(fit: DecayFit, dynamics: Dynamics) -> Misfit:
     further = [
         (number, mode)
         for number, mode in enumerate(seen.further_modes, start=2)
-        if all(abs(mode.natural_frequency / known.natural_frequency - 1) > SAME_MODE for known in dynamics.modes)
+        if all(
+            abs(mode.natural_frequency / known.natural_frequency - 1) > SETTINGS.same_mode for known in dynamics.modes
+        )
     ]
     number, mode = max(further, key=lambda item: abs(item[1].share), default=(0, None))
     return Misfit(
@@ -279,7 +293,7 @@ def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: f
         size = float(np.sqrt(2 * np.sum(seen.power[near]) * seen.resolution))
     own = own_resonance(seen, dynamics)
     changes: list[tuple[float, float] | None] = [None, None]
-    if own is not None and own[2] > CHANGED:
+    if own is not None and own[2] > SETTINGS.changed:
         for index, name in enumerate(("natural_frequency", "damping_ratio")):
             known = dynamics.uncertainty(name) / getattr(dynamics, name)
             u = float(np.hypot(np.sqrt(own[1][index, index]), known))
@@ -297,4 +311,4 @@ def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: f
 
 def _if_changed(change: tuple[float, float]) -> tuple[float, float] | None:
     """A change with its uncertainty where it is more than chance."""
-    return change if abs(change[0]) > DRIFT * change[1] else None
+    return change if abs(change[0]) > SETTINGS.drift * change[1] else None

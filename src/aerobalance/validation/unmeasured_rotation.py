@@ -26,36 +26,52 @@ from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
-HALF_WINDOW: Final = 4
-"""Samples on either side of the one at which a fitted parabola gives the second derivative."""
 
-PASSED: Final = 0.108
-"""Frequency at which such a second derivative is half of the true one, over the sampling rate [1]."""
+@dataclass(frozen=True, slots=True)
+class RotationSettings:
+    """Thresholds of the search for rotation that only angles show.
 
-FEWEST: Final = 64
-"""Samples that a decimated record must have to be used."""
+    Attributes
+    ----------
+    half_window
+        Samples on either side of the one at which a fitted parabola gives the second derivative.
+    passed
+        Frequency at which such a second derivative is half of the true one, over the sampling rate [1].
+    fewest
+        Samples that a decimated record must have to be used.
+    clear
+        Mean square of a second derivative over that of its noise, and its rms over the largest error by the resolution
+        of the angle, above which it shows rotation.
+    spread
+        Standard deviations of the mean square of pure noise by which it has to exceed that of the noise as well.
+    matters
+        Rms of the load over the uncertainty of the force above which it is reported: the latter is then a tenth too
+        low.
+    blocks
+        Parts of a record from whose scatter the uncertainty of the share of the load in the force is found.
+    held
+        Share of the load in the force below which the angle shows no rotation, or the estimator has left the load out.
+    """
 
-CLEAR: Final = 2.0
-"""Mean square of a second derivative over that of its noise, and its rms over the largest error by the resolution of
-the angle, above which it shows rotation."""
+    half_window: int = 4
+    passed: float = 0.108
+    fewest: int = 64
+    clear: float = 2.0
+    spread: float = 5.0
+    matters: float = 0.5
+    blocks: int = 16
+    held: float = 0.25
 
-SPREAD: Final = 5.0
-"""Standard deviations of the mean square of pure noise by which it has to exceed that of the noise as well."""
 
-MATTERS: Final = 0.5
-"""Rms of the load over the uncertainty of the force above which it is reported: the latter is then a tenth too low."""
+SETTINGS: Final = RotationSettings()
+"""Thresholds that are used."""
 
-BLOCKS: Final = 16
-"""Parts of a record from whose scatter the uncertainty of the share of the load in the force is found."""
 
-HELD: Final = 0.25
-"""Share of the load in the force below which the angle shows no rotation, or the estimator has left the load out."""
-
-_OFFSETS: Final[Array] = np.arange(-HALF_WINDOW, HALF_WINDOW + 1.0)
+_OFFSETS: Final[Array] = np.arange(-SETTINGS.half_window, SETTINGS.half_window + 1.0)
 _PARABOLA: Final[Array] = _OFFSETS**2 - np.mean(_OFFSETS**2)
 _WEIGHTS: Final[Array] = 2 * _PARABOLA / np.sum(_PARABOLA * _OFFSETS**2)
 """Weights by which the samples of a window give the second derivative of the parabola fitted to them by least squares,
-times the square of the interval, shape (2 `HALF_WINDOW` + 1,) [1]."""
+times the square of the interval, shape (2 `SETTINGS.half_window` + 1,) [1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +99,7 @@ class SecondDerivative:
         """Return a series at the record's samples, shape (n, ...), averaged to those of `values`, shape (m, ...)."""
         count = series.shape[0] // self.factor
         means = series[: count * self.factor].reshape(count, self.factor, *series.shape[1:]).mean(axis=1)
-        return np.asarray(means[HALF_WINDOW : HALF_WINDOW + self.values.shape[0]])
+        return np.asarray(means[SETTINGS.half_window : SETTINGS.half_window + self.values.shape[0]])
 
 
 def turning_by_angles(
@@ -132,14 +148,15 @@ def turning_by_angles(
 def _second_derivative(recording: Recording, angle: str) -> SecondDerivative | None:
     """Second derivative of an angle over the window that shows most rotation; None where none shows any.
 
-    The window is made longer by decimation: the record is halved, by means of two samples, as long as it has `FEWEST`.
+    The window is made longer by decimation: the record is halved, by means of two samples, as long as it has
+    `SETTINGS.fewest`.
     """
     channel = recording.channel(angle)
     values, noise, factor = without_gaps(channel), channel_noise(channel), 1
     resolution = _resolution(values)
     best: SecondDerivative | None = None
     most = 0.0
-    while values.size >= FEWEST:
+    while values.size >= SETTINGS.fewest:
         scale = (recording.rate / factor) ** 2
         second = np.convolve(values, _WEIGHTS, "valid") * scale
         size = float(np.mean(second**2))
@@ -147,10 +164,10 @@ def _second_derivative(recording: Recording, angle: str) -> SecondDerivative | N
         # a reading is off by half a count at most, all of them the worst way
         coarse = (0.5 * resolution * scale * float(np.sum(np.abs(_WEIGHTS)))) ** 2
         # windows overlap, so that about one value in a window's length is independent
-        chance = 1 + SPREAD * np.sqrt(2 * _WEIGHTS.size / second.size)
-        if size > max(CLEAR * white * chance, CLEAR**2 * coarse) and size - white > most:
+        chance = 1 + SETTINGS.spread * np.sqrt(2 * _WEIGHTS.size / second.size)
+        if size > max(SETTINGS.clear * white * chance, SETTINGS.clear**2 * coarse) and size - white > most:
             most = size - white
-            best = SecondDerivative(second, factor, 1 - white / size, PASSED * recording.rate / factor)
+            best = SecondDerivative(second, factor, 1 - white / size, SETTINGS.passed * recording.rate / factor)
         count = values.size // 2
         values, factor = values[: 2 * count].reshape(count, 2).mean(axis=1), 2 * factor
     return best
@@ -186,13 +203,15 @@ def _affected(
         load = loads[:, COMPONENTS.index(name)]
         size = float(np.sqrt(second.signal * np.mean(load**2)))
         u = float(np.sqrt(np.mean(estimate.uncertainty**2)))
-        if not size > MATTERS * u:
+        if not size > SETTINGS.matters * u:
             continue
         share, u_share = _share_in_force(second, load, second.averaged(estimate.values))
         # left out only where the share is surely below, called clear only where it is surely above
-        if share + 4 * u_share > HELD:
+        if share + 4 * u_share > SETTINGS.held:
             times = f" ({float(f'{size / u:.2g}'):g} times its uncertainty)" if u > 0 else ""
-            yield AffectedForce(f"{size:.2g} {si_unit(name)} rms in {name}{times}", share - 4 * u_share > HELD)
+            yield AffectedForce(
+                f"{size:.2g} {si_unit(name)} rms in {name}{times}", share - 4 * u_share > SETTINGS.held
+            )
 
 
 def _share_in_force(second: SecondDerivative, load: Array, force: Array) -> tuple[float, float]:
@@ -208,8 +227,8 @@ def _share_in_force(second: SecondDerivative, load: Array, force: Array) -> tupl
     x, y = (both - line @ np.linalg.lstsq(line, both)[0]).T
     slope = float(x @ y) / float(x @ x)
     # residuals are correlated from sample to sample; their sums over long blocks are hardly
-    sums = [float(block.sum()) for block in np.array_split(x * (y - slope * x), BLOCKS)]
-    u = float(np.std(sums, ddof=1)) * np.sqrt(BLOCKS) / float(x @ x)
+    sums = [float(block.sum()) for block in np.array_split(x * (y - slope * x), SETTINGS.blocks)]
+    u = float(np.std(sums, ddof=1)) * np.sqrt(SETTINGS.blocks) / float(x @ x)
     return abs(slope) / second.signal, u / second.signal
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from aerobalance.app.reports.page import PLACE_HOLDERS, empty_figure, inline
 from aerobalance.balance.calibration.fit import Calibration
-from aerobalance.balance.calibration.quality import BIDIRECTIONAL, Quality
+from aerobalance.balance.calibration.quality import SETTINGS, Quality
 from aerobalance.recording.channel import Array
 
 if TYPE_CHECKING:
@@ -283,7 +283,7 @@ def direction_figure(calibration: Calibration, quality: Quality) -> str:
     """Difference of the sensitivities to + and - loads of every bridge, with 95 % intervals, as inline SVG."""
     colours, names = PLACE_HOLDERS, calibration.matrix.gauges
     figure, (axes,) = empty_figure(colours, (4.6, 0.9 + 0.36 * len(names)), rows=1)
-    limit = 100 * BIDIRECTIONAL
+    limit = 100 * SETTINGS.bidirectional
     axes.axvspan(-limit, limit, color=colours.muted, alpha=0.14, linewidth=0, zorder=0)
     axes.axvline(0, color=colours.muted, linewidth=0.8)
     for place, direction in enumerate(quality.directions):

@@ -12,7 +12,7 @@ from scipy.stats import binom
 from aerobalance.app.reports.calibration_figures import MOST_LABELS, direction_figure, residual_panels, series_key
 from aerobalance.app.reports.page import decimals, fixed, significant, write_page
 from aerobalance.balance.calibration.fit import Calibration
-from aerobalance.balance.calibration.quality import BIDIRECTIONAL, OUTLIER, Quality
+from aerobalance.balance.calibration.quality import SETTINGS, Quality
 from aerobalance.balance.calibration.regression import HIGHEST_INFLATION, inflation_text
 from aerobalance.io.artefacts import provenance
 from aerobalance.io.balance_file import calibration_payload
@@ -89,7 +89,7 @@ def write_calibration_report(
         "unidentified": _unidentified(found),
         "origin": origin,
         "limits": {
-            "bidirectional": 100 * BIDIRECTIONAL, "outlier": 1e3 * OUTLIER,
+            "bidirectional": 100 * SETTINGS.bidirectional, "outlier": 1e3 * SETTINGS.outlier,
             "usual": 100 * USUAL_DEVIATION, "labels": MOST_LABELS, "inflation": (INFLATION, HIGHEST_INFLATION),
         },
     }  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -11,35 +12,53 @@ from aerobalance.balance.schedule import Schedule
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError, argument, warn_quality
 
-LOADED: Final = 0.01
-"""Least span of a load, over capacity, for its component to count as loaded."""
 
-SERIES_LOADED: Final = 0.1
-"""Least span of a load in a series, over capacity, for the series to tell the sensitivity."""
+@dataclass(frozen=True, slots=True)
+class CheckSettings:
+    """Thresholds of the checks of a calibration.
 
-DEAD: Final = 0.02
-"""Output at capacity, over the median of all bridges, below which a bridge is taken as dead."""
+    Attributes
+    ----------
+    loaded
+        Least span of a load, over capacity, for its component to count as loaded.
+    series_loaded
+        Least span of a load in a series, over capacity, for the series to tell the sensitivity.
+    dead
+        Output at capacity, over the median of all bridges, below which a bridge is taken as dead.
+    own_answer
+        Sensitivity to the own load, over that to any load, below which its sign tells nothing.
+    slope_doubt
+        Relative departure of one series' sensitivity from the median that is doubted.
+    slope_fault
+        The same that is refused.
+    slope_far
+        The same from which the median says nothing of the series, and no percentage of it is given.
+    doubtful
+        Standard deviation of the residuals, over capacity, that is doubted.
+    unfit
+        The same that is refused.
+    drift
+        Change of a zero within a series, over capacity, that is doubted.
+    drift_in_noise
+        Range of zero readings, over the standard deviation of one, that noise does not reach. Noise itself does not
+        reach 8; a fit with nearly as many terms as points leaves neighbours closer than their noise.
+    """
 
-OWN_ANSWER: Final = 0.3
-"""Sensitivity to the own load, over that to any load, below which its sign tells nothing."""
+    loaded: float = 0.01
+    series_loaded: float = 0.1
+    dead: float = 0.02
+    own_answer: float = 0.3
+    slope_doubt: float = 0.05
+    slope_fault: float = 0.3
+    slope_far: float = 10.0
+    doubtful: float = 0.005
+    unfit: float = 0.05
+    drift: float = 0.005
+    drift_in_noise: float = 10.0
 
-SLOPE_DOUBT, SLOPE_FAULT = 0.05, 0.3
-"""Relative departure of one series' sensitivity from the median that is doubted, and that is refused."""
 
-SLOPE_FAR: Final = 10.0
-"""The same from which the median says nothing of the series, and no percentage of it is given."""
-
-DOUBTFUL, UNFIT = 0.005, 0.05
-"""Standard deviation of the residuals, over capacity, that is doubted, and that is refused."""
-
-DRIFT: Final = 0.005
-"""Change of a zero within a series, over capacity, that is doubted."""
-
-DRIFT_IN_NOISE: Final = 10.0
-"""Range of zero readings, over the standard deviation of one, that noise does not reach.
-
-Noise itself does not reach 8; a fit with nearly as many terms as points leaves neighbours closer than their noise.
-"""
+SETTINGS: Final = CheckSettings()
+"""Thresholds that are used."""
 
 
 def check_schedule(schedule: Schedule) -> None:
@@ -64,7 +83,7 @@ def check_schedule(schedule: Schedule) -> None:
         )
     loads, outputs, series = schedule.loads[used] / schedule.capacities, schedule.outputs[used], schedule.series[used]
     for index, name in enumerate(schedule.components):
-        if np.ptp(loads[:, index]) < LOADED:
+        if np.ptp(loads[:, index]) < SETTINGS.loaded:
             raise FitError(
                 f"{schedule.name}: {name} is never loaded (its loads span {100 * np.ptp(loads[:, index]):.2g} % of "
                 f"capacity), so nothing tells its sensitivity; add series with {name} in both directions"
@@ -99,19 +118,19 @@ def _slopes(loads: Array, outputs: Array, series: NDArray[np.intp], index: int) 
     found = {}
     for number in np.unique(series):
         inside = series == number
-        if np.count_nonzero(inside) < 3 or np.ptp(loads[inside, index]) < SERIES_LOADED:
+        if np.count_nonzero(inside) < 3 or np.ptp(loads[inside, index]) < SETTINGS.series_loaded:
             continue
         x = loads[inside] - loads[inside].mean(axis=0)
         y = outputs[inside, index] - outputs[inside, index].mean()
         others = np.delete(x, index, axis=1)
-        others = others[:, np.ptp(others, axis=0) >= SERIES_LOADED]
+        others = others[:, np.ptp(others, axis=0) >= SETTINGS.series_loaded]
         if others.shape[1]:
             own = x[:, index] - others @ np.linalg.lstsq(others, x[:, index], rcond=None)[0]
             y = y - others @ np.linalg.lstsq(others, y, rcond=None)[0]
         else:
             own = x[:, index]
         weight = float(own @ own)
-        if weight > SERIES_LOADED**2:
+        if weight > SETTINGS.series_loaded**2:
             slope = float(own @ y) / weight
             rest = y - slope * own
             found[int(number)] = (slope, float(np.sqrt(rest @ rest / max(y.size - 2, 1) / weight)))
@@ -125,7 +144,7 @@ def _check_signs(schedule: Schedule, slopes: list[dict[int, tuple[float, float]]
         if len(clear) < 2:
             continue
         middle = float(np.median(np.abs(list(clear.values()))))
-        if middle < OWN_ANSWER * answer:  # it answers to another load: the wires are crossed
+        if middle < SETTINGS.own_answer * answer:  # it answers to another load: the wires are crossed
             continue
         strong = {number: slope for number, slope in clear.items() if abs(slope) > 0.3 * middle}
         sign = np.sign(sum(np.sign(slope) for slope in strong.values())) or np.sign(next(iter(strong.values())))
@@ -161,7 +180,7 @@ def _check_wiring(schedule: Schedule, sensitivity: Array) -> None:
 
 def _check_alive(schedule: Schedule, answers: Array) -> None:
     for name, answer in zip(schedule.components, answers, strict=True):
-        if answer < DEAD * np.median(answers):
+        if answer < SETTINGS.dead * np.median(answers):
             raise FitError(
                 f"{schedule.name}: the bridge of {name} is dead: {answer:.3g} mV/V at capacity, while the others "
                 f"give about {np.median(answers):.3g} mV/V"
@@ -176,15 +195,15 @@ def _check_slopes(schedule: Schedule, slopes: list[dict[int, tuple[float, float]
         middle = float(np.median([slope for slope, _ in found.values()]))
         for number, (slope, u) in found.items():
             departure = slope / middle - 1 if middle else np.inf
-            if abs(departure) < SLOPE_DOUBT or abs(slope - middle) < 5 * u:
+            if abs(departure) < SETTINGS.slope_doubt or abs(slope - middle) < 5 * u:
                 continue
-            from_middle = f"{100 * departure:+.3g} %" if abs(departure) < SLOPE_FAR else "far"
+            from_middle = f"{100 * departure:+.3g} %" if abs(departure) < SETTINGS.slope_far else "far"
             text = (
                 f"{schedule.name}: the bridge of {name} gives {slope:.4g} mV/V at capacity in series "
                 f"{schedule.series_names[number]!r}, {from_middle} from the {middle:.4g} mV/V of the "
                 "median series"
             )
-            if abs(departure) > SLOPE_FAULT:
+            if abs(departure) > SETTINGS.slope_fault:
                 raise FitError(
                     f"{text}; check the loads, units and arms of that series, or leave it out with "
                     f"{argument('Schedule.without', [schedule.series_names[number]])}"
@@ -206,7 +225,7 @@ def _check_zeros(schedule: Schedule, residuals: Array) -> None:
             zeros = column[(series == number) & unloaded]
             if zeros.size > 1 and np.ptp(zeros) > worst:
                 worst, where = float(np.ptp(zeros)), int(number)
-        if worst > max(DRIFT, DRIFT_IN_NOISE * noise):
+        if worst > max(SETTINGS.drift, SETTINGS.drift_in_noise * noise):
             warn_quality(
                 f"{schedule.name}: the zero of {name} drifts by {100 * worst:.2g} % of capacity within "
                 f"series {schedule.series_names[where]!r}; the drift goes into the residuals"
@@ -219,16 +238,16 @@ def check_residuals(schedule: Schedule, residuals: Array, *, deviation: Array) -
     Raises
     ------
     FitError
-        The standard deviation of a component's residuals is above `UNFIT` of capacity.
+        The standard deviation of a component's residuals is above `SETTINGS.unfit` of capacity.
 
     Warns
     -----
     DataQualityWarning
-        It is above `DOUBTFUL`, or a zero drifts.
+        It is above `SETTINGS.doubtful`, or a zero drifts.
     """
     _check_zeros(schedule, residuals)
     size = deviation
-    bad = np.flatnonzero(size > UNFIT)
+    bad = np.flatnonzero(size > SETTINGS.unfit)
     if bad.size:
         texts = [f"{schedule.components[i]} {100 * size[i]:.3g} %{_blame(schedule, residuals[:, i])}" for i in bad]
         raise FitError(
@@ -236,7 +255,7 @@ def check_residuals(schedule: Schedule, residuals: Array, *, deviation: Array) -
             f"residuals in percent of capacity: {', '.join(texts)}. Look for drifting or loose bridges, and repeat "
             f"these series, or leave out what is known to be wrong ({argument('Schedule.without')})"
         )
-    for i in np.flatnonzero(size > DOUBTFUL):
+    for i in np.flatnonzero(size > SETTINGS.doubtful):
         warn_quality(
             f"{schedule.name}: the residuals of {schedule.components[i]} have a standard deviation of "
             f"{100 * size[i]:.2g} % of capacity{_blame(schedule, residuals[:, i])}; balances reach 0.05 to 0.3 %. "

@@ -13,26 +13,44 @@ from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.calibration.regression import residual_deviation, without_intercepts
 from aerobalance.recording.channel import Array
 
-BIDIRECTIONAL: Final = 0.005
-"""Relative difference of the sensitivities to + and - loads from which a bridge is bidirectional (AIAA R-091)."""
 
-BIDIRECTIONAL_SIGNIFICANCE: Final = 0.001
+@dataclass(frozen=True, slots=True)
+class QualitySettings:
+    """Thresholds of the statistics of a calibration.
 
-CURVED: Final = 0.5
-"""Where a square leaves less than this share of the residual variance that an absolute value leaves, the bridge is
-curved and not bidirectional. Above it the noise is too large to tell them apart with confidence."""
+    Attributes
+    ----------
+    bidirectional
+        Relative difference of the sensitivities to + and - loads from which a bridge is bidirectional (AIAA R-091).
+    bidirectional_significance
+        Probability of such a difference by chance below which it is real.
+    curved
+        Where a square leaves less than this share of the residual variance that an absolute value leaves, the bridge
+        is curved and not bidirectional. Above it the noise is too large to tell them apart with confidence.
+    outlier
+        Residual of a point that AIAA R-091 looks into [mV/V].
+    repeat_outlier
+        Departure of a repeated point that AIAA R-091 looks into [mV/V].
+    outlier_significance
+        Probability, over all points together, below which a point is an outlier (Bonferroni).
+    most_deviations
+        Standard deviations from which only that an outlier has more of them is said: no chance reaches there.
+    same_load
+        Difference of loads, over capacity, within which points are repeats.
+    """
 
-OUTLIER, REPEAT_OUTLIER = 2.5e-3, 0.5e-3
-"""Residual of a point, and departure of a repeated point, that AIAA R-091 looks into [mV/V]."""
+    bidirectional: float = 0.005
+    bidirectional_significance: float = 0.001
+    curved: float = 0.5
+    outlier: float = 2.5e-3
+    repeat_outlier: float = 0.5e-3
+    outlier_significance: float = 0.05
+    most_deviations: float = 100.0
+    same_load: float = 1e-4
 
-OUTLIER_SIGNIFICANCE: Final = 0.05
-"""Probability, over all points together, below which a point is an outlier (Bonferroni)."""
 
-MOST_DEVIATIONS: Final = 100.0
-"""Standard deviations from which only that an outlier has more of them is said: no chance reaches there."""
-
-SAME_LOAD: Final = 1e-4
-"""Difference of loads, over capacity, within which points are repeats."""
+SETTINGS: Final = QualitySettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +60,7 @@ class Direction:
     Attributes
     ----------
     bidirectional
-        The verdict: the difference is above `BIDIRECTIONAL`, and significant.
+        The verdict: the difference is above `SETTINGS.bidirectional`, and significant.
     difference
         Sensitivity to positive less that to negative loads, over their mean.
     p
@@ -86,14 +104,14 @@ class Outlier:
 
     @property
     def deviations(self) -> float | None:
-        """`studentised` where it means something; None from `MOST_DEVIATIONS` on, where no chance reaches."""
-        return self.studentised if abs(self.studentised) < MOST_DEVIATIONS else None
+        """`studentised` where it means something; None from `SETTINGS.most_deviations` on, where no chance reaches."""
+        return self.studentised if abs(self.studentised) < SETTINGS.most_deviations else None
 
     @property
     def size(self) -> str:
         """How many standard deviations, in words: a number that means something, or a bound."""
         found = self.deviations
-        return f"more than {MOST_DEVIATIONS:g}" if found is None else f"{abs(found):.2g}"
+        return f"more than {SETTINGS.most_deviations:g}" if found is None else f"{abs(found):.2g}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,8 +200,8 @@ def _direction(calibration: Calibration, index: int) -> Direction:
     freedom = max(y.size - rest.shape[1] - 1 - intercepts.shape[1], 1)
     p = float(2 * student.sf(abs(by_direction) / u, freedom)) if u > 0 else 0.0
     difference = float(2 * by_direction / slope)
-    curved = sum_square < CURVED * sum_direction
-    real = abs(difference) > BIDIRECTIONAL and p < BIDIRECTIONAL_SIGNIFICANCE and not curved
+    curved = sum_square < SETTINGS.curved * sum_direction
+    real = abs(difference) > SETTINGS.bidirectional and p < SETTINGS.bidirectional_significance and not curved
     interval = float(student.isf(0.025, freedom) * 2 * u / abs(slope))
     return Direction(bool(real), difference, p, True, interval)
 
@@ -220,12 +238,12 @@ def _outliers(calibration: Calibration) -> tuple[Outlier, ...]:
     for index, fit in enumerate(calibration.regressions):
         scale = calibration.matrix.output_scale[index]
         output = fit.residuals * scale
-        limit = student.isf(OUTLIER_SIGNIFICANCE / 2 / points.size, max(fit.degrees_of_freedom - 1, 1))
+        limit = student.isf(SETTINGS.outlier_significance / 2 / points.size, max(fit.degrees_of_freedom - 1, 1))
         found += [
             Outlier(
                 int(points[row]), index, float(output[row]), float(fit.studentised[row]), schedule.label(points[row])
             )
-            for row in np.flatnonzero((np.abs(fit.studentised) > limit) & (np.abs(output) > OUTLIER))
+            for row in np.flatnonzero((np.abs(fit.studentised) > limit) & (np.abs(output) > SETTINGS.outlier))
         ]
     return tuple(sorted(found, key=lambda item: -abs(item.studentised)))
 
@@ -234,7 +252,9 @@ def _groups(calibration: Calibration) -> NDArray[np.intp]:
     """Number of the group of repeats (same series, same loads) of every fitted point, shape (n,)."""
     schedule = calibration.schedule
     used = schedule.fitted
-    key = np.column_stack([schedule.series[used], np.rint(schedule.loads[used] / schedule.capacities / SAME_LOAD)])
+    key = np.column_stack(
+        [schedule.series[used], np.rint(schedule.loads[used] / schedule.capacities / SETTINGS.same_load)]
+    )
     return np.asarray(np.unique(key, axis=0, return_inverse=True)[1].reshape(-1))
 
 
@@ -266,6 +286,6 @@ def _hysteresis(calibration: Calibration, residuals: Array) -> Array:
             for group in np.unique(groups[rows]):
                 same = groups[rows] == group
                 up, down = residuals[rows[same & rising], index], residuals[rows[same & ~rising], index]
-                if up.size and down.size and own[same].max() > SAME_LOAD:
+                if up.size and down.size and own[same].max() > SETTINGS.same_load:
                     result[index] = np.fmax(result[index], abs(up.mean() - down.mean()))
     return result

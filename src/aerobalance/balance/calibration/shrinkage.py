@@ -26,18 +26,34 @@ from numpy.typing import NDArray
 
 from aerobalance.recording.channel import Array
 
-TAILS: Final = 4.0
-"""Degrees of freedom of the distribution of the coefficients of a kind."""
 
-AWAY_FROM_ZERO: Final = 1.0
-"""Power of the width that its prior is proportional to [Chung2013]_."""
+@dataclass(frozen=True, slots=True)
+class ShrinkageSettings:
+    """Thresholds of the shrinkage of coefficients.
 
-ROUNDS: Final = 500
-TOLERANCE: Final = 1e-3
-"""Last relative change of a squared width at which the search ends."""
+    Attributes
+    ----------
+    tails
+        Degrees of freedom of the distribution of the coefficients of a kind.
+    away_from_zero
+        Power of the width that its prior is proportional to [Chung2013]_.
+    rounds
+        Steps of the search for the widths, at most.
+    tolerance
+        Last relative change of a squared width at which the search ends.
+    rounding
+        Scatter over capacity that is no more than rounding.
+    """
 
-ROUNDING: Final = 1e-12
-"""Scatter over capacity that is no more than rounding."""
+    tails: float = 4.0
+    away_from_zero: float = 1.0
+    rounds: int = 500
+    tolerance: float = 1e-3
+    rounding: float = 1e-12
+
+
+SETTINGS: Final = ShrinkageSettings()
+"""Thresholds that are used."""
 
 
 class Design(NamedTuple):
@@ -95,7 +111,7 @@ def shrink(components: Sequence[Design], kinds: NDArray[np.intp]) -> Coefficient
     scatter = np.array([item.scatter(b, kinds.size) for item, b in zip(problems, ordinary, strict=True)])
     weight = np.ones_like(ordinary)
     width = _widths(ordinary**2, kinds)
-    for _ in range(ROUNDS):
+    for _ in range(SETTINGS.rounds):
         penalty = np.where(curved, weight * scatter[:, None] / width, 0.0)
         solved = [item.coefficients(row) for item, row in zip(problems, penalty, strict=True)]
         mean, inverse = np.array([b for b, _ in solved]), np.array([C for _, C in solved])
@@ -103,9 +119,9 @@ def shrink(components: Sequence[Design], kinds: NDArray[np.intp]) -> Coefficient
         unknowns = kinds.size - np.sum(penalty * own, axis=1)
         scatter = np.array([item.scatter(b, n) for item, b, n in zip(problems, mean, unknowns, strict=True)])
         square = mean**2 + own * scatter[:, None]
-        weight = (TAILS + 1) / (TAILS + square / width)
+        weight = (SETTINGS.tails + 1) / (SETTINGS.tails + square / width)
         last, width = width, _widths(weight * square, kinds)
-        if np.max(np.abs(np.log(width / last))) < TOLERANCE:
+        if np.max(np.abs(np.log(width / last))) < SETTINGS.tolerance:
             break
     return Coefficients(mean, inverse * scatter[:, None, None], penalty)
 
@@ -133,7 +149,7 @@ class _Problem(NamedTuple):
     def scatter(self, coefficients: Array, unknowns: float) -> float:
         """Variance of a reading about the coefficients."""
         missed = self.turned - self.R @ coefficients
-        return max((self.beyond + float(missed @ missed)) / max(self.freedom - unknowns, 1.0), ROUNDING**2)
+        return max((self.beyond + float(missed @ missed)) / max(self.freedom - unknowns, 1.0), SETTINGS.rounding**2)
 
 
 def _widths(squares: Array, kinds: NDArray[np.intp]) -> Array:
@@ -141,5 +157,7 @@ def _widths(squares: Array, kinds: NDArray[np.intp]) -> Array:
     width = np.ones(kinds.size)
     for kind in np.unique(kinds[kinds > 0]):
         those = squares[:, kinds == kind]
-        width[kinds == kind] = max(np.sum(those) / max(those.size - AWAY_FROM_ZERO, 1.0), ROUNDING**2)
+        width[kinds == kind] = max(
+            np.sum(those) / max(those.size - SETTINGS.away_from_zero, 1.0), SETTINGS.rounding**2
+        )
     return width

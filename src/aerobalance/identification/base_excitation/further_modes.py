@@ -20,27 +20,39 @@ from aerobalance.identification.free_decay.waveform import HEAVIEST
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 
-EVIDENCE: Final = 25.0
-"""Log-likelihood that a further mode must gain.
 
-It brings five parameters, so Gaussian noise alone gains as much with a probability of 1.4e-9 at one place; a record
-has up to some thousand places, which makes a false mode in less than one record in 100,000.
-"""
+@dataclass(frozen=True, slots=True)
+class FurtherModeSettings:
+    """Thresholds of the search for further modes.
 
-HINT: Final = 10.0
-"""Log-likelihood that the search, on a grid and with the share alone free, must promise before a fit is tried."""
+    Attributes
+    ----------
+    evidence
+        Log-likelihood that a further mode must gain. It brings five parameters, so Gaussian noise alone gains as much
+        with a probability of 1.4e-9 at one place; a record has up to some thousand places, which makes a false mode in
+        less than one record in 100,000.
+    hint
+        Log-likelihood that the search, on a grid and with the share alone free, must promise before a fit is tried.
+    losses
+        Losses 2 zeta that are tried.
+    places
+        Places that are tried until one of them carries a mode.
+    apart
+        Distance of these places, as the log of a frequency.
+    groups
+        Groups of neighbouring frequencies that the search sums over, at most.
+    """
 
-LOSSES: Final = (0.004, 0.012, 0.035, 0.1, 0.3)
-"""Losses 2 zeta that are tried."""
+    evidence: float = 25.0
+    hint: float = 10.0
+    losses: tuple[float, ...] = (0.004, 0.012, 0.035, 0.1, 0.3)
+    places: int = 3
+    apart: float = 0.1
+    groups: int = 4096
 
-PLACES: Final = 3
-"""Places that are tried until one of them carries a mode."""
 
-APART: Final = 0.1
-"""Distance of these places, as the log of a frequency."""
-
-GROUPS: Final = 4096
-"""Groups of neighbouring frequencies that the search sums over, at most."""
+SETTINGS: Final = FurtherModeSettings()
+"""Thresholds that are used."""
 
 
 def with_further_modes(problem: Problem, estimate: Estimate, *, most: int, name: str) -> Estimate:
@@ -65,7 +77,7 @@ def one_more_mode(problem: Problem, estimate: Estimate, *, name: str) -> Estimat
             gain = gain_over(problem, larger, smaller=estimate, name=name)
         except FitError:  # a mode that does not settle is none
             continue
-        if gain < EVIDENCE or not _physical(larger, problem.spectra):
+        if gain < SETTINGS.evidence or not _physical(larger, problem.spectra):
             continue
         if larger.adequate:
             return larger
@@ -135,7 +147,9 @@ class _Remainder:
     def of(cls, problem: Problem, parameters: Parameters) -> _Remainder:
         spectra = problem.spectra
         here = point(problem, parameters, weights=first_weights(problem, parameters))
-        group = np.arange(spectra.frequency.size) * min(GROUPS, spectra.frequency.size) // spectra.frequency.size
+        group = (
+            np.arange(spectra.frequency.size) * min(SETTINGS.groups, spectra.frequency.size) // spectra.frequency.size
+        )
         starts = np.flatnonzero(np.diff(group, prepend=-1))
 
         def total(values: Array | Complex) -> Array | Complex:
@@ -180,16 +194,16 @@ def _likely_modes(problem: Problem, parameters: Parameters) -> list[Parameters]:
     remainder = _Remainder.of(problem, parameters)
     low, high = float(problem.spectra.frequency[0]), float(problem.spectra.frequency[-1])
     tried = []
-    for loss in LOSSES:
+    for loss in SETTINGS.losses:
         frequencies = np.geomspace(low, high, 2 + int(np.log(high / low) / (0.7 * loss)))
         for part in np.array_split(frequencies, 1 + frequencies.size // 128):
             gains, shares = remainder.gains(part, loss)
             tried.append(np.column_stack([gains, part, np.full(part.size, loss), shares]))
     every = np.concatenate(tried)
-    every = every[every[:, 0] > HINT]
+    every = every[every[:, 0] > SETTINGS.hint]
     starts: list[Parameters] = []
-    while every.size and len(starts) < PLACES:
+    while every.size and len(starts) < SETTINGS.places:
         _, frequency, loss, share = every[np.argmax(every[:, 0])]
         starts.append(parameters.with_mode(2 * np.pi * frequency, loss=loss, share=share))
-        every = every[np.abs(np.log(every[:, 1] / frequency)) > APART]
+        every = every[np.abs(np.log(every[:, 1] / frequency)) > SETTINGS.apart]
     return starts

@@ -29,20 +29,34 @@ from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import damping_text, share_text
 
-DOUBTFUL_DAMPING: Final = 0.1
-"""Relative standard uncertainty of the damping above which it is called hardly identifiable."""
 
-DOUBTFUL_MASS: Final = 0.01
-"""Departure of the mass that the response implies from the one given, relative, that is worth a word."""
+@dataclass(frozen=True, slots=True)
+class ShakenRigSettings:
+    """Thresholds of the identification on a shaken rig.
 
-MOST_MODES: Final = 5
-"""Modes that are looked for at most."""
+    Attributes
+    ----------
+    doubtful_damping
+        Relative standard uncertainty of the damping above which it is called hardly identifiable.
+    doubtful_mass
+        Departure of the mass that the response implies from the one given, relative, that is worth a word.
+    most_modes
+        Modes that are looked for at most.
+    least_blocks
+        Blocks of frequencies that a narrowed band keeps at least.
+    doubtful_correlation
+        Correlation of damping and delay above which the record hardly tells them apart.
+    """
 
-LEAST_BLOCKS: Final = 8
-"""Blocks of frequencies that a narrowed band keeps at least."""
+    doubtful_damping: float = 0.1
+    doubtful_mass: float = 0.01
+    most_modes: int = 5
+    least_blocks: int = 8
+    doubtful_correlation: float = 0.95
 
-DOUBTFUL_CORRELATION: Final = 0.95
-"""Correlation of damping and delay above which the record hardly tells them apart."""
+
+SETTINGS: Final = ShakenRigSettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,8 +143,8 @@ def identify_rig(
         The record cannot carry the result, or shows fewer modes than asked for.
     """
     value, uncertainty = _mass(mass)
-    if modes != "auto" and not 1 <= modes <= MOST_MODES:
-        raise ValueError(f"modes must be auto or a number from 1 to {MOST_MODES}, not {modes}")
+    if modes != "auto" and not 1 <= modes <= SETTINGS.most_modes:
+        raise ValueError(f"modes must be auto or a number from 1 to {SETTINGS.most_modes}, not {modes}")
     if band is not None and not 0 <= band[0] < band[1]:
         raise ValueError(f"band must be two frequencies in rising order, not {band}")
     spectra = excited(transform(recording, component), band=band, name=recording.name)
@@ -218,7 +232,7 @@ def _described(
             return _Fitted(problem, shaped, free.mass)
     if estimate.adequate:
         return _Fitted(problem, estimate)
-    sought = modes == "auto" and 1 + len(estimate.further_modes) < MOST_MODES
+    sought = modes == "auto" and 1 + len(estimate.further_modes) < SETTINGS.most_modes
     seen = None if sought else _left_out(shapeless, free or estimate, name=name)
     if not fixed_band and not estimate.further_modes:
         problem, estimate = _narrowed(problem, estimate, name=name)
@@ -233,7 +247,7 @@ def _with_modes(problem: Problem, estimate: Estimate, modes: int | Literal["auto
     FitError
         The record shows fewer.
     """
-    most = (MOST_MODES if modes == "auto" else modes) - 1
+    most = (SETTINGS.most_modes if modes == "auto" else modes) - 1
     estimate = with_further_modes(problem, estimate, most=most, name=name)
     shown = 1 + len(estimate.further_modes)
     if modes != "auto" and shown < modes:
@@ -255,7 +269,7 @@ def _left_out(problem: Problem, estimate: Estimate, *, name: str) -> Mode | None
 
 def _mass_notes(implied: float | None, given: float | None, looseness: float) -> list[str]:
     """Return the note that the response implies another mass than the one given."""
-    if implied is None or given is None or abs(implied / given - 1) < max(DOUBTFUL_MASS, 3 * looseness):
+    if implied is None or given is None or abs(implied / given - 1) < max(SETTINGS.doubtful_mass, 3 * looseness):
         return []
     note = (
         f"the response implies a moving mass of {implied:.4g}, not {given:.4g}: the gain of the accelerometer or the "
@@ -269,7 +283,9 @@ def _left_out_notes(mode: Mode | None, modes: int | Literal["auto"]) -> list[str
     if mode is None:
         return []
     advice = (
-        f"no more than {MOST_MODES} are taken up" if modes == "auto" else f"{argument('modes', 'auto')} looks for it"
+        f"no more than {SETTINGS.most_modes} are taken up"
+        if modes == "auto"
+        else f"{argument('modes', 'auto')} looks for it"
     )
     note = (
         f"a further mode at {mode.natural_frequency:.4g} Hz, {share_text(mode.share, 0.0)}, answers the ground "
@@ -290,7 +306,7 @@ def _narrowed(problem: Problem, estimate: Estimate, *, name: str) -> tuple[Probl
     while top > lowest:
         inside = frequency <= top
         narrow = replace(problem, spectra=problem.spectra.keep(inside))
-        if narrow.spectra.blocks < LEAST_BLOCKS:
+        if narrow.spectra.blocks < SETTINGS.least_blocks:
             break
         candidate = maximise(narrow, name=name)
         if candidate.adequate:
@@ -359,14 +375,14 @@ def _notes(
         )
     u = dynamics.uncertainty("damping")
     correlation = float(abs(dynamics.covariance[2, 3]) / max(u * dynamics.uncertainty("delay"), 1e-300))
-    if u > DOUBTFUL_DAMPING * dynamics.damping:
+    if u > SETTINGS.doubtful_damping * dynamics.damping:
         critical = 2 * dynamics.mass * 2 * np.pi * dynamics.natural_frequency
         damping = damping_text(dynamics.damping, u, critical=critical)
         notes.append(
             f"the damping is hardly identifiable here ({damping}); forces near the "
             "natural frequency inherit this uncertainty, slow forces do not"
         )
-    elif problem.delay is None and correlation > DOUBTFUL_CORRELATION:
+    elif problem.delay is None and correlation > SETTINGS.doubtful_correlation:
         notes.append(
             f"damping and delay are hardly told apart here (correlation {correlation:.3f}), so the damping is hardly "
             "identifiable unless the delay is known; excite on both sides of the natural frequency"

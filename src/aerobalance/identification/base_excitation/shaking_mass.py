@@ -28,23 +28,38 @@ from aerobalance.identification.step_relaxation.free_response import generator_o
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 
-LOOSE: Final = 30.0
-"""Standard uncertainty that stands for none known of a number of the mass, over the mass and the lever."""
 
-OPEN: Final = 0.3
-"""Part of it above which the records leave a number open."""
+@dataclass(frozen=True, slots=True)
+class ShakenMassSettings:
+    """Thresholds of the tests of a mass found by base excitation.
 
-WELL_KNOWN: Final = 0.05
-"""Uncertainty of a number over mass and lever above which the symmetry of the stiffness is brought in."""
+    Attributes
+    ----------
+    loose
+        Standard uncertainty that stands for none known of a number of the mass, over the mass and the lever.
+    open
+        Part of it above which the records leave a number open.
+    well_known
+        Uncertainty of a number over mass and lever above which the symmetry of the stiffness is brought in.
+    exactly
+        Relative standard uncertainty that stands for none in a weighed mass.
+    independent
+        Singular value of the parameters' rows over the largest from which they can do something of their own.
+    told
+        Part of a free element of the mass matrix beyond what the parameters can do, from which it is told.
+    """
 
-EXACTLY: Final = 1e-9
-"""Relative standard uncertainty that stands for none in a weighed mass."""
+    loose: float = 30.0
+    open: float = 0.3
+    well_known: float = 0.05
+    exactly: float = 1e-9
+    independent: float = 1e-10
+    told: float = 1e-5
 
-INDEPENDENT: Final = 1e-10
-"""Singular value of the parameters' rows over the largest from which they can do something of their own."""
 
-TOLD: Final = 1e-5
-"""Part of a free element of the mass matrix beyond what the parameters can do, from which it is told."""
+SETTINGS: Final = ShakenMassSettings()
+"""Thresholds that are used."""
+
 
 _POWER: Final = np.array([1.0] + [LEVER] * 3 + [LEVER**2] * 6)
 
@@ -78,14 +93,14 @@ class Joint:
         """From the rows of a settled fit; `about` is the size of the mass [kg]."""
         count = fit.values.size
         loose = np.zeros((10, count))
-        loose[:, MATRICES:DELAY] = np.diag(1 / (LOOSE * about * _POWER))
+        loose[:, MATRICES:DELAY] = np.diag(1 / (SETTINGS.loose * about * _POWER))
         whole = np.vstack([rows[:, :count], loose])
         size = np.linalg.norm(whole, axis=0)
         root = np.linalg.inv(reduced(whole / size)) / size[:, None]
         everything = root @ root.T
         covariance, u_delay = everything[:DELAY, :DELAY], float(np.sqrt(everything[DELAY, DELAY]))
         numbers = covariance[MATRICES:, MATRICES:] / np.outer(_POWER, _POWER) / about**2
-        unknown = int(np.count_nonzero(np.linalg.eigvalsh(numbers) > (OPEN * LOOSE) ** 2))
+        unknown = int(np.count_nonzero(np.linalg.eigvalsh(numbers) > (SETTINGS.open * SETTINGS.loose) ** 2))
         return cls(fit.values[:DELAY], covariance, unknown, about, u_delay)
 
     def knowing(self, mass: float, u_mass: float) -> Joint:
@@ -210,10 +225,10 @@ def mass_behind(
     """
     weighed, implied = None, None
     u = float(np.sqrt(joint.covariance[MATRICES, MATRICES]))
-    if u < OPEN * abs(joint.values[MATRICES]):
+    if u < SETTINGS.open * abs(joint.values[MATRICES]):
         implied = float(joint.values[MATRICES]), u
     if mass is not None:
-        value, u_mass = mass[0], max(mass[1], EXACTLY * mass[0])
+        value, u_mass = mass[0], max(mass[1], SETTINGS.exactly * mass[0])
         if implied is not None:
             weighed = Departure.of((implied[0] - value) ** 2 / (u**2 + u_mass**2), 1)
         if weighed is None or weighed.chance:
@@ -226,7 +241,7 @@ def mass_behind(
     symmetry = Departure.of(square, free) if free > 0 else None
     reciprocity = Departure.of(max(more - square, 0.0), 15)
     constrained = both.dynamics(both.rigid) if both.decays else None
-    taken = joint.open > 0 or joint.least_known > WELL_KNOWN
+    taken = joint.open > 0 or joint.least_known > SETTINGS.well_known
     found = (stiff if taken else joint).rigid
     return joint, ShakenMass(found, taken, rigidity, symmetry, reciprocity, weighed, implied, constrained)
 
@@ -265,13 +280,13 @@ def rigidity_test(rows: Array, count: int) -> Departure | None:
         Number of the parameters.
     """
     size = np.linalg.norm(rows[:, count:-1], axis=0)
-    moving = size > TOLD * size.max(initial=0.0)
+    moving = size > SETTINGS.told * size.max(initial=0.0)
     rest = rows[:, count:-1][:, moving] / size[moving]
     left, values, _ = np.linalg.svd(rows[:, :count] / _sizes(rows[:, :count]), full_matrices=False)
-    can = left[:, values > INDEPENDENT * values[0]]
+    can = left[:, values > SETTINGS.independent * values[0]]
     rest, target = rest - can @ (can.T @ rest), rows[:, -1] - can @ (can.T @ rows[:, -1])
     free, values, _ = np.linalg.svd(rest, full_matrices=False)
-    told = values > TOLD
+    told = values > SETTINGS.told
     if not told.any():
         return None
     return Departure.of(float(np.sum((free[:, told].T @ target) ** 2)), int(np.count_nonzero(told)))

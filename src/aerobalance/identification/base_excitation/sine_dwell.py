@@ -17,17 +17,31 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
 
-WINDOWS: Final = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
-"""Lengths of the sliding window that are tried in the search for held frequencies [s]."""
 
-PARTS: Final = 8
-"""Parts of a dwell whose amplitudes are compared to judge its steadiness."""
+@dataclass(frozen=True, slots=True)
+class DwellSettings:
+    """Thresholds of the search for dwells of a stepped sine.
 
-SETTLED: Final = (0.1, 0.2, 0.3, 0.4, 0.5)
-"""Shares of a dwell that are tried, the least first, as the time to settle."""
+    Attributes
+    ----------
+    windows
+        Lengths of the sliding window that are tried in the search for held frequencies [s].
+    parts
+        Parts of a dwell whose amplitudes are compared to judge its steadiness.
+    settled
+        Shares of a dwell that are tried, the least first, as the time to settle.
+    drift_allowed
+        Relative scatter of the amplitude within a dwell that is called steady even where the noise is less.
+    """
 
-DRIFT_ALLOWED: Final = 0.003
-"""Relative scatter of the amplitude within a dwell that is called steady even where the noise is less."""
+    windows: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+    parts: int = 8
+    settled: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5)
+    drift_allowed: float = 0.003
+
+
+SETTINGS: Final = DwellSettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +209,7 @@ def _steady_stretches(values: Array, rate: float) -> list[tuple[int, int, float]
     best: tuple[float, list[tuple[int, int, float]]] = (np.inf, [])
     centred = values - values.mean()
     total = float(np.sum(centred**2))
-    for length in WINDOWS:
+    for length in SETTINGS.windows:
         width = round(length * rate)
         if width < 16 or 4 * width > values.size:
             continue
@@ -336,7 +350,7 @@ def _fit_dwell(
     first, stop, guess = stretch
     stop -= max(1, round(0.02 * (stop - first)))
     attempts = []
-    for share in SETTLED:
+    for share in SETTINGS.settled:
         start = first + round(share * (stop - first))
         if (stop - start) * guess / rate < 8 or stop - start < 64:
             break
@@ -381,7 +395,7 @@ def _fit_part(columns: dict[str, Array], *, component: str, part: tuple[int, int
 def _drift(values: Array, frequency: float, *, start: int, rate: float) -> tuple[float, bool, float]:
     """Scatter of amplitude and phase over the parts of a dwell: relative, whether beyond noise, and the noise."""
     periods = values.size * frequency / rate
-    parts = int(min(PARTS, max(2, periods // 3)))
+    parts = int(min(SETTINGS.parts, max(2, periods // 3)))
     fits = [
         _sine(values[block], frequency, start=start + int(block[0]), rate=rate)
         for block in np.array_split(np.arange(values.size), parts)
@@ -394,7 +408,7 @@ def _drift(values: Array, frequency: float, *, start: int, rate: float) -> tuple
     excess = max(square / (parts - 1) - 2 * variance, 0.0)
     relative = float(np.sqrt(excess) / max(abs(mean), 1e-300))
     chance = float(chi_square.sf(square / max(variance, 1e-300), 2 * (parts - 1)))
-    return relative, bool(chance < 1e-4 and relative > DRIFT_ALLOWED), noise
+    return relative, bool(chance < 1e-4 and relative > SETTINGS.drift_allowed), noise
 
 
 def amplitudes(dwells: tuple[Dwell, ...]) -> tuple[Array, Complex, Complex, Complex]:

@@ -19,20 +19,35 @@ from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 Complex = NDArray[np.complex128]
 
-LEAST_SAMPLES: Final = 256
-"""Samples below which no spectrum of use can be had."""
 
-LEAST_COHERENCE: Final = 0.1
-"""Coherence below which a block of frequencies tells more about noise than about the balance."""
+@dataclass(frozen=True, slots=True)
+class SpectraSettings:
+    """Sizes and thresholds of the spectra of a shaken record.
 
-WINDOWED: Final = 35 / 18
-"""Neighbouring powers of a Hann-windowed transform that count as one independent power."""
+    Attributes
+    ----------
+    least_samples
+        Samples below which no spectrum of use can be had.
+    least_coherence
+        Coherence below which a block of frequencies tells more about noise than about the balance.
+    windowed
+        Neighbouring powers of a Hann-windowed transform that count as one independent power.
+    swept
+        Level by the median over level by the mean, between that of noise, 1, and that of a swept sine, 1 / ln 2 =
+        1.44.
+    longest_bridge
+        Missing samples in a row that are bridged by a straight line.
+    """
 
-SWEPT: Final = 1.18
-"""Level by the median over level by the mean, between that of noise, 1, and that of a swept sine, 1 / ln 2 = 1.44."""
+    least_samples: int = 256
+    least_coherence: float = 0.1
+    windowed: float = 35 / 18
+    swept: float = 1.18
+    longest_bridge: int = 3
 
-LONGEST_BRIDGE: Final = 3
-"""Missing samples in a row that are bridged by a straight line."""
+
+SETTINGS: Final = SpectraSettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,7 +188,7 @@ def excited(spectra: Spectra, *, band: tuple[float, float] | None, name: str) ->
     count = spectra.block_sum(np.ones(spectra.frequency.size))
     # Coherence of n pairs of independent noise exceeds c with probability (1 - c)^(n - 1).
     chance = 1 - (1e-4 / count.size) ** (1 / np.maximum(count - 1, 1))
-    chosen = spectra.coherence > np.maximum(LEAST_COHERENCE, chance)
+    chosen = spectra.coherence > np.maximum(SETTINGS.least_coherence, chance)
     for transformed, noise in ((spectra.load, spectra.load_noise), (spectra.ground, spectra.ground_noise)):
         # Quieter than the noise: beyond an anti-alias filter, where nothing is left but what leaks there.
         chosen &= spectra.block_sum(np.abs(transformed) ** 2) > 0.3 * spectra.block_sum(noise)
@@ -202,9 +217,9 @@ def _floor(values: Array) -> float:
     power = np.abs(rfft(detrend(values) * window)[1:]) ** 2 / np.sum(window**2)
     blocks = np.array_split(power, max(4, min(64, power.size // 64)))
     medians = np.array([float(np.median(block)) / np.log(2) for block in blocks])
-    random = medians < SWEPT * np.array([float(np.mean(block)) for block in blocks])
+    random = medians < SETTINGS.swept * np.array([float(np.mean(block)) for block in blocks])
     levels = np.sort(medians[random] if np.count_nonzero(random) > 1 else medians)
-    reach = 1 + 10 / (np.log(2) * np.sqrt(blocks[0].size / WINDOWED))
+    reach = 1 + 10 / (np.log(2) * np.sqrt(blocks[0].size / SETTINGS.windowed))
     last = np.searchsorted(levels, levels * reach, side="right")
     first = int(np.argmax(last - np.arange(levels.size)))
     return max(float(np.mean(levels[first : last[first]])), 1e-12 * float(np.mean(power)))
@@ -265,14 +280,16 @@ def longest_whole(recording: Recording, channels: list[Channel]) -> slice:
         saturated |= channel.saturated
     edges = np.flatnonzero(np.diff(np.concatenate(([0], (bad | saturated).astype(np.int8), [0]))))
     runs = [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-    breaks = [(a, b) for a, b in runs if b - a > LONGEST_BRIDGE or a == 0 or b == bad.size or saturated[a:b].any()]
+    breaks = [
+        (a, b) for a, b in runs if b - a > SETTINGS.longest_bridge or a == 0 or b == bad.size or saturated[a:b].any()
+    ]
     starts = [0] + [b for _, b in breaks]
     stops = [a for a, _ in breaks] + [bad.size]
     start, stop = max(zip(starts, stops, strict=True), key=lambda pair: pair[1] - pair[0])
-    if stop - start < LEAST_SAMPLES:
+    if stop - start < SETTINGS.least_samples:
         raise FitError(
             f"{recording.name}: {max(stop - start, 0)} samples in a row are usable in all of "
-            f"{', '.join(channel.name for channel in channels)}; at least {LEAST_SAMPLES} are needed"
+            f"{', '.join(channel.name for channel in channels)}; at least {SETTINGS.least_samples} are needed"
         )
     if runs:
         what = " and ".join(
@@ -282,6 +299,6 @@ def longest_whole(recording: Recording, channels: list[Channel]) -> slice:
         )
         warn_quality(
             f"{recording.name}: {what} sample(s); {stop - start} of {bad.size} samples in a row are used and gaps of "
-            f"up to {LONGEST_BRIDGE} samples among them are bridged, which makes the uncertainties larger"
+            f"up to {SETTINGS.longest_bridge} samples among them are bridged, which makes the uncertainties larger"
         )
     return slice(start, stop)

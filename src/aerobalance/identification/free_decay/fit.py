@@ -37,20 +37,34 @@ from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import NOT_TOLD, damping_text
 
-FEWEST_PERIODS: Final = 2.0
-"""Periods of ringing that a decay must show above the noise."""
 
-MOST_CHANGE: Final = 2.0
-"""Change of frequency or damping with the amplitude, over their mean, beyond which neither falls in proportion."""
+@dataclass(frozen=True, slots=True)
+class DecaySettings:
+    """Thresholds of the fit of a free decay.
 
-DOUBTFUL_DAMPING: Final = 0.1
-"""Relative standard uncertainty of the damping above which it is called hardly identifiable."""
+    Attributes
+    ----------
+    fewest_periods
+        Periods of ringing that a decay must show above the noise.
+    most_change
+        Change of frequency or damping with the amplitude, over their mean, beyond which neither falls in proportion.
+    doubtful_damping
+        Relative standard uncertainty of the damping above which it is called hardly identifiable.
+    block_probability
+        Probability under the noise below which a block of residuals shows that something else happened.
+    most_lines
+        Lines of hum and further modes that are taken up at most.
+    """
 
-BLOCK_PROBABILITY: Final = 1e-6
-"""Probability under the noise below which a block of residuals shows that something else happened."""
+    fewest_periods: float = 2.0
+    most_change: float = 2.0
+    doubtful_damping: float = 0.1
+    block_probability: float = 1e-6
+    most_lines: int = 6
 
-MOST_LINES: Final = 6
-"""Lines of hum and further modes that are taken up at most."""
+
+SETTINGS: Final = DecaySettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,8 +150,8 @@ def identify_decay(
         No ringing stands out of the noise, or it is too short; or there are fewer modes than asked for, or further
         modes without a clean release, which alone tells their shares.
     """
-    if modes != "auto" and not 1 <= modes <= MOST_LINES + 1:
-        raise ValueError(f"modes must be auto or a number from 1 to {MOST_LINES + 1}, not {modes}")
+    if modes != "auto" and not 1 <= modes <= SETTINGS.most_lines + 1:
+        raise ValueError(f"modes must be auto or a number from 1 to {SETTINGS.most_lines + 1}, not {modes}")
     value, uncertainty = mass if isinstance(mass, tuple) else (mass, 0.0)
     if not (0 < value < np.inf and uncertainty >= 0):
         raise ValueError(f"mass must be positive, its uncertainty zero or more: {value}, {uncertainty}")
@@ -176,7 +190,7 @@ def _usable(channel: Channel, name: str) -> NDArray[np.bool_]:
 
 def _complete(ring: Ring) -> Ring:
     """Take up the lines that the residuals still show, one at a time."""
-    for _ in range(MOST_LINES):
+    for _ in range(SETTINGS.most_lines):
         line = residual_line(ring)
         if line is None:
             break
@@ -203,7 +217,7 @@ def _shortened(ring: Ring) -> Ring:
     blocks = np.array_split(ring.residuals, count)
     sizes = np.array([block.size for block in blocks])
     squares = np.array([block @ block for block in blocks])
-    unlikely = np.asarray(chi2.sf(squares / float(np.median(squares / sizes)), sizes)) < BLOCK_PROBABILITY
+    unlikely = np.asarray(chi2.sf(squares / float(np.median(squares / sizes)), sizes)) < SETTINGS.block_probability
     edges = np.concatenate(([0], np.cumsum(sizes)))
     home = min(int(np.searchsorted(edges, np.searchsorted(ring.time, ring.start), side="right")) - 1, count - 1)
     last = edges[home + 1 + _first_event(unlikely[home + 1 :])]
@@ -234,10 +248,10 @@ def _first_event(unlikely: NDArray[np.bool_]) -> int:
 def _check(ring: Ring, name: str, component: str) -> None:
     """Refuse a ring that carries no dynamics."""
     periods = ring_up_to(ring) * ring.frequency
-    if periods < FEWEST_PERIODS:
+    if periods < SETTINGS.fewest_periods:
         raise FitError(
-            f"{name}: {component} rings for {periods:.1f} periods above the noise; at least {FEWEST_PERIODS:g} are "
-            "needed: record a larger release, or sample for longer"
+            f"{name}: {component} rings for {periods:.1f} periods above the noise; at least "
+            f"{SETTINGS.fewest_periods:g} are needed: record a larger release, or sample for longer"
         )
     u_decay = float(np.sqrt(ring.covariance[0, 0]))
     if not ring.decay > 2 * u_decay:
@@ -341,7 +355,7 @@ def _notes(ring: Ring, dynamics: Dynamics, recording: Recording, *, kept: list[i
                 f"that frequency will be wrong ({_way_to_take_it_up(ring, place)})"
             )
     u = dynamics.uncertainty("damping")
-    if u > DOUBTFUL_DAMPING * dynamics.damping:
+    if u > SETTINGS.doubtful_damping * dynamics.damping:
         critical = 2 * dynamics.mass * 2 * np.pi * dynamics.natural_frequency
         notes.append(
             f"the damping is hardly identifiable ({damping_text(dynamics.damping, u, critical=critical)}); forces at "
@@ -405,7 +419,7 @@ def _amplitude_notes(dependence: AmplitudeDependence | None, component: str) -> 
 
 def _change(part: float, u: float) -> str:
     """Return a relative change in words; more than twice of what changes is more than a linear change can be."""
-    return f"{100 * part:+.2g} % (u = {100 * u:.1g} %)" if abs(part) <= MOST_CHANGE else "by more than itself"
+    return f"{100 * part:+.2g} % (u = {100 * u:.1g} %)" if abs(part) <= SETTINGS.most_change else "by more than itself"
 
 
 def _result(

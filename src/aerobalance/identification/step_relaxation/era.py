@@ -18,23 +18,37 @@ import numpy as np
 from aerobalance.identification.step_relaxation.free_response import Complex, FreeMotion
 from aerobalance.recording.channel import Array
 
-BLOCK_ROWS: Final = (24, 48)
-"""Rows of readings stacked in the Hankel matrix, tried in turn."""
 
-MOST_COLUMNS: Final = 1500
-"""Columns of the Hankel matrix, over all decays."""
+@dataclass(frozen=True, slots=True)
+class RealisationSettings:
+    """Sizes and thresholds of the first guess of coupled dynamics.
 
-QUICK: Final = (8, 4, 2, 1, 16)
-"""Thinnings that a quick look tries in turn."""
+    Attributes
+    ----------
+    block_rows
+        Rows of readings stacked in the Hankel matrix, tried in turn.
+    most_columns
+        Columns of the Hankel matrix, over all decays.
+    quick
+        Thinnings that a quick look tries in turn.
+    good
+        Squares over the noise variance and a reading with which a guess with internal coordinates is taken.
+    largest_growth
+        Logarithm of the growth over a decay, made by rounding where modes hardly differ, beyond which none is tried.
+    judged
+        Readings of every decay on which a guess is judged.
+    """
 
-GOOD: Final = 1.5
-"""Squares over the noise variance and a reading with which a guess with internal coordinates is taken."""
+    block_rows: tuple[int, int] = (24, 48)
+    most_columns: int = 1500
+    quick: tuple[int, ...] = (8, 4, 2, 1, 16)
+    good: float = 1.5
+    largest_growth: float = 100.0
+    judged: int = 4000
 
-LARGEST_GROWTH: Final = 100.0
-"""Logarithm of the growth over a decay, made by rounding where modes hardly differ, beyond which none is tried."""
 
-JUDGED: Final = 4000
-"""Readings of every decay on which a guess is judged."""
+SETTINGS: Final = RealisationSettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,13 +76,13 @@ def first_guess(decays: Sequence[Array], *, rate: float, internal: int = 0) -> G
     best: Guess | None = None
     thinnings = list(_thinnings(decays))
     if internal:  # what explains the decays to the noise is good enough: begin where it is most likely found
-        thinnings.sort(key=lambda every: abs(np.log2(every / QUICK[0])))
+        thinnings.sort(key=lambda every: abs(np.log2(every / SETTINGS.quick[0])))
     for thinned in thinnings:
-        for rows in BLOCK_ROWS:
+        for rows in SETTINGS.block_rows:
             guess = _guess(decays, rate=rate, every=thinned, rows=rows, internal=internal)
             if guess is not None and (best is None or guess.squares < best.squares):
                 best = guess
-            if internal and best is not None and best.squares < GOOD * sum(decay.size for decay in decays):
+            if internal and best is not None and best.squares < SETTINGS.good * sum(decay.size for decay in decays):
                 return best
     return best
 
@@ -76,11 +90,11 @@ def first_guess(decays: Sequence[Array], *, rate: float, internal: int = 0) -> G
 def quick_guess(decays: Sequence[Array], *, rate: float, internal: int) -> Guess | None:
     """The best of few guesses, or the first that explains the decays to the noise."""
     best: Guess | None = None
-    for every in QUICK:
-        guess = _guess(decays, rate=rate, every=every, rows=BLOCK_ROWS[0], internal=internal)
+    for every in SETTINGS.quick:
+        guess = _guess(decays, rate=rate, every=every, rows=SETTINGS.block_rows[0], internal=internal)
         if guess is not None and (best is None or guess.squares < best.squares):
             best = guess
-        if best is not None and best.squares < GOOD * sum(decay.size for decay in decays):
+        if best is not None and best.squares < SETTINGS.good * sum(decay.size for decay in decays):
             break
     return best
 
@@ -90,7 +104,7 @@ def _thinnings(decays: Sequence[Array]) -> Iterator[int]:
     n = decays[0].shape[1]
     longest = max(decay.shape[0] for decay in decays)
     every = 1
-    while every == 1 or longest // every > BLOCK_ROWS[0] + 4 * n:
+    while every == 1 or longest // every > SETTINGS.block_rows[0] + 4 * n:
         yield every
         every *= 2
 
@@ -105,7 +119,7 @@ def _guess(decays: Sequence[Array], *, rate: float, every: int, rows: int, inter
         if matrices is None:
             return best
         motion = FreeMotion.of(*matrices, components=decays[0].shape[1])
-        if float(motion.poles.real.max()) * max(decay.shape[0] for decay in decays) / rate > LARGEST_GROWTH:
+        if float(motion.poles.real.max()) * max(decay.shape[0] for decay in decays) / rate > SETTINGS.largest_growth:
             return best
         rests, squares = zip(*(_rest(motion, decay, rate) for decay in decays), strict=True)
         total = float(sum(squares))
@@ -127,7 +141,7 @@ def _matrices(
     """A^-1 and A^-1 D behind free decays; None where they show no motion of so many modes."""
     n = series[0].shape[1]
     order = 2 * (n + internal)
-    columns = MOST_COLUMNS // len(series)
+    columns = SETTINGS.most_columns // len(series)
     blocks = []
     for values in series:
         count = min(values.shape[0] - rows, columns)
@@ -208,7 +222,7 @@ def fit_state(motion: FreeMotion, time: Array, values: Array) -> tuple[Array, fl
 
 def _rest(motion: FreeMotion, values: Array, rate: float) -> tuple[Array, float]:
     """Loads that stay after a decay, and its sum of squared residuals."""
-    every = max(values.shape[0] // JUDGED, 1)
+    every = max(values.shape[0] // SETTINGS.judged, 1)
     time = np.arange(values.shape[0])[::every] / rate
     own, squares = fit_state(motion, time, values[::every])
     return own[: motion.components], squares * every

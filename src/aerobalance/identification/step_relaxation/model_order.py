@@ -36,44 +36,59 @@ from aerobalance.recording.errors import FitError
 MOST: Final = 3
 """Modes beside one for each component that are looked for."""
 
-EVIDENCE: Final = 25.0
-"""Log-likelihood that a further mode must gain beyond what its parameters may gain by chance."""
 
-LOST: Final = 0.1
-"""Part of its gain that a mode may lose where releases begin at rest: what rings before them as well is no mode."""
+@dataclass(frozen=True, slots=True)
+class ModelOrderSettings:
+    """Thresholds of the choice of the number of modes.
 
-STRANGE: Final = 0.5
-"""Distance of a mode's static share from 0 to 1 beyond which it is no mode of a structure."""
+    Attributes
+    ----------
+    evidence
+        Log-likelihood that a further mode must gain beyond what its parameters may gain by chance.
+    lost
+        Part of its gain that a mode may lose where releases begin at rest: what rings before them as well is no mode.
+    beyond_structure
+        Distance of a mode's static share from 0 to 1 beyond which it is no mode of a structure.
+    least_decay
+        Logarithm of the decay over the longest record below which a line is hum and no mode.
+    split
+        Distance of two poles, over the faster decay, below which two modes of one shape may be one that is not linear.
+    alike
+        Square of the cosine between shapes of modes from which they are one shape.
+    before
+        Power of a line before the releases, over that after them, from which it does not come from them.
+    widths
+        Widths of the peaks looked for in the residuals, in frequencies.
+    independent
+        Size of a combination of products of modes, over the largest, below which it is rounding.
+    faint
+        Power over that of white noise of the size of the residuals, below which it is rounding.
+    chance
+        Probability of a peak by chance, at one frequency, below which it is taken as real.
+    top
+        Share of half the sampling rate up to which peaks are looked for.
+    """
 
-DECAYS: Final = 0.05
-"""Logarithm of the decay over the longest record below which a line is hum and no mode."""
+    evidence: float = 25.0
+    lost: float = 0.1
+    beyond_structure: float = 0.5
+    least_decay: float = 0.05
+    split: float = 2.0
+    alike: float = 0.95
+    before: float = 0.5
+    widths: tuple[int, ...] = (1, 3, 9, 27, 81)
+    independent: float = 1e-6
+    faint: float = 0.1
+    chance: float = 1e-9
+    top: float = 0.8
 
-SPLIT: Final = 2.0
-"""Distance of two poles, over the faster decay, below which two modes of one shape may be one that is not linear."""
 
-ALIKE: Final = 0.95
-"""Square of the cosine between shapes of modes from which they are one shape."""
+SETTINGS: Final = ModelOrderSettings()
+"""Thresholds that are used."""
+
 
 IN_TWO: Final = "one mode more takes the place of one that is not linear"
 """What is said of such modes."""
-
-BEFORE: Final = 0.5
-"""Power of a line before the releases, over that after them, from which it does not come from them."""
-
-WIDTHS: Final = (1, 3, 9, 27, 81)
-"""Widths of the peaks looked for in the residuals, in frequencies."""
-
-INDEPENDENT: Final = 1e-6
-"""Size of a combination of products of modes, over the largest, below which it is rounding."""
-
-FAINT: Final = 0.1
-"""Power over that of white noise of the size of the residuals, below which it is rounding."""
-
-CHANCE: Final = 1e-9
-"""Probability of a peak by chance, at one frequency, below which it is taken as real."""
-
-TOP: Final = 0.8
-"""Share of half the sampling rate up to which peaks are looked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +134,7 @@ def fit_modes(records: Sequence[ReleaseRecord], *, sizes: Array, modes: int | Li
     against = _against(fit)
     if against is not None:
         return _without(records, sizes, against)
-    if gain_over(free, fit) > LOST * gain:
+    if gain_over(free, fit) > SETTINGS.lost * gain:
         return _without(records, sizes, "its motion does not begin at rest with the releases")
     return ChosenFit(fit, units, _missed(fit, units, records))
 
@@ -142,10 +157,10 @@ def _free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Rel
         try:
             larger, others = _decays_with(internal, records, sizes=sizes)
             gained = gain_over(larger, free)
-            clear = gained > _by_chance(larger, internal, internal - free.internal) + EVIDENCE
+            clear = gained > _by_chance(larger, internal, internal - free.internal) + SETTINGS.evidence
             if clear and internal - free.internal > 1:  # each for itself, not all together
                 gained = gain_over(larger, _with_one_less(larger, others, records, sizes)[0])
-                clear = gained > _by_chance(larger, internal, 1) + EVIDENCE
+                clear = gained > _by_chance(larger, internal, 1) + SETTINGS.evidence
         except (FitError, np.linalg.LinAlgError):  # modes that are not found are none
             continue
         if clear and _physical(larger, others, records[0].rate) and len(_twins(larger)) <= len(_twins(free)):
@@ -214,7 +229,7 @@ def _beginning(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Relea
             gain = gain_over(free, _with_one_less(free, units, records, sizes)[0])
         except (FitError, np.linalg.LinAlgError):  # with less there is no fit, but a guess
             gain = count / 2 * float(np.log(before / quick.squares)) if np.isfinite(before) else 0.0
-        if gain > _by_chance(free, free.internal, 1) + EVIDENCE and _physical(free, units, rate):
+        if gain > _by_chance(free, free.internal, 1) + SETTINGS.evidence and _physical(free, units, rate):
             return free, units, gain
     free, units = fit_decays(records, sizes=sizes, start=guess_of(records))
     return free, units, 0.0
@@ -263,8 +278,8 @@ def _physical(fit: ReleaseFit, units: Units, rate: float) -> bool:
     longest = max(float(segment.time[-1] - segment.edge[1]) for segment in fit.segments)
     return bool(
         _lightly_damped(fit.motion, fit.size + fit.internal)
-        and (-poles.real * longest > DECAYS).all()
-        and sizes.max() * units.rate / (2 * np.pi) < TOP * rate / 2
+        and (-poles.real * longest > SETTINGS.least_decay).all()
+        and sizes.max() * units.rate / (2 * np.pi) < SETTINGS.top * rate / 2
     )
 
 
@@ -273,8 +288,8 @@ def _twins(fit: ReleaseFit) -> NDArray[np.intp]:
     motion = fit.motion
     up, _ = pairs(motion)
     poles, shapes = motion.poles[up], motion.felt[:, up] / np.linalg.norm(motion.felt[:, up], axis=0)
-    near = np.abs(poles[:, None] - poles) < SPLIT * np.maximum(-poles.real[:, None], -poles.real)
-    alike = np.abs(shapes.conj().T @ shapes) ** 2 > ALIKE
+    near = np.abs(poles[:, None] - poles) < SETTINGS.split * np.maximum(-poles.real[:, None], -poles.real)
+    alike = np.abs(shapes.conj().T @ shapes) ** 2 > SETTINGS.alike
     return np.argwhere(np.triu(near & alike, 1))
 
 
@@ -287,9 +302,9 @@ def _against(fit: ReleaseFit) -> str | None:
     motion, n = fit.motion, fit.size
     spring = fit.matrices.reshape(2, motion.size, motion.size)[0]
     shares = static_shares(ModalForm(motion.poles, motion.felt, motion.shares[:, motion.size :] @ spring[:, :n]))
-    if not ((shares > -STRANGE) & (shares < 1 + STRANGE)).all():
+    if not ((shares > -SETTINGS.beyond_structure) & (shares < 1 + SETTINGS.beyond_structure)).all():
         return "its share of the load is none of a structure"
-    if (shares[_twins(fit)].sum(axis=1) < 1 + STRANGE).any():
+    if (shares[_twins(fit)].sum(axis=1) < 1 + SETTINGS.beyond_structure).any():
         return IN_TWO
     return None
 
@@ -313,7 +328,7 @@ def _missed(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
     gain = count / 2 * float(np.log(np.mean(left**2) * count / quick.squares))
     motion = _motion_of(quick, fit.size)
     none = not _lightly_damped(motion, fit.size + fit.internal + 1)
-    if none or gain < _by_chance(fit, fit.internal + 1, 1) + EVIDENCE:
+    if none or gain < _by_chance(fit, fit.internal + 1, 1) + SETTINGS.evidence:
         return peak
     theirs = np.log(pairs(motion)[1])
     ours = np.log(pairs(fit.motion)[1] * units.rate)
@@ -330,7 +345,7 @@ def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
     products of modes is in the level, but not in the peaks.
     """
     count = min(len(linear.ringing) for linear in fit.linears)
-    if count < 8 * max(WIDTHS):
+    if count < 8 * max(SETTINGS.widths):
         return None
     whitener = whitener_of(fit.noise + ROUNDING**2 * np.eye(fit.size))
     power, beyond = np.zeros((2, count // 2))
@@ -340,12 +355,12 @@ def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
         left = linear.ringing[:count] @ whitener.T
         power += _power(left)
         beyond += _power(left - products @ (products.T @ left))
-    level = median_filter(power / count, size=max(count // 32, 2 * max(WIDTHS) + 1), mode="reflect")
+    level = median_filter(power / count, size=max(count // 32, 2 * max(SETTINGS.widths) + 1), mode="reflect")
     number = 2 * len(fit.linears) * fit.size
-    level = np.maximum(level * number / chi2.median(number), FAINT * number / 2)
-    sums = np.concatenate([[0.0], np.cumsum((beyond / count / level)[: int(TOP * power.size)])])
-    best, place = float(np.log(CHANCE)), None
-    for width in WIDTHS:
+    level = np.maximum(level * number / chi2.median(number), SETTINGS.faint * number / 2)
+    sums = np.concatenate([[0.0], np.cumsum((beyond / count / level)[: int(SETTINGS.top * power.size)])])
+    best, place = float(np.log(SETTINGS.chance)), None
+    for width in SETTINGS.widths:
         chances = chi2.logsf(number * (sums[width:] - sums[:-width]), number * width)
         least = int(np.argmin(chances))
         if chances[least] < best:
@@ -373,7 +388,7 @@ def _products(fit: ReleaseFit, *, count: int, interval: float) -> Array:
     rates += [part for one in poles for part in (one.real + 0j, 2j * one.imag + one.real)]
     waves = np.exp(np.outer(interval * np.arange(count), rates))
     basis, sizes, _ = np.linalg.svd(np.column_stack([np.ones(count), waves.real, waves.imag]), full_matrices=False)
-    return basis[:, sizes > INDEPENDENT * sizes[0]]
+    return basis[:, sizes > SETTINGS.independent * sizes[0]]
 
 
 def _rings_before(fit: ReleaseFit, line: float, units: Units, records: Sequence[ReleaseRecord]) -> bool:
@@ -385,7 +400,7 @@ def _rings_before(fit: ReleaseFit, line: float, units: Units, records: Sequence[
             time = segment.time[-len(linear.ringing) :]
             before += _power_of(line, segment.time[:held], record.values[:held] / units.sizes, fit.noise)
             after += _power_of(line, time[:held], linear.ringing[:held], fit.noise)
-    return before > BEFORE * after > 0
+    return before > SETTINGS.before * after > 0
 
 
 def _power_of(line: float, time: Array, values: Array, noise: Array) -> float:

@@ -26,32 +26,47 @@ from aerobalance.identification.step_relaxation.record import ROUNDING, ReleaseR
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 
-GUARDS: Final = (0.0, 0.002, 0.005, 0.01, 0.02)
-"""Times after the onset from which the loads are tried as decaying freely [s]."""
 
-LEAST_HELD: Final = 8
-"""Readings before the onset that tie a release to the loads held."""
+@dataclass(frozen=True, slots=True)
+class StageSettings:
+    """Thresholds of the way from recordings to the fit of all releases.
 
-EVIDENCE: Final = 20.0
-"""Drop in the sum of squares over the noise variance that a richer shape of the edge must bring."""
+    Attributes
+    ----------
+    guards
+        Times after the onset from which the loads are tried as decaying freely [s].
+    least_held
+        Readings before the onset that tie a release to the loads held.
+    evidence
+        Drop in the sum of squares over the noise variance that a richer shape of the edge must bring.
+    at_first
+        Time after the beginning of a free decay that is looked at for what is no free decay [s].
+    trial_steps
+        Gauss-Newton steps after which a shape of the edge is taken not to explain a record.
+    louder
+        Variance of the noise before a release over that after it which is still taken for the same.
+    apart
+        Part of a load let go, each of size 1, that the others leave, above which it tells something of its own.
+    durations
+        Durations of a release that are tried, over the time between the onset and the free decay.
+    """
+
+    guards: tuple[float, ...] = (0.0, 0.002, 0.005, 0.01, 0.02)
+    least_held: int = 8
+    evidence: float = 20.0
+    at_first: float = 0.001
+    trial_steps: int = 25
+    louder: float = 1.2
+    apart: float = 1e-3
+    durations: tuple[float, ...] = (0.03, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5)
+
+
+SETTINGS: Final = StageSettings()
+"""Thresholds that are used."""
+
 
 POOR: Final = 3.0
 """Squares over the noise variance and a reading, above which a first guess is tried further from the edge."""
-
-AT_FIRST: Final = 0.001
-"""Time after the beginning of a free decay that is looked at for what is no free decay [s]."""
-
-TRIAL_STEPS: Final = 25
-"""Gauss-Newton steps after which a shape of the edge is taken not to explain a record."""
-
-LOUDER: Final = 1.2
-"""Variance of the noise before a release over that after it which is still taken for the same."""
-
-APART: Final = 1e-3
-"""Part of a load let go, each of size 1, that the others leave, above which it tells something of its own."""
-
-DURATIONS: Final = (0.03, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5)
-"""Durations of a release that are tried, over the time between the onset and the free decay."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +176,7 @@ def _check_let_go(fit: ReleaseFit) -> None:
         own[n : 2 * n] - own[:n] for segment, own in zip(fit.segments, fit.own, strict=True) if segment.kind != "free"
     ]
     table = np.array([load / np.linalg.norm(load) for load in loads]).reshape(-1, n)
-    apart = int(np.count_nonzero(np.linalg.svd(table, compute_uv=False) > APART))
+    apart = int(np.count_nonzero(np.linalg.svd(table, compute_uv=False) > SETTINGS.apart))
     if apart < n:
         raise FitError(
             f"a mode of the model or sting needs releases of a held load along every component, {n} that are no "
@@ -187,7 +202,9 @@ def _from_rest(fit: ReleaseFit) -> ReleaseFit:
     return replace(fit, segments=segments, matrices=matrices, own=tuple(own))
 
 
-def guess_of(records: Sequence[ReleaseRecord], *, internal: int = 0, guards: Sequence[float] = GUARDS) -> Start:
+def guess_of(
+    records: Sequence[ReleaseRecord], *, internal: int = 0, guards: Sequence[float] = SETTINGS.guards
+) -> Start:
     """First guess of the matrices, from the onsets on or from as soon after them as the decays are explained.
 
     Raises
@@ -238,7 +255,10 @@ def _settled_free(
     while True:
         fit = _free(records, units, matrices, guards=guards, noise=noise)
         later = [
-            next((longer for longer in GUARDS if longer > used and _disturbed(linear.ringing, fit, record)), used)
+            next(
+                (longer for longer in SETTINGS.guards if longer > used and _disturbed(linear.ringing, fit, record)),
+                used,
+            )
             for linear, record, used in zip(fit.linears, records, guards, strict=True)
         ]
         if later == guards:
@@ -248,7 +268,7 @@ def _settled_free(
 
 def _disturbed(left: Array, fit: ReleaseFit, record: ReleaseRecord) -> bool:
     """Whether the first residuals of a free decay are far worse than the others."""
-    length = max(round(AT_FIRST * record.rate), 16)
+    length = max(round(SETTINGS.at_first * record.rate), 16)
     count = left.shape[0] // length
     if count < 8:
         return False
@@ -277,12 +297,12 @@ def _with_edge(fit: ReleaseFit, number: int, record: ReleaseRecord, units: Units
     """The fit with one record taken as a release from rest, at once or over a duration, where that explains it."""
     segment = fit.segments[number]
     before = int(np.searchsorted(segment.time, -margin_of(record, units)))
-    if before < LEAST_HELD:
+    if before < SETTINGS.least_held:
         return fit
     held, earliest = segment.values[:before].mean(axis=0), float(segment.time[before - 1])
     known = others_than(fit, number)
     loose = total_squares([fit.linears[number]], known, fit.matrices)
-    kinds: tuple[tuple[Kind, tuple[float, ...]], ...] = (("release", (0.0,)), ("ramp", DURATIONS))
+    kinds: tuple[tuple[Kind, tuple[float, ...]], ...] = (("release", (0.0,)), ("ramp", SETTINGS.durations))
     for kind, shares in kinds:
         begun = [
             _best_instant(fit, number, held=held, duration=share * (segment.edge[1] - earliest) / 2, earliest=earliest)
@@ -294,14 +314,16 @@ def _with_edge(fit: ReleaseFit, number: int, record: ReleaseRecord, units: Units
         edge = (instant, instant)
         if kind == "ramp":
             own = np.append(own, shares[place] * (segment.edge[1] - earliest) / 2)
-            edge = (earliest, segment.edge[1] + AT_FIRST * units.rate)
+            edge = (earliest, segment.edge[1] + SETTINGS.at_first * units.rate)
         own = np.append(own, rest[fit.size :])
         trial = replace(segment, kind=kind, edge=edge, anywhere=fit.internal > 0)
         try:
-            tight = settle([trial], fit.matrices, [own], noise=fit.noise, known=known, steps=TRIAL_STEPS, enough=1.0)
+            tight = settle(
+                [trial], fit.matrices, [own], noise=fit.noise, known=known, steps=SETTINGS.trial_steps, enough=1.0
+            )
         except FitError:
             continue
-        allowed = EVIDENCE + 6 * fit.size + _fresh(tight.linears[0], fit.linears[number].rows, fit.noise)
+        allowed = SETTINGS.evidence + 6 * fit.size + _fresh(tight.linears[0], fit.linears[number].rows, fit.noise)
         if total_squares(tight.linears, known, tight.matrices) - loose < allowed:
             return replaced(fit, number, segment=trial, own=tight.own[0])
     return fit
@@ -310,7 +332,7 @@ def _with_edge(fit: ReleaseFit, number: int, record: ReleaseRecord, units: Units
 def _fresh(linear: Linear, rows: int, noise: Array) -> float:
     """Squares that noise may leave in the readings that the free decay does not use."""
     count = (linear.rows - rows) * noise.shape[0]
-    return float(count + 5 * np.sqrt(2 * count)) * LOUDER
+    return float(count + 5 * np.sqrt(2 * count)) * SETTINGS.louder
 
 
 def margin_of(record: ReleaseRecord, units: Units) -> float:
