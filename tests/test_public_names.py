@@ -151,6 +151,8 @@ def test_the_chain_of_a_test(rng):
         load[place] = 0.1 * balance.half_range[place]
         releases.append(still(balance, 0.0, 0.0, releases=(Release(load, instant=0.05),)).run(0.4, rng).recording)
     dynamics = ab.identify(releases, mass=mass, balance=matrix, zero=zero)
+    with pytest.raises(ValueError, match="without recordings beside them"):
+        ab.identify([ab.reduce_outputs(releases[0], matrix, zero=zero, model=mass), *releases[1:]], mass=mass)
     simulation = gusts(balance, rng).run(0.3, rng)
     force = ab.estimate_force(simulation.recording, dynamics, balance=matrix, zero=zero, hum="keep")
     for name, (_, score, beside_u) in errors(force, simulation.applied, balance).items():

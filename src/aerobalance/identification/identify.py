@@ -34,7 +34,7 @@ Mass = float | tuple[float, float] | Weighing
 
 
 def identify(
-    recordings: Recording | Sequence[Recording],
+    recordings: Recording | Loads | Sequence[Recording | Loads],
     *,
     mass: Mass | None = None,
     components: Sequence[str] | None = None,
@@ -51,8 +51,8 @@ def identify(
     Parameters
     ----------
     recordings
-        Balance loads; or with `balance` gauge outputs. One component needs one recording; coupled components need a
-        release along each.
+        Balance loads; or with `balance` gauge outputs. Loads that `identification_loads` made of gauge outputs bring
+        their balance matrix along. One component needs one recording; coupled components need a release along each.
     mass
         Moving mass. One component that is released needs it; a shaken one tells it; coupled components get their
         mass matrix from it.
@@ -78,21 +78,22 @@ def identify(
     """
     if excitation not in get_args(Excitation):
         raise ValueError(f"excitation must be release or base, not {excitation!r}")
-    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    given = [recordings] if isinstance(recordings, Recording | Loads) else list(recordings)
     if not given:
         raise ValueError("at least one recording is needed")
     if balance is None and zero is not None:
         raise ValueError("a zero is of gauge outputs: give the balance matrix that makes loads of them as well")
     weighing = mass if isinstance(mass, Weighing) else None
-    loads: list[Loads] = []
+    loads = [one for one in given if isinstance(one, Loads)]
+    outputs = [one for one in given if not isinstance(one, Loads)]
+    if loads and (outputs or balance is not None):
+        raise ValueError("loads that are reduced already go without recordings beside them and without balance")
     if balance is not None:
-        loads = identification_loads(given, balance, zero=zero, weighing=weighing)
-        given = [one.recording for one in loads]
-    else:
-        given = [corrected(one) for one in given]
-    names = _names(given, components)
+        loads = identification_loads(outputs, balance, zero=zero, weighing=weighing)
+    records = [one.recording for one in loads] or [corrected(one) for one in outputs]
+    names = _names(records, components)
     if len(names) == 1:
-        return _one(given, names[0], loads, mass=mass, excitation=excitation, modes=modes)
+        return _one(records, names[0], loads, mass=mass, excitation=excitation, modes=modes)
     weighed = (weighing.mass, weighing.u_mass) if isinstance(mass, Weighing) and weighing is not None else mass
     if isinstance(weighed, Weighing):
         raise TypeError("a weighing has become a mass by now")
@@ -101,9 +102,9 @@ def identify(
             raise ValueError("modes cannot be given for several components that are shaken")
         if set(names) != set(COMPONENTS):
             raise ValueError(f"a shaken balance needs all of {', '.join(COMPONENTS)}; the recordings have {names}")
-        return identify_shaking(given, mass=weighed, half_range=half_range)
+        return identify_shaking(records, mass=weighed, half_range=half_range)
     return identify_releases(
-        given,
+        records,
         components=names,
         mass=weighed,
         half_range=half_range,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, cast
 
 from aerobalance.app.commands.answers import quantities, quantity_table, rounded, short
 from aerobalance.app.commands.balance_files import BalanceFiles
@@ -15,12 +15,11 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.base_excitation.frf_table import ResponseTable
 from aerobalance.identification.base_excitation.frf_table import identify_frf as fit_frf
 from aerobalance.identification.base_excitation.paper_procedure import Phase, reference_fit
-from aerobalance.identification.base_excitation.rig import identify_rig as fit_rig
+from aerobalance.identification.base_excitation.rig import RigFit
 from aerobalance.identification.base_excitation.sine_dwell import Dwell, find_dwells, harmonic_check
 from aerobalance.identification.free_decay.fit import DecayFit
-from aerobalance.identification.free_decay.fit import identify_decay as fit_decay
 from aerobalance.identification.free_decay.log_decrement import extrema_fit
-from aerobalance.identification.identify import with_sensitivity_error
+from aerobalance.identification.identify import identify
 from aerobalance.io import (
     read_table,
 )
@@ -56,16 +55,15 @@ def identify_decay(
     used = [] if files is None else list(files.paths)
     check_out(out, path, channel_map, mass_file(mass), *used, kind="dynamics")
     weighed = parse_mass(mass, component)
-    if weighed is None:
-        raise ValueError("--mass is needed: a free decay tells stiffness and damping only in proportion to the mass")
     wanted = number_of_modes(modes)
     with collected_warnings() as collected:
-        recording = recording_of(path, channel_map)
+        recording, loads = recording_of(path, channel_map), None
         if files is not None:
-            recording = files.identification_loads(
+            (loads,) = files.identification_loads(
                 [recording], _weighing(mass), channel_map=channel_map, calibration_counts=False
-            )[0].recording
-        fit = fit_decay(recording, component=component, mass=weighed, modes=wanted)
+            )
+            recording = loads.recording
+        fit = cast("DecayFit", identify(loads or recording, components=[component], mass=weighed, modes=wanted))
     details = {"method": "free decay, least squares on the waveform", **_decay_details(recording, fit)}
     if files is not None:
         details["calibration_of_balance"] = CALIBRATION_DROPS_OUT
@@ -164,11 +162,12 @@ def identify_rig(
     weighed = parse_mass(mass, component)
     wanted = number_of_modes(modes)
     with collected_warnings() as collected:
-        recording = recording_of(path, channel_map)
+        recording, loads = recording_of(path, channel_map), None
         if files is not None:
             (loads,) = files.identification_loads([recording], _weighing(mass), channel_map=channel_map)
-            recording = with_sensitivity_error(loads, component)
-        fit = fit_rig(recording, component=component, mass=weighed, modes=wanted)
+            recording = loads.recording
+        found = identify(loads or recording, components=[component], excitation="base", mass=weighed, modes=wanted)
+        fit = cast("RigFit", found)
         by_dwells = _dwell_details(recording, fit.dynamics)
     details: Account = {
         "method": "shaken ground end, maximum likelihood of the complex response",

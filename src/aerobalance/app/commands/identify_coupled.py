@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,10 +24,9 @@ from aerobalance.app.commands.coupled_tables import (
 from aerobalance.app.commands.identify import number_of_modes
 from aerobalance.app.commands.shared import Account, amounts, check_out, collected_warnings, recording_of, table_text
 from aerobalance.app.commands.weighing import mass_file, mass_number
-from aerobalance.balance.matrix_errors import MatrixErrors
 from aerobalance.balance.weighing.result import Weighing
+from aerobalance.identification.identify import identify
 from aerobalance.identification.result import CoupledIdentification, CoupledResult
-from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.io.artefacts import digest
 from aerobalance.io.coupled_part import coupled_payload
 from aerobalance.io.dynamics_file import write_dynamics
@@ -74,13 +73,11 @@ def identify_decays(
     weighed, weighing = weighed_mass(mass)
     with collected_warnings() as collected:
         recordings = [recording_of(path, channel_map) for path in paths]
-        errors: list[MatrixErrors] = []
+        loads = None
         if files is not None:
             loads = files.identification_loads(recordings, weighing, channel_map=channel_map)
-            recordings, errors = [one.recording for one in loads], [one.matrix_errors for one in loads]
-        found = identify_releases(
-            recordings, components=components, mass=weighed, half_range=half_range, modes=wanted, errors=errors
-        )
+        fit = identify(loads or recordings, components=components, mass=weighed, half_range=half_range, modes=wanted)
+        found = cast("CoupledIdentification", fit)
     if files is not None:
         found = replace(found, dynamics=replace(found.dynamics, balance=digest(files.balance)))
     return account_of(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -22,8 +23,8 @@ from aerobalance.app.commands.identify_coupled import account_of, weighed_mass
 from aerobalance.app.commands.shared import Account, check_out, collected_warnings, recording_of, table_text
 from aerobalance.app.commands.weighing import mass_file
 from aerobalance.balance.weighing.result import Weighing
-from aerobalance.identification.base_excitation.shaking import identify_shaking
 from aerobalance.identification.base_excitation.shaking_result import ShakingIdentification
+from aerobalance.identification.identify import identify
 from aerobalance.identification.rigid_body import Departure
 from aerobalance.motion.sensors import motion_name
 from aerobalance.recording.components import COMPONENTS, MOMENTS
@@ -56,7 +57,8 @@ def identify_shaken(
     weighed, weighing = weighed_mass(mass)
     with collected_warnings() as collected:
         recordings = [recording_of(path, channel_map) for path in paths]
-        found = identify_shaking(recordings, mass=weighed, half_range=half_range)
+        fit = identify(recordings, components=COMPONENTS, excitation="base", mass=weighed, half_range=half_range)
+        found = cast("ShakingIdentification", fit)
     return account_of(
         found,
         out,
