@@ -9,7 +9,7 @@ from scipy.stats import chi2, norm
 from aerobalance.app.commands.identify_coupled import identify_decays
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.identification.force_error import predicted_force_error, true_force_error
+from aerobalance.identification.force_error import error_of, force_weights, true_force_error
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.identification.from_stiffness import compare_coupled, coupled_from_stiffness
 from aerobalance.identification.rigid_body import centre_agreement, rigid_mass_of
@@ -262,7 +262,7 @@ def test_force_error_is_the_mean_over_the_covariance():
     u = 1e-5 * np.concatenate([np.abs(true.inertia).ravel(), np.abs(true.damping).ravel()])
     doubtful = CoupledDynamics(COMPONENTS, true.inertia, true.damping, np.diag(u**2))
     sizes = 0.1 * HALF_RANGE
-    predicted = predicted_force_error(doubtful, sizes=sizes, band=(10.0, 300.0))
+    predicted = error_of(doubtful.covariance, force_weights(doubtful, sizes=sizes, band=(10.0, 300.0)))
     frequency = np.linspace(10, 300, 60_001)
     s = 2j * np.pi * frequency
     response = true.response(frequency) * sizes
@@ -271,9 +271,9 @@ def test_force_error_is_the_mean_over_the_covariance():
     direct = np.sqrt((u[:36] ** 2).reshape(6, 6) @ second + (u[36:] ** 2).reshape(6, 6) @ first)
     assert predicted == pytest.approx(direct, rel=1e-3)  # a sum in 60ths of the narrowest half width
     with pytest.raises(ValueError, match="band"):
-        predicted_force_error(true, sizes=sizes, band=(5.0, 5.0))
+        force_weights(true, sizes=sizes, band=(5.0, 5.0))
     with pytest.raises(ValueError, match="sizes"):
-        predicted_force_error(true, sizes=[1.0])
+        force_weights(true, sizes=[1.0])
 
 
 def test_the_command_writes_what_it_found(tmp_path, rng):

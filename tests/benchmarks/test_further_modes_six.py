@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.result import ComponentForce
-from aerobalance.identification.force_error import predicted_force_error, true_force_error
+from aerobalance.identification.force_error import error_of, force_weights, true_force_error
 from aerobalance.identification.result import CoupledIdentification
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.identification.step_relaxation.internal_coordinates import static_shares
@@ -234,7 +234,8 @@ def test_the_force_with_bending_modes(further, record, rng) -> None:
             force_error(run, estimate_force(run.recording, dynamics, bandwidth=1.4 * highest)) / balance.half_range
             for dynamics in (fit.dynamics, true)
         )
-        u = predicted_force_error(fit.dynamics, sizes=sizes, band=(0, 1.1 * highest)) / balance.half_range
+        weights = force_weights(fit.dynamics, sizes=sizes, band=(0, 1.1 * highest))
+        u = error_of(fit.dynamics.covariance, weights) / balance.half_range
         squares.append(float(found @ found / (best @ best + u @ u)))
     rms, high = float(np.sqrt(np.mean(squares))), float(np.sqrt(chi2.isf(1e-5, GUSTS) / GUSTS))
     what = f"{further} further mode{'s' * (further > 1)}"

@@ -61,8 +61,6 @@ class Progress:
         Blocks acknowledged.
     samples
         Samples in them, of each channel.
-    next_tick
-        Tick after the last of them.
     seconds
         Length of the record by its clock, gaps included [s].
     gaps
@@ -88,7 +86,6 @@ class Progress:
     path: str
     blocks: int = 0
     samples: int = 0
-    next_tick: int = 0
     seconds: float = 0.0
     gaps: int = 0
     lost: int = 0
@@ -272,7 +269,6 @@ class Take:
         self._set(
             blocks=number + 1,
             samples=self.writer.samples,
-            next_tick=done,
             seconds=(done - self._origin) / self.job.plan.rate,
             free=free,
         )

@@ -11,7 +11,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.acquisition.six_rig import GROUND_CHANNELS, GROUND_NOISE, LARGEST_SHAKE, SixMotion, six_dynamics
+from aerobalance.acquisition.six_rig import GROUND_NOISE, LARGEST_SHAKE, SixMotion, six_dynamics
 from aerobalance.acquisition.source import Block, Pacing, SourceChannel, SourceEndedError
 from aerobalance.acquisition.source_settings import CLOSED, HALF_RANGES, SHUNT_SHARE, TOUCH_SHARE, RigName
 from aerobalance.balance.matrix import BalanceMatrix
@@ -22,6 +22,7 @@ from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_ga
 from aerobalance.simulation import ACCELEROMETER_RANGE, ARMATURE_MASS
 from aerobalance.simulation.oscillator import Oscillator
 from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
+from aerobalance.simulation.six_components import GROUND_CHANNELS
 
 LARGEST_FREQUENCY: Final = 0.45
 """Largest frequency of the drive, over the sampling rate."""

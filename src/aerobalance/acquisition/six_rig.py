@@ -12,16 +12,6 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.simulation.published import CABLE_CUT
 
-GROUND_CHANNELS: Final = (
-    "ground_acceleration_z",
-    "ground_turn_PM",
-    "ground_acceleration_y",
-    "ground_turn_YM",
-    "ground_turn_RM",
-    "ground_acceleration",
-)
-"""Channels of the ground's motion, in the order of `COMPONENTS`."""
-
 GROUND_NOISE: Final = (0.02, 0.1, 0.02, 0.1, 0.1, 0.02)
 """Standard deviation of a reading of each; assumed [m/s^2, rad/s^2]."""
 

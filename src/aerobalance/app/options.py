@@ -52,15 +52,15 @@ def as_options(text: str) -> str:
     return _ARGUMENT.sub(_option, text)
 
 
-def account_as_options(account: Any) -> Any:
-    """Return an account with all of its texts as `as_options` gives them."""
-    if isinstance(account, str):
-        return as_options(account)
-    if isinstance(account, dict):
-        return {key: account_as_options(value) for key, value in account.items()}
-    if isinstance(account, list | tuple):
-        return [account_as_options(value) for value in account]
-    return account
+def result_as_options(result: Any) -> Any:
+    """Return a result with all of its texts as `as_options` gives them."""
+    if isinstance(result, str):
+        return as_options(result)
+    if isinstance(result, dict):
+        return {key: result_as_options(value) for key, value in result.items()}
+    if isinstance(result, list | tuple):
+        return [result_as_options(value) for value in result]
+    return result
 
 
 def _option(found: re.Match[str]) -> str:

@@ -17,32 +17,6 @@ PANEL: Final = np.polynomial.legendre.leggauss(8)
 """Nodes and weights of an integral over one panel of frequencies."""
 
 
-def predicted_force_error(
-    dynamics: CoupledDynamics, *, sizes: ArrayLike, band: tuple[float, float] | None = None
-) -> Array:
-    """Error of the force that comes from the uncertainty of the dynamics alone, rms by component.
-
-    The force is taken from noise-free loads felt by F = X + D X' + A X'', so what remains is dD X' + dA X'', and where
-    there are internal coordinates Y what their errors leave in F. No
-    smoother stands between, which would damp the error where noise dominates.
-
-    Parameters
-    ----------
-    dynamics
-        Dynamics with their covariance.
-    sizes
-        Rms of the load applied in every component, shape (n,) [N, N*m]; components are independent of each other.
-    band
-        Frequencies between which the load is white [Hz]; where not given, from zero to 1.2 times the highest mode.
-
-    Returns
-    -------
-    error
-        Rms error of every component, shape (n,) [N, N*m].
-    """
-    return error_of(dynamics.covariance, force_weights(dynamics, sizes=sizes, band=band))
-
-
 def error_of(covariance: Array, weights: Array) -> Array:
     """Rms error of the force by component, from the covariance of the dynamics and what `force_weights` gives."""
     square = np.einsum("ipq,pq->i", weights, covariance)
@@ -64,6 +38,16 @@ def force_weights(dynamics: CoupledDynamics, *, sizes: ArrayLike, band: tuple[fl
 
     The force is F = L (Z + D Z' + A Z''), where Z are the loads felt and the internal coordinates that go with them,
     and L = [1, -P_12 P_22^-1] with the blocks of P = 1 + D s + A s^2. Without internal ones F = X + D X' + A X''.
+    No smoother stands between, which would damp the error where noise dominates.
+
+    Parameters
+    ----------
+    dynamics
+        Coupled dynamics.
+    sizes
+        Rms of the load applied in every component, shape (n,) [N, N*m]; components are independent of each other.
+    band
+        Frequencies between which the load is white [Hz]; where not given, from zero to 1.2 times the highest mode.
 
     Returns
     -------

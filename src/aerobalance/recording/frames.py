@@ -21,12 +21,6 @@ from aerobalance.recording.errors import warn_quality
 WIND_NAMES: Final[Mapping[str, str]] = {"NF": "L", "SF": "Y", "AF": "D", "PM": "PM", "YM": "YM", "RM": "RM"}
 """Names of the components in wind axes: lift, side force, drag, and the moments about the wind's axes."""
 
-BODY_COEFFICIENTS: Final = ("CN", "Cm", "CY", "Cn", "Cl", "CA")
-"""Names of the coefficients in the order of the components, in axes of balance or body."""
-
-WIND_COEFFICIENTS: Final = ("CL", "Cm", "CY", "Cn", "Cl", "CD")
-"""The same in wind axes."""
-
 PLACEMENT: Final = (*AXES, *ANGLES)
 """Order of the rows of a frame's covariance."""
 

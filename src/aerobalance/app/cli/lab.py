@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from aerobalance.app.cli.account import Manner, show
 from aerobalance.app.cli.options import (
     PROGRAM,
     Component,
@@ -31,6 +30,7 @@ from aerobalance.app.cli.options import (
     example,
     gauge_files,
 )
+from aerobalance.app.cli.result import Manner, show
 from aerobalance.app.cli.streams import given, given_all
 from aerobalance.recording.components import STANDARD_GRAVITY
 

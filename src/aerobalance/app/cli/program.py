@@ -14,8 +14,8 @@ from typing import Annotated, Any
 import typer
 
 from aerobalance.app.cli import lab, recordings, runs, streams
-from aerobalance.app.cli.account import Manner, show
 from aerobalance.app.cli.options import PROGRAM, Json, Replace, Verbose, example
+from aerobalance.app.cli.result import Manner, show
 from aerobalance.app.options import as_options
 from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 from aerobalance.recording.version import VERSION

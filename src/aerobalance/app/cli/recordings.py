@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from aerobalance.app.cli.account import Manner, show
 from aerobalance.app.cli.options import (
     Json,
     Map,
@@ -19,6 +18,7 @@ from aerobalance.app.cli.options import (
     Verbose,
     example,
 )
+from aerobalance.app.cli.result import Manner, show
 
 app = typer.Typer()
 
@@ -111,8 +111,8 @@ def record(
     OUTPUTS.begin(replace=replace)
     options = command.RecordOptions(source=source, file=file, rig=rig, seconds=seconds, speed=speed, seed=seed)
     with Console(stderr=True).status("starting ...") as status:
-        account = command.record(out, setup=setup, options=options, replace=replace, show=status.update)
-    show(lambda: account, Manner(as_json, verbose), doing="recording")
+        result = command.record(out, setup=setup, options=options, replace=replace, show=status.update)
+    show(lambda: result, Manner(as_json, verbose), doing="recording")
 
 
 @app.command(epilog=example("publish --rig six --port 7420"))

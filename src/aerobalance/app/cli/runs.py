@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from aerobalance.app.cli.account import Manner, show
 from aerobalance.app.cli.options import (
     Balance,
     Gravity,
@@ -30,6 +29,7 @@ from aerobalance.app.cli.options import (
     example,
     gauge_files,
 )
+from aerobalance.app.cli.result import Manner, show
 from aerobalance.recording.components import STANDARD_GRAVITY
 
 app = typer.Typer()

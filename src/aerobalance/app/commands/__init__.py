@@ -1,5 +1,5 @@
-"""What each command does: files in, files out, and a plain-data account of the result.
+"""What each command does: files in, files out, and the result as plain data.
 
-The command line prints the account; the demo calls the same functions. Nothing is written unless the whole result is
+The command line prints it; the demo calls the same functions. Nothing is written unless the whole result is
 there.
 """

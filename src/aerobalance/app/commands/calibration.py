@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.app.commands.answers import rounded, short
-from aerobalance.app.commands.shared import Account, check_out, collected_warnings, table_text
+from aerobalance.app.commands.shared import Result, check_out, collected_warnings, table_text
 from aerobalance.balance.calibration.comparison import compare_calibrations
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.calibration.fit import calibrate as fit_matrix
@@ -48,7 +48,7 @@ def calibrate(
     leave_out: Sequence[str] = (),
     channel_map: Path | None = None,
     report: Path | None = None,
-) -> Account:
+) -> Result:
     """Balance matrix from a load schedule."""
     check_out(out, path, channel_map, kind="balance")
     check_out(report, path, channel_map, out, kind=PAGE)
@@ -189,13 +189,13 @@ def points_text(count: int) -> str:
     return f"{count} point{'' if count == 1 else 's'}"
 
 
-def compare(before: Path, after: Path, out: Path | None, *, model: Model = "auto") -> Account:
+def compare(before: Path, after: Path, out: Path | None, *, model: Model = "auto") -> Result:
     """What two calibrations of one balance differ in; schedules are calibrated first, with the same model."""
     check_out(out, before, after, kind="calibration comparison")
     with collected_warnings() as collected:
         first, second = (_matrix_of(path, model) for path in (before, after))
         drift = compare_calibrations(first, second)
-    account: Account = {
+    result: Result = {
         "before": before.name,
         "after": after.name,
         "components": {
@@ -216,14 +216,14 @@ def compare(before: Path, after: Path, out: Path | None, *, model: Model = "auto
         "warnings": collected,
     }
     if out is not None:
-        write_json(out, {"kind": "calibration comparison", **account, "provenance": provenance([before, after])})
-    return {**account, "summary": comparison_text(account)}
+        write_json(out, {"kind": "calibration comparison", **result, "provenance": provenance([before, after])})
+    return {**result, "summary": comparison_text(result)}
 
 
-def comparison_text(account: Account) -> str:
+def comparison_text(result: Result) -> str:
     """Short answer for people: what has changed of each component, and whether it is more than chance."""
     rows = []
-    for name, found in account["components"].items():
+    for name, found in result["components"].items():
         drift, u = rounded(found["drift_percent"], found["u_percent"])
         rows.append(
             (
@@ -238,21 +238,21 @@ def comparison_text(account: Account) -> str:
             )
         )
     table = table_text(
-        f"{account['before']} and {account['after']}: sensitivities; u is the standard uncertainty of the change",
+        f"{result['before']} and {result['after']}: sensitivities; u is the standard uncertainty of the change",
         ("", "before", "after", "", "change [%]", "u", "more than chance", "largest load apart [% cap.]"),
         rows,
     )
     lines = []
-    for item in account["interactions_change_percent"][:SHOWN_INTERACTIONS]:
+    for item in result["interactions_change_percent"][:SHOWN_INTERACTIONS]:
         change, u = rounded(item["change_percent_of_output_at_capacity"], item["u"])
         lines.append(
             f"interaction of {item['load']} on {item['gauge']}: {change} % of the output at capacity (u = {u})"
         )
-    more = len(account["interactions_change_percent"]) - SHOWN_INTERACTIONS
+    more = len(result["interactions_change_percent"]) - SHOWN_INTERACTIONS
     return "\n".join([table, *lines, *([f"and {more} interactions more"] if more > 0 else [])]) + "\n"
 
 
-def _interactions(matrix: BalanceMatrix, change: Array, u: Array) -> list[Account]:
+def _interactions(matrix: BalanceMatrix, change: Array, u: Array) -> list[Result]:
     """Interactions that have changed by more than three standard uncertainties."""
     return [
         {

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.loads import LoadSource, loads_account
-from aerobalance.app.commands.shared import Account, check_out, collected_warnings, known_component
+from aerobalance.app.commands.loads import LoadSource, loads_result
+from aerobalance.app.commands.shared import Result, check_out, collected_warnings, known_component
 from aerobalance.app.commands.standings import standings
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import dynamics_of
@@ -37,7 +37,7 @@ def compare(
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
     out: Path | None = None,
-) -> Account:
+) -> Result:
     """Every method on one record: a table, a page, and errors where the truth is given.
 
     With `files` the record holds gauge outputs, and so does `step`. All components that are coupled are compared
@@ -65,20 +65,20 @@ def compare(
             step=None if step is None else source.read(step),
             gravity=gravity,
         )
-    account = _coupled_account(found, ranges) if isinstance(known, CoupledDynamics) else _account(found, ranges)
-    account = {"file": path.name, **account}
+    result = _coupled_result(found, ranges) if isinstance(known, CoupledDynamics) else _separate_result(found, ranges)
+    result = {"file": path.name, **result}
     if found.loads is not None:
-        account["loads"] = loads_account(found.loads)
-    account["warnings"] = collected
+        result["loads"] = loads_result(found.loads)
+    result["warnings"] = collected
     if out is not None:
         from aerobalance.app.reports.compare_report import write_comparison  # noqa: PLC0415 - plotting is slow
 
-        write_comparison(out, account, found, inputs=inputs)
-        account["written"] = out.name
-    return {**account, "summary": coupled_summary(account) if "components" in account else summary(account)}
+        write_comparison(out, result, found, inputs=inputs)
+        result["written"] = out.name
+    return {**result, "summary": coupled_summary(result) if "components" in result else summary(result)}
 
 
-def _account(found: Comparison, half_ranges: Mapping[str, float]) -> Account:
+def _separate_result(found: Comparison, half_ranges: Mapping[str, float]) -> Result:
     """Plain data on one component that rings for itself."""
     (component,) = found
     balance = found.responses[component]
@@ -99,11 +99,11 @@ def _account(found: Comparison, half_ranges: Mapping[str, float]) -> Account:
     }
 
 
-def _coupled_account(found: Comparison, half_ranges: Mapping[str, float]) -> Account:
+def _coupled_result(found: Comparison, half_ranges: Mapping[str, float]) -> Result:
     """Plain data on coupled components."""
     if not isinstance(found.dynamics, CoupledDynamics):
         raise TypeError("the dynamics are not coupled")
-    account: Account = {
+    result: Result = {
         "modes": modes_payload(found.dynamics),
         "components": {
             name: {
@@ -113,7 +113,7 @@ def _coupled_account(found: Comparison, half_ranges: Mapping[str, float]) -> Acc
             for name, rows in found.items()
         },
     }
-    return {**account, "table": table_of(account), "table_holds": words_for_table(account)}
+    return {**result, "table": table_of(result), "table_holds": words_for_table(result)}
 
 
 def _half_ranges(
@@ -126,19 +126,19 @@ def _half_ranges(
     return dict.fromkeys(names, given)
 
 
-def summary(account: Account) -> str:
+def summary(result: Result) -> str:
     """Lay the comparison out as a table for people."""
-    judged = account["half_range"] is not None
+    judged = result["half_range"] is not None
     heads = ("rms", "%", "plateau", "edge", "mean", "largest", "%") if judged else ("mean", "rms about", "apart")
-    keys = [f"{row['name']}{' *' if row['setting'] != 'customary' else ''}" for row in account["rivals"]]
+    keys = [f"{row['name']}{' *' if row['setting'] != 'customary' else ''}" for row in result["rivals"]]
     width = max(len(key) for key in keys)
-    f0 = account["natural_frequency"]["value"]
-    head = f"{account['file']}: {account['component']} [{account['unit']}], natural frequency {f0:.5g} Hz"
-    further = [f"{mode['natural_frequency']:.5g} Hz (share {mode['share']:.3g})" for mode in account["further_modes"]]
+    f0 = result["natural_frequency"]["value"]
+    head = f"{result['file']}: {result['component']} [{result['unit']}], natural frequency {f0:.5g} Hz"
+    further = [f"{mode['natural_frequency']:.5g} Hz (share {mode['share']:.3g})" for mode in result["further_modes"]]
     lines = [f"{head}, further {', '.join(further)}" if further else head]
     if judged:
-        half = account["half_range"]
-        lines += [f"deviation from the truth; {account['scored']}"]
+        half = result["half_range"]
+        lines += [f"deviation from the truth; {result['scored']}"]
         lines += [
             f"%: of half range, {half['value']:.5g} {half['unit']} ({half['from']})"
             if half["value"] > 0
@@ -148,16 +148,16 @@ def summary(account: Account) -> str:
     else:
         lines += ["no truth given; apart: rms difference from this estimator"]
     lines += ["", " ".join([" " * width, *(f"{head:>9}" for head in heads)])]
-    for key, row in zip(keys, account["rivals"], strict=True):
+    for key, row in zip(keys, result["rivals"], strict=True):
         cells = " ".join(f"{_cell(value):>9}" for value in _cells(row, judged))
         lines.append(f"{key:<{width}} {cells if row['lacking'] is None else '  not run: ' + row['lacking']}")
-    marked = [row for row in account["rivals"] if "one mode only" in row["note"]]
+    marked = [row for row in result["rivals"] if "one mode only" in row["note"]]
     notes = [f"{row['name']}: {row['note'].split('; ')[-1]}" for row in marked]
-    lines += ["", *dict.fromkeys(notes), *account["verdict"]]
+    lines += ["", *dict.fromkeys(notes), *result["verdict"]]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _cells(row: Account, judged: bool) -> list[float]:
+def _cells(row: Result, judged: bool) -> list[float]:
     if row["lacking"] is not None:
         return []
     if not judged:
@@ -170,9 +170,9 @@ def _cell(value: float) -> str:
     return f"{value:.3g}" if np.isfinite(value) else "-"
 
 
-def table_of(account: Account) -> list[Account]:
+def table_of(result: Result) -> list[Result]:
     """One row per rival and setting, one number per component; what could not be run has a reason instead."""
-    parts: Mapping[str, Account] = account["components"]
+    parts: Mapping[str, Result] = result["components"]
     order = dict.fromkeys((row["name"], row["setting"]) for part in parts.values() for row in part["rivals"])
     table = []
     for name, setting in order:
@@ -190,7 +190,7 @@ def table_of(account: Account) -> list[Account]:
     return table
 
 
-def _judged_by(row: Account) -> float:
+def _judged_by(row: Result) -> float:
     """What a row of one component puts into the table of all."""
     if "rms" not in row:
         return float(row["apart_from_this_estimator_rms"])
@@ -198,9 +198,9 @@ def _judged_by(row: Account) -> float:
     return share if np.isfinite(share) else float(row["rms"])
 
 
-def words_for_table(account: Account) -> str:
+def words_for_table(result: Result) -> str:
     """What the numbers of the table are."""
-    parts = list(account["components"].values())
+    parts = list(result["components"].values())
     if parts[0]["half_range"] is None:
         return f"no truth given; rms difference from {THIS}, each in its own unit"
     if all(part["half_range"]["value"] > 0 for part in parts):
@@ -209,14 +209,14 @@ def words_for_table(account: Account) -> str:
     return f"rms deviation from the truth, each in its own unit, {100 * END_SHARE:g} % at each end out"
 
 
-def coupled_summary(account: Account) -> str:
+def coupled_summary(result: Result) -> str:
     """Lay the comparison of coupled components out as a table for people."""
-    names = list(account["components"])
-    rows = account["table"]
+    names = list(result["components"])
+    rows = result["table"]
     keys = [f"{row['name']}{' *' if row['setting'] != 'customary' else ''}" for row in rows]
     width = max(len(key) for key in keys)
-    modes = ", ".join(f"{mode['natural_frequency']:.4g}" for mode in account["modes"])
-    lines = [f"{account['file']}: coupled components, modes at {modes} Hz", account["table_holds"]]
+    modes = ", ".join(f"{mode['natural_frequency']:.4g}" for mode in result["modes"])
+    lines = [f"{result['file']}: coupled components, modes at {modes} Hz", result["table_holds"]]
     lines += ["*: its one tuning number chosen on the truth, which no user has", ""]
     lines += [" ".join([" " * width, *(f"{name:>9}" for name in names)])]
     for key, row in zip(keys, rows, strict=True):
@@ -225,5 +225,5 @@ def coupled_summary(account: Account) -> str:
     lines += [""]
     for row in rows:
         lines += [f"{row['name']}, not run on {', '.join(some)}: {why}" for why, some in row["not_run"].items()]
-    lines += [f"{name}, {text}" for name, part in account["components"].items() for text in part["verdict"][:1]]
+    lines += [f"{name}, {text}" for name, part in result["components"].items() for text in part["verdict"][:1]]
     return "\n".join(lines).rstrip() + "\n"

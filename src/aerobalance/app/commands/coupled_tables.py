@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from aerobalance.app.commands.shared import Account, table_text
+from aerobalance.app.commands.shared import Result, table_text
 from aerobalance.balance.weighing.result import Weighing
 from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
 from aerobalance.identification.result import CoupledResult
@@ -17,7 +17,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, si_unit
 
 
-def common_details(found: CoupledResult) -> Account:
+def common_details(found: CoupledResult) -> Result:
     """What every identification of coupled components tells, as plain data."""
     names = found.dynamics.components
     return {
@@ -56,7 +56,7 @@ def common_details(found: CoupledResult) -> Account:
     }
 
 
-def test_details(test: Departure) -> Account:
+def test_details(test: Departure) -> Result:
     """A test as plain data."""
     return {
         "chi2": test.chi2,
@@ -66,7 +66,7 @@ def test_details(test: Departure) -> Account:
     }
 
 
-def by_component(values: Array, names: Sequence[str]) -> Account:
+def by_component(values: Array, names: Sequence[str]) -> Result:
     """Loads with their units, by component."""
     return {name: {"value": float(value), "unit": si_unit(name)} for name, value in zip(names, values, strict=True)}
 

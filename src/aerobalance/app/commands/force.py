@@ -9,16 +9,16 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.loads import LoadSource, loads_account
-from aerobalance.app.commands.shared import Account, check_out, collected_warnings
+from aerobalance.app.commands.loads import LoadSource, loads_result
+from aerobalance.app.commands.shared import Result, check_out, collected_warnings
 from aerobalance.app.commands.uncertainty import (
     Origins,
-    budget_account,
+    budget_result,
     budget_rms,
     budget_text,
     force_text,
-    monte_carlo_account,
-    scalar_account,
+    monte_carlo_result,
+    scalar_result,
 )
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
@@ -65,7 +65,7 @@ def force(
     channel_map: Path | None = None,
     check: Check | None = None,
     report: Path | None = None,
-) -> Account:
+) -> Result:
     """Force applied, with its uncertainty, from balance loads or, with a balance, from gauge outputs."""
     check_output(out)
     known = dynamics_of(read_any_dynamics(dynamics))
@@ -82,36 +82,36 @@ def force(
         for text in contradictions(found):
             warn_quality(f"{found.recording.name}: {text}")
         checked = {} if check is None else monte_carlo(found, draws=check.draws, seed=check.seed)
-        for name, result in checked.items():
-            for text in result.doubts:
+        for name, trial in checked.items():
+            for text in trial.doubts:
                 warn_quality(f"{found.recording.name}: {name}: {text}")
     recording = found.recording
     write_force(out, recording, found)
     origins = Origins(recording, dynamics, None if files is None else files.balance)
-    account: Account = {
+    result: Result = {
         "written": out.name,
-        "components": {name: _account(found, name, origins, checked.get(name)) for name in found},
+        "components": {name: _component_result(found, name, origins, checked.get(name)) for name in found},
         "components_without_dynamics": [name for name in COMPONENTS if name in recording and name not in found],
-        **({} if found.loads is None else {"loads": loads_account(found.loads)}),
+        **({} if found.loads is None else {"loads": loads_result(found.loads)}),
         "warnings": collected,
     }
     if report is not None:
         from aerobalance.app.reports.force_report import write_force_report  # noqa: PLC0415 - plotting is slow
 
-        write_force_report(report, account, found, inputs=inputs)
-        account["report"] = report.name
-    account["file"] = path.name
-    return {**account, "summary": force_text(account), "details": budget_text(account["components"])}
+        write_force_report(report, result, found, inputs=inputs)
+        result["report"] = report.name
+    result["file"] = path.name
+    return {**result, "summary": force_text(result), "details": budget_text(result["components"])}
 
 
-def _account(found: Force, name: str, origins: Origins, checked: MonteCarlo | None) -> Account:
+def _component_result(found: Force, name: str, origins: Origins, checked: MonteCarlo | None) -> Result:
     """Plain data on one component."""
-    account = force_account(found[name], origins)
+    result = force_result(found[name], origins)
     if name in found.noises:
-        account["noise_spectrum"] = noise_account(found.noises[name])
+        result["noise_spectrum"] = noise_result(found.noises[name])
     if checked is not None:
-        account["monte_carlo"] = monte_carlo_account(checked)
-    return account
+        result["monte_carlo"] = monte_carlo_result(checked)
+    return result
 
 
 def _through(
@@ -129,7 +129,7 @@ def _through(
     return known.with_calibration
 
 
-def noise_account(spectrum: NoiseSpectrum) -> Account:
+def noise_result(spectrum: NoiseSpectrum) -> Result:
     """Plain data on a spectrum of noise."""
     return {
         "text": str(spectrum),
@@ -157,14 +157,14 @@ def hum_of(text: str) -> Hum:
         raise ValueError(f"--hum must be mains, keep or frequencies in Hz such as 50,100, not {text}") from None
 
 
-def force_account(estimate: ComponentForce, origins: Origins) -> Account:
+def force_result(estimate: ComponentForce, origins: Origins) -> Result:
     """Plain data on one component's force; instants are on the recording's own clock."""
     start = origins.recording.start
     unit = si_unit(estimate.component)
     return {
         "unit": unit,
         "method": estimate.method,
-        **scalar_account(estimate, origins.recording),
+        **scalar_result(estimate, origins.recording),
         "uncertainty_rms": float(np.sqrt(np.mean(estimate.uncertainty**2))),
         "uncertainty_budget_rms": budget_rms(estimate),
         "noise_of_reading": estimate.noise,
@@ -185,5 +185,5 @@ def force_account(estimate: ComponentForce, origins: Origins) -> Account:
             for line in estimate.hum
         ],
         "assumptions": list(estimate.assumptions),
-        **budget_account(estimate, origins),
+        **budget_result(estimate, origins),
     }

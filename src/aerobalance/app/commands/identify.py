@@ -8,7 +8,7 @@ from typing import Final, Literal, cast
 
 from aerobalance.app.commands.answers import quantities, quantity_table, rounded, short
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.shared import Account, check_out, collected_warnings, known_component, recording_of
+from aerobalance.app.commands.shared import Result, check_out, collected_warnings, known_component, recording_of
 from aerobalance.app.commands.weighing import mass_file, parse_mass
 from aerobalance.balance.weighing.result import Weighing
 from aerobalance.dynamics.single import Dynamics
@@ -49,7 +49,7 @@ def identify_decay(
     modes: str = "1",
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
-) -> Account:
+) -> Result:
     """Stiffness and damping, and further modes, from a free decay of a load, or of gauge outputs with a balance."""
     known_component(component)
     used = [] if files is None else list(files.paths)
@@ -97,8 +97,8 @@ def number_of_modes(given: str) -> int | Literal["auto"]:
     return int(given)
 
 
-def _decay_details(recording: Recording, fit: DecayFit) -> Account:
-    details: Account = {
+def _decay_details(recording: Recording, fit: DecayFit) -> Result:
+    details: Result = {
         "damped_frequency": {"value": fit.damped_frequency, "u": fit.damped_frequency_uncertainty, "unit": "Hz"},
         "release": None if fit.release is None else {"value": fit.release[0], "u": fit.release[1], "unit": "s"},
         "release_duration": {"value": fit.release_duration, "unit": "s"},
@@ -129,7 +129,7 @@ def _decay_details(recording: Recording, fit: DecayFit) -> Account:
     return details
 
 
-def _amplitude_details(fit: DecayFit) -> Account | None:
+def _amplitude_details(fit: DecayFit) -> Result | None:
     """Change of damping and frequency from the smallest to the largest amplitude, relative."""
     found = fit.amplitude_dependence
     if found is None:
@@ -154,7 +154,7 @@ def identify_rig(
     modes: str = "1",
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
-) -> Account:
+) -> Result:
     """Stiffness, damping, delay and further modes (and mass where it is not given) from a shaken ground end."""
     known_component(component)
     used = [] if files is None else list(files.paths)
@@ -169,7 +169,7 @@ def identify_rig(
         found = identify(loads or recording, components=[component], excitation="base", mass=weighed, modes=wanted)
         fit = cast("RigFit", found)
         by_dwells = _dwell_details(recording, fit.dynamics)
-    details: Account = {
+    details: Result = {
         "method": "shaken ground end, maximum likelihood of the complex response",
         "mass_identified": fit.mass_identified,
         "band": {"value": list(fit.band), "unit": "Hz"},
@@ -195,7 +195,7 @@ def identify_rig(
     return _identified(path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, used=used)
 
 
-def _dwell_details(recording: Recording, dynamics: Dynamics) -> Account:
+def _dwell_details(recording: Recording, dynamics: Dynamics) -> Result:
     """The paper's procedures and the harmonic check, where the record is made of dwells."""
     try:
         dwells: tuple[Dwell, ...] = find_dwells(recording, component=dynamics.component)
@@ -238,7 +238,7 @@ def _dwell_details(recording: Recording, dynamics: Dynamics) -> Account:
     }
 
 
-def identify_frf(path: Path, out: Path | None, *, component: str = "AF", mass: str) -> Account:
+def identify_frf(path: Path, out: Path | None, *, component: str = "AF", mass: str) -> Result:
     """Stiffness and damping from a published frequency response AF/F."""
     known_component(component)
     check_out(out, path, mass_file(mass), kind="dynamics")
@@ -266,14 +266,14 @@ def _identified(
     path: Path,
     out: Path | None,
     dynamics: Dynamics,
-    details: Account,
+    details: Result,
     *,
     mass: str | None,
     modes: str | None = None,
     collected: list[str],
     used: Sequence[Path] = (),
-) -> Account:
-    """Write dynamics.json and give the same as an account."""
+) -> Result:
+    """Write dynamics.json and return the same as plain data."""
     name = dynamics.component
     inputs = [path, *(file for file in (mass_file(mass),) if file is not None), *used]
     settings = {"component": name, "mass": mass if mass_file(mass) is None else Path(str(mass)).name}
@@ -283,14 +283,14 @@ def _identified(
         write_dynamics(
             out, {name: dynamics}, details={name: details}, inputs=inputs, settings=settings, warnings=collected
         )
-    account: Account = {"components": {name: dynamics_payload(dynamics, details=details)}, "warnings": collected}
-    return {**account, "summary": summary(path, name, account["components"][name])}
+    result: Result = {"components": {name: dynamics_payload(dynamics, details=details)}, "warnings": collected}
+    return {**result, "summary": summary(path, name, result["components"][name])}
 
 
 _PARAMETERS: Final = ("mass", "natural_frequency", "damping_ratio", "stiffness", "damping", "delay")
 
 
-def summary(path: Path, component: str, found: Account) -> str:
+def summary(path: Path, component: str, found: Result) -> str:
     """Short answer for people: the parameters with their uncertainties, further modes and how well they fit."""
     fit = found["fit"]
     rows = quantities(found, {key: key.replace("_", " ") for key in _PARAMETERS if key in found})

@@ -22,7 +22,7 @@ from aerobalance.app.commands.coupled_tables import (
     tests_text,
 )
 from aerobalance.app.commands.identify import number_of_modes
-from aerobalance.app.commands.shared import Account, amounts, check_out, collected_warnings, recording_of, table_text
+from aerobalance.app.commands.shared import Result, amounts, check_out, collected_warnings, recording_of, table_text
 from aerobalance.app.commands.weighing import mass_file, mass_number
 from aerobalance.balance.weighing.result import Weighing
 from aerobalance.identification.identify import identify
@@ -45,7 +45,7 @@ def identify_decays(
     modes: str = "auto",
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
-) -> Account:
+) -> Result:
     """A and D of coupled components, from a release in every recording.
 
     Parameters
@@ -80,7 +80,7 @@ def identify_decays(
         found = cast("CoupledIdentification", fit)
     if files is not None:
         found = replace(found, dynamics=replace(found.dynamics, balance=digest(files.balance)))
-    return account_of(
+    return written_result(
         found,
         out,
         details=_details(found, weighing),
@@ -91,16 +91,16 @@ def identify_decays(
     )
 
 
-def account_of(
+def written_result(
     found: CoupledResult,
     out: Path | None,
     *,
-    details: Account,
+    details: Result,
     summary: str,
     inputs: Sequence[Path | None],
     settings: Mapping[str, Any],
     doubted: Sequence[str],
-) -> Account:
+) -> Result:
     """Write dynamics.json where it is wanted, and tell what was found.
 
     Parameters
@@ -174,10 +174,10 @@ def weighed_mass(mass: str | None) -> tuple[tuple[float, float] | None, Weighing
     return (weighing.mass, weighing.u_mass), weighing
 
 
-def _details(found: CoupledIdentification, weighing: Weighing | None) -> Account:
+def _details(found: CoupledIdentification, weighing: Weighing | None) -> Result:
     """How the fit went, as plain data."""
     names = found.dynamics.components
-    details: Account = {
+    details: Result = {
         "method": "free decays of all components together, maximum likelihood",
         **common_details(found),
         "releases": [

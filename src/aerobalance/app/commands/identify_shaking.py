@@ -19,8 +19,8 @@ from aerobalance.app.commands.coupled_tables import (
     test_details,
     tests_text,
 )
-from aerobalance.app.commands.identify_coupled import account_of, weighed_mass
-from aerobalance.app.commands.shared import Account, check_out, collected_warnings, recording_of, table_text
+from aerobalance.app.commands.identify_coupled import weighed_mass, written_result
+from aerobalance.app.commands.shared import Result, check_out, collected_warnings, recording_of, table_text
 from aerobalance.app.commands.weighing import mass_file
 from aerobalance.balance.weighing.result import Weighing
 from aerobalance.identification.base_excitation.shaking_result import ShakingIdentification
@@ -37,7 +37,7 @@ def identify_shaken(
     mass: str | None = None,
     half_range: Mapping[str, float] | None = None,
     channel_map: Path | None = None,
-) -> Account:
+) -> Result:
     """A, D and the mass of coupled components, from recordings with a shaken ground end.
 
     Parameters
@@ -59,7 +59,7 @@ def identify_shaken(
         recordings = [recording_of(path, channel_map) for path in paths]
         fit = identify(recordings, components=COMPONENTS, excitation="base", mass=weighed, half_range=half_range)
         found = cast("ShakingIdentification", fit)
-    return account_of(
+    return written_result(
         found,
         out,
         details=_details(found, weighing),
@@ -75,7 +75,7 @@ def motion_unit(component: str) -> str:
     return "rad/s^2" if component in MOMENTS else "m/s^2"
 
 
-def _details(found: ShakingIdentification, weighing: Weighing | None) -> Account:
+def _details(found: ShakingIdentification, weighing: Weighing | None) -> Result:
     """How the fit went, as plain data."""
     names = found.dynamics.components
     return {

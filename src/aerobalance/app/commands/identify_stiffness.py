@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.app.commands.coupled_tables import mass_text, matrix_table, test_details, tests_text
-from aerobalance.app.commands.shared import Account, check_out, collected_warnings, table_text
+from aerobalance.app.commands.shared import Result, check_out, collected_warnings, table_text
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.identification.coupled_modes import ModeTable
 from aerobalance.identification.from_stiffness import (
@@ -38,7 +38,7 @@ def from_stiffness(
     mass: Path,
     ratios: str | None = None,
     compare: Path | None = None,
-) -> Account:
+) -> Result:
     """A = M K^-1 and D from a rigid mass, a stiffness and damping ratios, beside dynamics identified.
 
     Parameters
@@ -78,11 +78,11 @@ def from_stiffness(
     if out is not None:
         settings = {"ratios": ratios}
         write_dynamics(out, found, details=details, inputs=inputs, settings=settings, warnings=collected)
-    account = {**coupled_payload(found), "fit": details, "warnings": collected}
+    result = {**coupled_payload(found), "fit": details, "warnings": collected}
     if identified is not None:
-        account["comparison"] = _comparison(found, identified, differences, test)
-    account["summary"] = _summary(found, identified, differences, test, damping=ratios is not None)
-    return account
+        result["comparison"] = _comparison(found, identified, differences, test)
+    result["summary"] = _summary(found, identified, differences, test, damping=ratios is not None)
+    return result
 
 
 def _ratios(text: str | None, identified: CoupledDynamics | None) -> tuple[Array, Array]:
@@ -113,7 +113,7 @@ def _ratios(text: str | None, identified: CoupledDynamics | None) -> tuple[Array
     return values * ONE, u * ONE
 
 
-def _ratio_details(values: Array, u: Array) -> list[Account]:
+def _ratio_details(values: Array, u: Array) -> list[Result]:
     return [{"value": float(v), "u": float(d), "unit": "1"} for v, d in zip(values, u, strict=True)]
 
 
@@ -128,7 +128,7 @@ def _comparison(
     identified: CoupledDynamics,
     differences: tuple[ElementDifference, ...],
     test: Departure | None,
-) -> Account:
+) -> Result:
     ours, theirs = (ModeTable.of(one, sizes=ONE) for one in (found, identified))
     return {
         "agreement": None if test is None else test_details(test),

@@ -9,7 +9,7 @@ import numpy as np
 
 from aerobalance.app.commands.answers import rounded, short
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.shared import Account, check_out, collected_warnings, recording_of, table_text
+from aerobalance.app.commands.shared import Result, check_out, collected_warnings, recording_of, table_text
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import TOLERANCE
@@ -22,7 +22,7 @@ from aerobalance.io.kinds import TABLE
 from aerobalance.recording.recording import Recording
 
 
-def convert_matrix(path: Path, out: Path) -> Account:
+def convert_matrix(path: Path, out: Path) -> Result:
     """Write a matrix in the other layout: balance.json as BALFIT's text, or that as balance.json."""
     check_out(out, path, kind="balance" if out.suffix.lower() == ".json" else "")
     with collected_warnings() as collected:
@@ -72,7 +72,7 @@ class LoadSource(NamedTuple):
 
 def loads(
     path: Path, out: Path, *, files: BalanceFiles, form: Form | None = None, channel_map: Path | None = None
-) -> Account:
+) -> Result:
     """Balance loads, from the gauge outputs of a recording."""
     check_output(out)
     check_out(out, path, channel_map, *files.paths, kind=TABLE)
@@ -80,29 +80,29 @@ def loads(
         recording = recording_of(path, channel_map)
         felt = files.loads(recording, form=form, channel_map=channel_map)
     write_loads(out, recording, felt)
-    account: Account = {"file": path.name, "written": out.name, **loads_account(felt), "warnings": collected}
-    return {**account, "summary": summary(account)}
+    result: Result = {"file": path.name, "written": out.name, **loads_result(felt), "warnings": collected}
+    return {**result, "summary": summary(result)}
 
 
-def summary(account: Account) -> str:
+def summary(result: Result) -> str:
     """Short answer for people: the loads, and what there is to say of zero, range and missing samples."""
     rows = []
-    for name, found in account["components"].items():
+    for name, found in result["components"].items():
         u = found["u_calibration_rms"]
         means = (rounded(found[key], u)[0] for key in ("mean", "least", "largest", "rms_about_mean"))
         rows.append((f"{name} [{found['unit']}]", *means, rounded(u, u)[1], short(found["noise_of_reading"], 2)))
-    title = f"{account['file']}: loads felt; u is the standard uncertainty by the calibration"
+    title = f"{result['file']}: loads felt; u is the standard uncertainty by the calibration"
     lines = [table_text(title, ("", "mean", "least", "largest", "rms about mean", "u", "noise"), rows)]
-    lines.append(f"zero: {account['zero']['from']}")
-    if account["missing"]:
-        lines.append(f"{account['missing']} samples are missing")
-    beyond = ", ".join(f"{name} {count}" for name, count in account["beyond_calibrated_range"].items() if count)
+    lines.append(f"zero: {result['zero']['from']}")
+    if result["missing"]:
+        lines.append(f"{result['missing']} samples are missing")
+    beyond = ", ".join(f"{name} {count}" for name, count in result["beyond_calibrated_range"].items() if count)
     if beyond:
         lines.append(f"samples beyond the calibrated range: {beyond}")
     return "\n".join(lines) + "\n"
 
 
-def loads_account(felt: Loads) -> Account:
+def loads_result(felt: Loads) -> Result:
     """Plain data on balance loads."""
     return {
         "components": {

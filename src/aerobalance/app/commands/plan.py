@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aerobalance.app.commands.shared import Account, collected_warnings, table_text
+from aerobalance.app.commands.shared import Result, collected_warnings, table_text
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.io.coupled_part import modes_payload
 from aerobalance.io.dynamics_file import read_any_dynamics
@@ -29,7 +29,7 @@ def plan(
     turn_noise: float = 0.0,
     force: Amount | None = None,
     bandwidths: Sequence[float] = (),
-) -> Account:
+) -> Result:
     """Attainable uncertainty against bandwidth and sampling rate, of every component or of one."""
     known = read_any_dynamics(dynamics)
     names = known.components if isinstance(known, CoupledDynamics) else tuple(known)
@@ -50,17 +50,17 @@ def plan(
     coupled = known if isinstance(known, CoupledDynamics) else None
     parts = [part for name, part in found.components.items() if component in (None, name)]
     accounts = {part.component: _part(part, found, coupled=coupled is not None) for part in parts}
-    account: Account = {
+    result: Result = {
         **({} if coupled is None else {"modes": modes_payload(coupled)}),
         **({"components": accounts} if coupled is not None or len(parts) > 1 else accounts[parts[0].component]),
         "warnings": collected,
     }
-    return {**account, "summary": _summary(parts, found, coupled=coupled is not None)}
+    return {**result, "summary": _summary(parts, found, coupled=coupled is not None)}
 
 
-def _part(part: ComponentPlan, whole: Plan, *, coupled: bool) -> Account:
+def _part(part: ComponentPlan, whole: Plan, *, coupled: bool) -> Result:
     """Plain data on one component."""
-    frequencies: Account = {}
+    frequencies: Result = {}
     if not coupled:  # the modes of coupled components belong to all of them
         first, *further = part.natural_frequencies
         frequencies = {
@@ -83,7 +83,7 @@ def _part(part: ComponentPlan, whole: Plan, *, coupled: bool) -> Account:
     }
 
 
-def _row(row: Attainable, *, coupled: bool) -> Account:
+def _row(row: Attainable, *, coupled: bool) -> Result:
     """Plain data on one line; what only coupled components have stands behind the reading of the component itself."""
     others = {name: u for name, u in row.readings.items() if name != row.component}
     more = {

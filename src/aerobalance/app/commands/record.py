@@ -15,7 +15,7 @@ from aerobalance.acquisition.recorder import Progress
 from aerobalance.acquisition.session import Recorder, Session
 from aerobalance.acquisition.setup import Setup, load_setup, setup_from
 from aerobalance.acquisition.source_settings import SOURCES
-from aerobalance.app.commands.shared import Account
+from aerobalance.app.commands.shared import Result
 from aerobalance.io.hdf5_closing import close_all_broken_off, closed_text
 from aerobalance.io.locked_file import recover_all
 from aerobalance.io.safe_write import OUTPUTS
@@ -60,7 +60,7 @@ def record(
     options: RecordOptions | None = None,
     replace: bool = False,
     show: Callable[[str], None] | None = None,
-) -> Account:
+) -> Result:
     """Record a source until it ends, its time is over, a limit, a full disk, Ctrl-C or SIGTERM; return a summary.
 
     Parameters
@@ -78,7 +78,7 @@ def record(
 
     Returns
     -------
-    account
+    result
         File, reason of the end, duration [s], numbers of blocks, samples, gaps and events, and a text in `summary`.
 
     Raises
@@ -106,7 +106,7 @@ def record(
         progress = _follow(recorder, session, signals, show or (lambda _: None))
     if progress.mishap and not progress.unkept:
         warn_quality(progress.mishap)
-    return _account(progress, bool(signals), [said.text for said in session.said if said.kind == "refused"])
+    return _record_result(progress, bool(signals), [said.text for said in session.said if said.kind == "refused"])
 
 
 def chosen_setup(setup: Path | None, options: RecordOptions) -> Setup:
@@ -199,7 +199,7 @@ def gaps_text(progress: Progress) -> str:
     return f"{progress.gaps} gap(s), {progress.lost} samples lost" if progress.gaps else "no gaps"
 
 
-def _account(progress: Progress, stopped: bool, refused: list[str]) -> Account:
+def _record_result(progress: Progress, stopped: bool, refused: list[str]) -> Result:
     """Summary of a record that has ended; `stopped` by a signal it may be empty.
 
     Raises

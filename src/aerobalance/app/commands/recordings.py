@@ -9,7 +9,7 @@ import numpy as np
 
 from aerobalance.app.commands.answers import short
 from aerobalance.app.commands.loads import convert_matrix
-from aerobalance.app.commands.shared import Account, check_out, collected_warnings, raw_recording, table_text
+from aerobalance.app.commands.shared import Result, check_out, collected_warnings, raw_recording, table_text
 from aerobalance.io import as_it_went_in, check_output, column_names, hdf5_file, template, write_recording
 from aerobalance.io.balance_file import is_matrix
 from aerobalance.io.kinds import CONVERTED
@@ -23,29 +23,29 @@ NO_TIME: Final = 1e-12
 """Share of the length of a recording below which an instant is zero but for rounding."""
 
 
-def info(path: Path, *, channel_map: Path | None = None) -> Account:
+def info(path: Path, *, channel_map: Path | None = None) -> Result:
     """Channels, units, rate, duration, gaps and saturation of a recording."""
     with collected_warnings() as collected:
         recording = raw_recording(path, channel_map)
-    account: Account = {
+    result: Result = {
         "file": path.name,
         "duration": recording.duration,
         "rate": recording.rate,
         "samples": recording.samples,
         "start": recording.start if abs(recording.start) > NO_TIME * recording.duration else 0.0,
         "gaps": [{"start": start, "length": length} for start, length in recording.gaps],
-        "channels": {channel.name: _channel_account(channel) for channel in recording},
+        "channels": {channel.name: _channel_result(channel) for channel in recording},
         "warnings": collected,
     }
-    return {**account, "summary": summary(account)}
+    return {**result, "summary": summary(result)}
 
 
-def _channel_account(channel: Channel) -> Account:
+def _channel_result(channel: Channel) -> Result:
     """Plain data on a channel, in the unit of the file; under ``si`` the same in the unit that is calculated with."""
     known = channel.values[~channel.missing]
     enough = known.size >= 8 and float(np.ptp(known)) > 0
     noise = channel_noise(channel) if enough else None
-    inside: Account = {
+    inside: Result = {
         "least": float(known.min()) if known.size else None,
         "mean": float(known.mean()) if known.size else None,
         "largest": float(known.max()) if known.size else None,
@@ -67,7 +67,7 @@ def _channel_account(channel: Channel) -> Account:
     }
 
 
-def summary(account: Account) -> str:
+def summary(result: Result) -> str:
     """Short answer for people: how long and how fast, and a line for each channel, in the units of the file."""
     rows = [
         (
@@ -78,20 +78,20 @@ def summary(account: Account) -> str:
             str(found["missing"] or "-"),
             str(found["saturated"] or "-"),
         )
-        for name, found in account["channels"].items()
+        for name, found in result["channels"].items()
     ]
-    length = f"{short(account['duration'])} s at {short(account['rate'])} Hz"
-    title = f"{account['file']}: {account['samples']} samples, {length}"
+    length = f"{short(result['duration'])} s at {short(result['rate'])} Hz"
+    title = f"{result['file']}: {result['samples']} samples, {length}"
     heads = ("channel", "unit", "mean", "least", "largest", "noise", "missing", "saturated")
     lines = [table_text(title, heads, rows)]
-    if account["gaps"]:
-        longest = max(gap["length"] for gap in account["gaps"])
-        count = len(account["gaps"])
+    if result["gaps"]:
+        longest = max(gap["length"] for gap in result["gaps"])
+        count = len(result["gaps"])
         lines.append(f"{count} gap{'s' if count > 1 else ''}, the longest {short(longest, 4)} s")
     return "\n".join(lines) + "\n"
 
 
-def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Account:
+def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Result:
     """Write a recording in another format, or a balance matrix in the other layout."""
     if is_matrix(path):
         return convert_matrix(path, out)
@@ -123,7 +123,7 @@ def _described(channel: Channel) -> bool:
     return channel.known() != SensorSpec().known()
 
 
-def channel_map_for(path: Path, out: Path | None, *, header_line: int | None = None) -> Account:
+def channel_map_for(path: Path, out: Path | None, *, header_line: int | None = None) -> Result:
     """Make a channel map to fill in for a foreign file; its header is in `header_line`, or found."""
     check_out(out, path)
     text = template(path, header_line=header_line) + "\n"
@@ -134,5 +134,5 @@ def channel_map_for(path: Path, out: Path | None, *, header_line: int | None = N
     open_ones = text.count("# unassigned")
     rest = f"{open_ones} wait for a person to say what they are" if open_ones else "all with a proposal"
     said = f"{path.name}: channel map of {len(columns)} columns, {rest}; then check with info --map\n"
-    account: Account = {"file": path.name, "columns": columns, "map": text}
-    return {**account, "summary": text} if out is None else {**account, "summary": said, "details": text}
+    result: Result = {"file": path.name, "columns": columns, "map": text}
+    return {**result, "summary": text} if out is None else {**result, "summary": said, "details": text}

@@ -26,7 +26,7 @@ from aerobalance.recording.errors import DataQualityWarning, FitError, warn_qual
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
-Account = dict[str, Any]
+Result = dict[str, Any]
 """A result as plain data."""
 
 

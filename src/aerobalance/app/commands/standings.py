@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.app.commands.shared import Account
+from aerobalance.app.commands.shared import Result
 from aerobalance.validation.baselines import THIS, BaselineEstimate
 from aerobalance.validation.scores import EDGE_TIME, END_SHARE, Truth
 
@@ -23,7 +23,7 @@ TIED: Final = 1.01
 
 def standings(
     found: Sequence[BaselineEstimate], truth: Truth | None, *, half_range: float | None, unit: str = "N"
-) -> Account:
+) -> Result:
     """Rows of the table and what they come to.
 
     Parameters
@@ -55,7 +55,7 @@ def standings(
     }
 
 
-def _plain(row: BaselineEstimate) -> Account:
+def _plain(row: BaselineEstimate) -> Result:
     return {
         "name": row.name,
         "setting": "tuned on the truth" if row.oracle else "customary",
@@ -66,7 +66,7 @@ def _plain(row: BaselineEstimate) -> Account:
     }
 
 
-def _with_truth(row: BaselineEstimate, truth: Truth, *, half_range: float) -> Account:
+def _with_truth(row: BaselineEstimate, truth: Truth, *, half_range: float) -> Result:
     if not row.ran:
         return _plain(row)
     score = truth.score(row.values)
@@ -78,7 +78,7 @@ def _with_truth(row: BaselineEstimate, truth: Truth, *, half_range: float) -> Ac
     }
 
 
-def _without_truth(row: BaselineEstimate, found: Sequence[BaselineEstimate]) -> Account:
+def _without_truth(row: BaselineEstimate, found: Sequence[BaselineEstimate]) -> Result:
     if not row.ran:
         return _plain(row)
     own = next(item for item in found if item.name == THIS)
@@ -93,7 +93,7 @@ def _without_truth(row: BaselineEstimate, found: Sequence[BaselineEstimate]) -> 
     }
 
 
-def verdict(rows: Sequence[Account], *, unit: str = "N") -> list[str]:
+def verdict(rows: Sequence[Result], *, unit: str = "N") -> list[str]:
     """Return who is first by each measure, and so where this estimator is not."""
     own = next(row for row in rows if row["name"] == THIS)
     if "rms" not in own:
@@ -107,7 +107,7 @@ def verdict(rows: Sequence[Account], *, unit: str = "N") -> list[str]:
     return texts
 
 
-def _place(own: Account, others: Sequence[Account], measure: str, *, unit: str) -> str:
+def _place(own: Result, others: Sequence[Result], measure: str, *, unit: str) -> str:
     """Return where this estimator stands: among what a user can run, and beside what only the truth could tune."""
     mine = abs(own[measure])
     texts = []

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.app.commands.answers import rounded, short
-from aerobalance.app.commands.shared import Account, table_text
+from aerobalance.app.commands.shared import Result, table_text
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording
@@ -65,15 +65,15 @@ class Origins:
         return f"{' and '.join(channels)}{how}"
 
 
-def scalar_account(estimate: ComponentForce, recording: Recording) -> Account:
+def scalar_result(estimate: ComponentForce, recording: Recording) -> Result:
     """Mean, rms about it and extremes of a force, with their standard uncertainties."""
     found = {item.name: item for item in scalars(estimate)}
-    account: Account = {}
+    result: Result = {}
     for name, item in found.items():
-        account[name], account[f"u_{name}"] = item.value, item.u
+        result[name], result[f"u_{name}"] = item.value, item.u
     for name, place in (("largest", np.argmax(estimate.values)), ("least", np.argmin(estimate.values))):
-        account[f"instant_of_{name}"] = float(recording.start + place / recording.rate)
-    return account
+        result[f"instant_of_{name}"] = float(recording.start + place / recording.rate)
+    return result
 
 
 def significant(rows: Sequence[Share]) -> list[Share]:
@@ -93,7 +93,7 @@ def budget_rms(estimate: ComponentForce) -> dict[str, float]:
     return {name: rms if rms > least else 0.0 for name, rms in estimate.budget.items()}
 
 
-def budget_account(estimate: ComponentForce, origins: Origins) -> Account:
+def budget_result(estimate: ComponentForce, origins: Origins) -> Result:
     """Uncertainty budget, what to improve first, and the spectrum with its uncertainty."""
     unit = si_unit(estimate.component)
     rows = [
@@ -124,10 +124,10 @@ def budget_account(estimate: ComponentForce, origins: Origins) -> Account:
     }
 
 
-def monte_carlo_account(found: MonteCarlo) -> Account:
+def monte_carlo_result(found: MonteCarlo) -> Result:
     """Plain data on a Monte Carlo check."""
 
-    def row(item: Compared) -> Account:
+    def row(item: Compared) -> Result:
         known = bool(np.isfinite(item.analytic))
         return {
             "monte_carlo": item.drawn,
@@ -146,9 +146,9 @@ def monte_carlo_account(found: MonteCarlo) -> Account:
     }
 
 
-def force_text(account: Account) -> str:
+def force_text(result: Result) -> str:
     """Short answer for people: forces with their uncertainties, steps, Monte Carlo where it was run, and a verdict."""
-    components = account["components"]
+    components = result["components"]
     rows, lines = [], []
     for name, found in components.items():
         numbers = (rounded(found[key], found[f"u_{key}"]) for key in ("mean", "rms_about_mean", "largest", "least"))
@@ -157,7 +157,7 @@ def force_text(account: Account) -> str:
         lines += _steps_text(name, found)
     texts = [
         table_text(
-            f"{account['file']}: force applied; u is the standard uncertainty of the number before it",
+            f"{result['file']}: force applied; u is the standard uncertainty of the number before it",
             ("", "mean", "u", "rms about mean", "u", "largest", "u", "least", "u", "u of a sample"),
             rows,
         ),
@@ -168,13 +168,13 @@ def force_text(account: Account) -> str:
         texts += [found["improve_first"] for found in components.values() if found["improve_first"]]
     assumed = dict.fromkeys(text for found in components.values() for text in found["assumptions"])
     texts += [f"assumed: {text}" for text in assumed]
-    lacking = account["components_without_dynamics"]
+    lacking = result["components_without_dynamics"]
     texts += [f"no dynamics for {', '.join(lacking)}"] if lacking else []
-    texts += [f"verdict: {account['verdict']}"] if account.get("verdict") else []
+    texts += [f"verdict: {result['verdict']}"] if result.get("verdict") else []
     return "\n".join(texts) + "\n"
 
 
-def _steps_text(name: str, found: Account) -> list[str]:
+def _steps_text(name: str, found: Result) -> list[str]:
     """Steps of the force, the largest first, with instant and height."""
     steps = sorted(found["steps"], key=lambda step: -abs(step["height"]))
     lines = []
@@ -186,25 +186,24 @@ def _steps_text(name: str, found: Account) -> list[str]:
     return [*lines, f"and {more} smaller steps of {name}"] if more > 0 else lines
 
 
-def budget_text(components: Mapping[str, Account]) -> str:
+def budget_text(components: Mapping[str, Result]) -> str:
     """Tables for people: the uncertainty budget of every component."""
     texts = []
-    for name, account in components.items():
-        title = f"uncertainty budget of {name} [{account['unit']}]"
+    for name, result in components.items():
+        title = f"uncertainty budget of {name} [{result['unit']}]"
         rows = [
             [row["name"], row["from"], f"{row['rms']:.3g}", f"{100 * row['share']:.1f}", f"{row['u_mean']:.3g}"]
-            for row in account["budget"]
+            for row in result["budget"]
         ]
         texts.append(table_text(title, ["contribution", "from", "rms", "% of variance", "in the mean"], rows))
     return "\n\n".join(texts) + "\n"
 
 
-def monte_carlo_text(name: str, account: Account) -> str:
+def monte_carlo_text(name: str, result: Result) -> str:
     """Table for people: the uncertainty by Monte Carlo beside that to first order."""
-    found = account["monte_carlo"]
+    found = result["monte_carlo"]
     title = (
-        f"Monte Carlo of {name}, {found['draws']} draws, seed {found['seed']}: standard uncertainty "
-        f"[{account['unit']}]"
+        f"Monte Carlo of {name}, {found['draws']} draws, seed {found['seed']}: standard uncertainty [{result['unit']}]"
     )
     lines = {**found["contributions"], **{NAMES[key]: row for key, row in found["scalars"].items()}}
     rows = [

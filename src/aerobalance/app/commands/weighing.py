@@ -11,7 +11,7 @@ import numpy as np
 
 from aerobalance.app.commands.answers import quantities, quantity_table, short
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.shared import Account, check_out, collected_warnings, known_component, recording_of
+from aerobalance.app.commands.shared import Result, check_out, collected_warnings, known_component, recording_of
 from aerobalance.balance.weighing.from_outputs import weigh as weigh_recordings
 from aerobalance.io import load_channel_map
 from aerobalance.io.mass_file import read_masses, weighing_payload, write_weighing
@@ -33,7 +33,7 @@ def weigh(
     gravity: float = STANDARD_GRAVITY,
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
-) -> Account:
+) -> Result:
     """Return mass, offsets and tilt, and with moments the centre of gravity, from points or recordings at rest.
 
     Takes all loads that the files have, unless one component is named. With a balance, the recordings are of gauge
@@ -55,32 +55,32 @@ def weigh(
             weighing = weigh_recordings(recordings, files.matrix(), zero=zero, gravity=gravity, components=names)
     if out is not None:
         inputs = [*paths, *(() if files is None else files.paths)]
-        settings: Account = {"components": weighing.components, "gravity": gravity}
+        settings: Result = {"components": weighing.components, "gravity": gravity}
         write_weighing(out, weighing, inputs=inputs, settings=settings, warnings=collected)
-    account: Account = weighing_payload(weighing)
-    text = summary(paths, account)
+    result: Result = weighing_payload(weighing)
+    text = summary(paths, result)
     if len(weighing.components) == 1:  # what is found of one force stands at the top as well
         (single,) = weighing.components
-        account = {**account, "component": single, **account["components"][single]}
-    return {**account, "warnings": collected, "summary": text}
+        result = {**result, "component": single, **result["components"][single]}
+    return {**result, "warnings": collected, "summary": text}
 
 
-def summary(paths: Sequence[Path], account: Account) -> str:
+def summary(paths: Sequence[Path], result: Result) -> str:
     """Return a short answer for people: mass, centre of gravity, offsets and tilts with their uncertainties."""
-    rows = quantities(account, {"common_mass": "mass"})
-    if len(account["components"]) > 1:
-        masses = {name: entry["mass"] for name, entry in account["components"].items()}
+    rows = quantities(result, {"common_mass": "mass"})
+    if len(result["components"]) > 1:
+        masses = {name: entry["mass"] for name, entry in result["components"].items()}
         rows += quantities(masses, {name: f"mass by {name}" for name in masses})
     for key, word in (("centre_of_gravity", "centre of gravity"), ("offsets", "offset"), ("misalignment", "tilt")):
-        rows += quantities(account[key], {name: f"{word} {name}" for name in account[key]})
+        rows += quantities(result[key], {name: f"{word} {name}" for name in result[key]})
     lines = [quantity_table(f"{_of(paths)}: weighing", rows)]
-    for key, agreement in account["agreement"].items():
+    for key, agreement in result["agreement"].items():
         if agreement is not None:
             lines.append(
                 f"{key.replace('_', ' ')} by the components: {'agree' if agreement['agree'] else 'do NOT agree'} "
                 f"(p = {short(agreement['p_value'], 2)})"
             )
-    lines += [f"not found: {name}: {reason}" for name, reason in account["unidentified"].items()]
+    lines += [f"not found: {name}: {reason}" for name, reason in result["unidentified"].items()]
     return "\n".join(lines) + "\n"
 
 

@@ -19,13 +19,13 @@ from aerobalance.simulation.published import (
     PublishedBalance,
 )
 
-Account = dict[str, Any]
+Result = dict[str, Any]
 
 COVERAGE: Final = 3.0
 """Standard uncertainties that a computed number is given either way before it is said to disagree."""
 
 
-def step_deviations(force: Path, truth: Path, *, release: float) -> Account:
+def step_deviations(force: Path, truth: Path, *, release: float) -> Result:
     """Force recovered less force applied after the release: mean, rms (from 50 ms on) and largest (from 5 ms on)."""
     recovered = read_table(force, required=("time", "AF", "u_AF"))
     time = recovered.values("time")
@@ -44,12 +44,12 @@ def step_deviations(force: Path, truth: Path, *, release: float) -> Account:
     }
 
 
-def worst_deviation(rig: Account) -> float:
+def worst_deviation(rig: Result) -> float:
     """Largest difference between the amplitude measured and by (12) over all dwells [N]."""
     return max(abs(float(dwell["measured"] - dwell["calculated"])) for dwell in rig["fit"]["dwells"])
 
 
-def split_deviation(rig: Account, frequency: float) -> Account:
+def split_deviation(rig: Result, frequency: float) -> Result:
     """Split the largest deviation near a frequency into non-steadiness, accelerometer noise and model.
 
     What non-steadiness does not explain is noise and model together. The model is charged with what exceeds two
@@ -72,9 +72,7 @@ def split_deviation(rig: Account, frequency: float) -> Account:
     }
 
 
-def agreements_of(
-    masses: Account, steady: Account, cuts: Sequence[Account], splits: Sequence[Account]
-) -> list[Account]:
+def agreements_of(masses: Result, steady: Result, cuts: Sequence[Result], splits: Sequence[Result]) -> list[Result]:
     """Every printed number beside the computed one."""
     rig, cut, paper_cut = VIBRATION_RIG, CABLE_CUT, cuts[0]
     f0, M = steady["natural_frequency"], masses["rig"]["mass"]
@@ -125,7 +123,7 @@ def _ratio(balance: PublishedBalance) -> Printed:
     return Printed(round(balance.dynamics.damping_ratio, 4), 0.00005, "1", "from the printed b, k and M")
 
 
-def _free_free(frequency: Account, mass: Account) -> Account:
+def _free_free(frequency: Result, mass: Result) -> Result:
     """Frequency of live end against armature f0 sqrt(1 + M/m), the armature's mass m assumed [Hz]."""
     f0, M = frequency["value"], mass["value"]
     value = f0 * np.sqrt(1 + M / ARMATURE_MASS)
@@ -133,18 +131,18 @@ def _free_free(frequency: Account, mass: Account) -> Account:
     return {"value": float(value), "u": float(u)}
 
 
-def _meets(name: str, printed: Printed, quantity: Account, *, scale: float = 1.0) -> Account:
+def _meets(name: str, printed: Printed, quantity: Result, *, scale: float = 1.0) -> Result:
     value, u = quantity["value"], quantity["u"]
     agrees = printed.overlaps(value - COVERAGE * u, value + COVERAGE * u)
     return _row(name, printed) | {"computed": value, "u": u, "scale": scale, "limit": False, "agrees": bool(agrees)}
 
 
-def _below(name: str, printed: Printed, value: float) -> Account:
+def _below(name: str, printed: Printed, value: float) -> Result:
     agrees = value <= printed.high
     return _row(name, printed) | {"computed": value, "u": 0.0, "scale": 1.0, "limit": True, "agrees": bool(agrees)}
 
 
-def _row(name: str, printed: Printed) -> Account:
+def _row(name: str, printed: Printed) -> Result:
     """The printed half of a row."""
     return {
         "name": name,
@@ -155,7 +153,7 @@ def _row(name: str, printed: Printed) -> Account:
     }
 
 
-def rig_methods(record: str, rig: Account) -> list[Account]:
+def rig_methods(record: str, rig: Result) -> list[Result]:
     """Results of every method on a record of the vibration rig, values with standard uncertainties."""
     rows = [
         {
@@ -182,7 +180,7 @@ def rig_methods(record: str, rig: Account) -> list[Account]:
     return rows
 
 
-def cut_methods(cut: Account) -> list[Account]:
+def cut_methods(cut: Result) -> list[Result]:
     """Results of every method on a record of the cable cut, values with standard uncertainties where there are any."""
     record = f"noise {cut['noise']:g} N"
     rows = [
@@ -201,5 +199,5 @@ def cut_methods(cut: Account) -> list[Account]:
     return rows
 
 
-def _pair(quantity: Account) -> tuple[float, float | None]:
+def _pair(quantity: Result) -> tuple[float, float | None]:
     return quantity["value"], quantity.get("u")

@@ -51,7 +51,7 @@ from aerobalance.recording.version import VERSION
 from aerobalance.simulation import ARMATURE_MASS, CableCut, Sensor, SteppedSine, Unsteadiness, VibrationRig
 from aerobalance.simulation.published import CABLE_CUT, SECOND_FREQUENCY, VIBRATION_RIG, PublishedBalance
 
-Account = dict[str, Any]
+Result = dict[str, Any]
 
 STEPS: Final = (30.0, 60.0, *np.arange(100.0, 600.0, 100.0).tolist(), 550.0, 600.0, 620.0, 635.0, 652.5, 665.0,
                 *np.arange(680.0, 750.0, 15.0).tolist(), 752.0, *np.arange(765.0, 830.0, 15.0).tolist(),
@@ -71,7 +71,7 @@ BAND: Final = 200.0
 """Band of the band-limited inverse shown beside the other methods [Hz]."""
 
 SUMMARY: Final = ("mean_percent_of_step", "rms_percent_of_half_range", "largest_percent_of_half_range")
-"""What the account repeats of the deviations after the cut."""
+"""What the result repeats of the deviations after the cut."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,19 +79,19 @@ class _Run:
     """Folder of the demo and what has been warned about and taken for granted so far."""
 
     folder: Path
-    warnings: list[Account]
+    warnings: list[Result]
     assumptions: list[str]
 
     def path(self, name: str) -> Path:
         return self.folder / name
 
-    def note(self, step: str, account: Account) -> Account:
-        """Keep the warnings of a step and hand its account on."""
-        self.warnings.extend({"step": step, "text": text} for text in account["warnings"])
-        return account
+    def note(self, step: str, result: Result) -> Result:
+        """Keep the warnings of a step and hand its result on."""
+        self.warnings.extend({"step": step, "text": text} for text in result["warnings"])
+        return result
 
 
-def run_demo(out: Path, *, seed: int | None = None) -> Account:
+def run_demo(out: Path, *, seed: int | None = None) -> Result:
     """Run both experiments and write `report.html`, every file behind it, and the files that the examples name.
 
     Parameters
@@ -161,17 +161,17 @@ def run_demo(out: Path, *, seed: int | None = None) -> Account:
             "armature": ARMATURE_MASS,
         },
     )
-    account: Account = {
+    result: Result = {
         "report": str(report),
         "seed": seed,
         "agreements": [{key: row[key] for key in ("name", "printed", "computed", "agrees")} for row in agreements],
         "deviations": deviations,
         "warnings": [f"{item['step']}: {item['text']}" for item in run.warnings],
     }
-    return {**account, "summary": summary(account)}
+    return {**result, "summary": summary(result)}
 
 
-def summary(account: Account) -> str:
+def summary(result: Result) -> str:
     """Short answer for people: the numbers that the paper prints, beside those found here."""
     rows = [
         (
@@ -182,17 +182,15 @@ def summary(account: Account) -> str:
             ),
             "yes" if row["agrees"] else "NO",
         )
-        for row in account["agreements"]
+        for row in result["agreements"]
     ]
-    agree = sum(row["agrees"] for row in account["agreements"])
+    agree = sum(row["agrees"] for row in result["agreements"])
     table = table_text("Both experiments of the paper, simulated", ("", "printed", "computed", "agrees"), rows)
-    lines = [f"{agree} of {len(rows)} printed numbers agree", f"report: {account['report']}; seed {account['seed']}"]
+    lines = [f"{agree} of {len(rows)} printed numbers agree", f"report: {result['report']}; seed {result['seed']}"]
     return "\n".join([table, *lines]) + "\n"
 
 
-def _weigh(
-    run: _Run, name: str, balance: PublishedBalance, *, pitch: Array, generator: np.random.Generator
-) -> Account:
+def _weigh(run: _Run, name: str, balance: PublishedBalance, *, pitch: Array, generator: np.random.Generator) -> Result:
     """Weigh with means of 1000 readings at each pitch [deg]; the balance has an offset of 0.2 % of half range."""
     deviation = balance.dynamic_deviation.value / np.sqrt(1000)
     offset = 0.002 * balance.half_range.value
@@ -213,7 +211,7 @@ def _shake(
     noise: tuple[float, float],
     unsteadiness: Unsteadiness | None,
     generator: np.random.Generator,
-) -> Account:
+) -> Result:
     """Record a stepped sine on the vibration rig, with noise of balance [N] and accelerometers [m/s^2]; identify."""
     accelerometer = Sensor(noise=noise[1])
     sensors = {
@@ -224,15 +222,15 @@ def _shake(
     drive = SteppedSine(STEPS, settle=0.05, hold=0.3, unsteadiness=unsteadiness)
     path = run.path(f"rig_{name}.csv")
     write_recording(path, VibrationRig(sensors=sensors).run(drive, generator).recording)
-    account = run.note(
+    result = run.note(
         f"identify rig {path.name}",
         identify.identify_rig(path, run.path(f"dynamics_rig_{name}.json"), mass=str(run.path("mass_rig.json"))),
     )
-    found: Account = account["components"]["AF"]
+    found: Result = result["components"]["AF"]
     return found
 
 
-def _cut(run: _Run, noise: float, generator: np.random.Generator) -> Account:
+def _cut(run: _Run, noise: float, generator: np.random.Generator) -> Result:
     """Record a cable cut with the given noise [N], identify, recover the force three ways, and judge it."""
     simulation = CableCut(sensors={"AF": Sensor(noise=noise)}).run(CUT_DURATION, generator)
     tag = f"{noise:g}N"
@@ -242,7 +240,7 @@ def _cut(run: _Run, noise: float, generator: np.random.Generator) -> Account:
     write_recording(
         run.path(f"truth_{tag}.csv"), Recording.from_columns(simulation.recording.time, truth, name="truth")
     )
-    account = run.note(
+    result = run.note(
         f"identify decay {path.name}",
         identify.identify_decay(path, dynamics, mass=str(run.path("mass_cut.json"))),
     )
@@ -254,20 +252,20 @@ def _cut(run: _Run, noise: float, generator: np.random.Generator) -> Account:
     deviations = []
     for words, short, method, bandwidth in methods:
         out = run.path(f"force_{short}_{tag}.csv")
-        result = run.note(
+        estimated = run.note(
             f"force {path.name}, {words}",
             force.force(path, out, dynamics=dynamics, settings=ForceSettings(method, bandwidth)),
         )
-        for text in result["components"]["AF"]["assumptions"]:
+        for text in estimated["components"]["AF"]["assumptions"]:
             if text not in run.assumptions:
                 run.assumptions.append(text)
         judged = step_deviations(out, run.path(f"truth_{tag}.csv"), release=simulation.release)
-        deviations.append({"method": words, **judged, "u": result["components"]["AF"]["uncertainty_rms"]})
-    found: Account = account["components"]["AF"]
+        deviations.append({"method": words, **judged, "u": estimated["components"]["AF"]["uncertainty_rms"]})
+    found: Result = result["components"]["AF"]
     return {**found, "noise": noise, "tag": tag, "release": simulation.release, "deviations": deviations}
 
 
-def _figures(run: _Run, steady: Account, unsteady: Account, cuts: Sequence[Account]) -> dict[str, str]:
+def _figures(run: _Run, steady: Result, unsteady: Result, cuts: Sequence[Result]) -> dict[str, str]:
     dwells = find_dwells(read(run.path("rig_steady.csv")))
     relative, absolute = (
         reference_fit(dwells, mass=steady["mass"]["value"], phase=phase) for phase in identify.PHASES
@@ -322,7 +320,7 @@ def step_data(folder: Path, tag: str, *, release: float) -> StepFigure:
     )
 
 
-def _column(rows: Sequence[Account], key: str) -> Array:
+def _column(rows: Sequence[Result], key: str) -> Array:
     return np.array([row[key] for row in rows], dtype=np.float64)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from aerobalance.app.commands import calibration, force, weighing
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.identify_coupled import identify_decays
-from aerobalance.app.commands.shared import Account, collected_warnings, seed_for
+from aerobalance.app.commands.shared import Result, collected_warnings, seed_for
 from aerobalance.app.reports.page import write_page
 from aerobalance.app.reports.six_figures import SixFigure, six_figure
 from aerobalance.estimation.force import estimate_force
@@ -81,7 +81,7 @@ class DemoFolder:
         return file, simulation
 
 
-def run_six(out: Path, *, seed: int | None = None) -> Account:
+def run_six(out: Path, *, seed: int | None = None) -> Result:
     """Run the whole chain, judge it, and write `six.html`.
 
     Parameters
@@ -110,7 +110,7 @@ def run_six(out: Path, *, seed: int | None = None) -> Account:
     felt = files.loads(read(run))
     raw = {name: felt.values[:, place] for place, name in enumerate(felt.components)}
     rows = _rows(balance, simulation, forces, raw=raw, diagonal=diagonal)
-    account: Account = {
+    result: Result = {
         "page": str(out / "six.html"),
         "seed": seed,
         "modes": _modes(balance, dynamics),
@@ -125,8 +125,8 @@ def run_six(out: Path, *, seed: int | None = None) -> Account:
             (_around(simulation), "about the release"),
         )
     ]
-    write_page(out / "six.html", "six.html.j2", {"found": account, "figures": figures, "version": VERSION})
-    return {**account, "summary": summary(account)}
+    write_page(out / "six.html", "six.html.j2", {"found": result, "figures": figures, "version": VERSION})
+    return {**result, "summary": summary(result)}
 
 
 def calibrated(folder: DemoFolder, balance: CoupledBalance) -> BalanceFiles:
@@ -235,7 +235,7 @@ def _rows(
     *,
     raw: Mapping[str, Array],
     diagonal: Mapping[str, Array],
-) -> list[Account]:
+) -> list[Result]:
     """Errors of every component, in percent of half range, and how often its 95 % interval holds the truth."""
     samples = simulation.recording.samples
     inner = slice(round(ENDS * samples), samples - round(ENDS * samples))
@@ -263,7 +263,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _modes(balance: CoupledBalance, dynamics: Path) -> list[Account]:
+def _modes(balance: CoupledBalance, dynamics: Path) -> list[Result]:
     """Natural frequencies and damping ratios as they are and as they were identified."""
     pairs = zip(balance.dynamics.modes, read_coupled(dynamics).modes, strict=True)
     return [
@@ -291,19 +291,19 @@ def _figure(simulation: SixSimulation, forces: Recording, raw: Mapping[str, Arra
     )
 
 
-def summary(account: Account) -> str:
+def summary(result: Result) -> str:
     """Lay the result out for a terminal."""
     lines = ["Natural frequencies [Hz] and damping ratios [1], true and identified"]
     lines += [
         f"  {mode['natural_frequency']:9.4f} {mode['identified_frequency']:9.4f}   "
         f"{mode['damping_ratio']:.5f} {mode['identified_damping_ratio']:.5f}"
-        for mode in account["modes"]
+        for mode in result["modes"]
     ]
     lines += ["", "Error of the run, rms in percent of half range"]
     lines += [f"  {'':4}{'raw':>9}{'diagonal':>10}{'coupled':>9}{'its u':>8}{'cover':>8}"]
     lines += [
         f"  {row['component']:4}{row['raw_percent']:9.3g}{row['diagonal_percent']:10.3g}{row['error_percent']:9.3g}"
         f"{row['uncertainty_percent']:8.3g}{row['cover_percent']:7.1f}%"
-        for row in account["components"]
+        for row in result["components"]
     ]
-    return "\n".join([*lines, "", f"page: {account['page']}; seed {account['seed']}"]) + "\n"
+    return "\n".join([*lines, "", f"page: {result['page']}; seed {result['seed']}"]) + "\n"

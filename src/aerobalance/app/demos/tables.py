@@ -34,7 +34,7 @@ from aerobalance.validation.baselines import BaselineEstimate, BaselineSettings,
 from aerobalance.validation.fir_inverse import MeasuredResponse, response_of_record
 from aerobalance.validation.scores import Truth
 
-Account = dict[str, Any]
+Result = dict[str, Any]
 
 SETTLED, SOON = 0.05, 0.005
 """Time after a release from which the mean counts, and from which momentary deviations do [s]."""
@@ -96,7 +96,7 @@ class Experiment:
         }
 
 
-def run_tables(out: Path, *, seed: int | None = None) -> Account:
+def run_tables(out: Path, *, seed: int | None = None) -> Result:
     """Run all experiments, judge every rival on each, and write `tables.html`.
 
     Parameters
@@ -119,7 +119,7 @@ def run_tables(out: Path, *, seed: int | None = None) -> Account:
             generator = tunnel if balance is CABLE_CUT else rig
             dynamics, response = _identified(balance, generator)
             experiments += [_judged(part, dynamics, response) for part in parts]
-    account: Account = {
+    result: Result = {
         "page": str(out / "tables.html"),
         "seed": seed,
         "table_1": {"printed": _printed(TABLE_1), "measured": _column_table(experiments, "mean_percent")},
@@ -131,8 +131,8 @@ def run_tables(out: Path, *, seed: int | None = None) -> Account:
         "experiments": experiments,
         "warnings": collected,
     }
-    write_page(out / "tables.html", "tables.html.j2", {"found": account, "version": VERSION})
-    return {**account, "summary": summary(account)}
+    write_page(out / "tables.html", "tables.html.j2", {"found": result, "version": VERSION})
+    return {**result, "summary": summary(result)}
 
 
 def tunnel_experiments(generator: np.random.Generator) -> list[Experiment]:
@@ -194,7 +194,7 @@ def _identified(balance: PublishedBalance, generator: np.random.Generator) -> tu
     return dynamics, response_of_record(record, "AF", natural_frequency=f0, rate=rate)
 
 
-def _judged(experiment: Experiment, dynamics: Dynamics, response: MeasuredResponse) -> Account:
+def _judged(experiment: Experiment, dynamics: Dynamics, response: MeasuredResponse) -> Result:
     """All rivals on one experiment."""
     recording = experiment.simulation.recording
     truth = Truth.of(experiment.simulation.applied, rate=recording.rate, natural_frequency=dynamics.natural_frequency)
@@ -203,7 +203,7 @@ def _judged(experiment: Experiment, dynamics: Dynamics, response: MeasuredRespon
     return {"name": experiment.name, "kind": experiment.kind, "rivals": rows, "verdict": verdict(rows)}
 
 
-def _row(row: BaselineEstimate, experiment: Experiment, truth: Truth) -> Account:
+def _row(row: BaselineEstimate, experiment: Experiment, truth: Truth) -> Result:
     facts = {
         "name": row.name,
         "setting": "tuned on the truth" if row.oracle else "customary",
@@ -223,14 +223,14 @@ def _row(row: BaselineEstimate, experiment: Experiment, truth: Truth) -> Account
     return {**facts, **scores, **experiment.deviations(row.values, truth)}
 
 
-def _printed(table: Sequence[Any]) -> list[Account]:
+def _printed(table: Sequence[Any]) -> list[Result]:
     return [
         {"source": row.source, "method": row.method, "percent": row.deviation.value, "where": row.deviation.where}
         for row in table
     ]
 
 
-def _column_table(experiments: Sequence[Account], key: str) -> list[Account]:
+def _column_table(experiments: Sequence[Result], key: str) -> list[Result]:
     """One row per rival and setting, one entry per experiment that has such a deviation."""
     rows: dict[tuple[str, str], dict[str, float]] = {}
     for experiment in experiments:
@@ -245,13 +245,13 @@ def _column_table(experiments: Sequence[Account], key: str) -> list[Account]:
     ]
 
 
-def summary(account: Account) -> str:
+def summary(result: Result) -> str:
     """Lay both tables out for a terminal."""
     lines: list[str] = []
     parts = (
-        ("Table 1. Mean axial force, relative deviation [%]", account["table_1"], "measured", "of step or impulse"),
-        ("Table 2. Momentary axial force [%]", account["table_2"], "measured_of_half_range", "of half range"),
-        ("", account["table_2"], "measured_of_excitation", "of step, peak or amplitude"),
+        ("Table 1. Mean axial force, relative deviation [%]", result["table_1"], "measured", "of step or impulse"),
+        ("Table 2. Momentary axial force [%]", result["table_2"], "measured_of_half_range", "of half range"),
+        ("", result["table_2"], "measured_of_excitation", "of step, peak or amplitude"),
     )
     for title, table, key, unit in parts:
         if title:
@@ -269,10 +269,10 @@ def summary(account: Account) -> str:
     lines.append("Where this estimator is not first or tied")
     worse = [
         f"  {item['name']}: {text}"
-        for item in account["experiments"]
+        for item in result["experiments"]
         for text in item["verdict"]
         if "NOT first" in text
     ]
     lines += worse or ["  nowhere"]
-    lines += ["", f"page: {account['page']}", f"seed: {account['seed']}"]
+    lines += ["", f"page: {result['page']}", f"seed: {result['seed']}"]
     return "\n".join(lines) + "\n"

@@ -29,14 +29,14 @@ SHOWN: Final = 2
 """Rivals in the figure beside the raw reading and this estimator."""
 
 
-def write_comparison(path: Path, account: dict[str, Any], found: Comparison, *, inputs: Sequence[Path]) -> None:
+def write_comparison(path: Path, result: dict[str, Any], found: Comparison, *, inputs: Sequence[Path]) -> None:
     """Write the comparison as one HTML file that needs nothing else, whole or not at all.
 
     Parameters
     ----------
     path
         The HTML file.
-    account
+    result
         What `aerobalance.app.commands.compare` found.
     found
         The estimates of all methods, with what they were worked out from.
@@ -47,13 +47,13 @@ def write_comparison(path: Path, account: dict[str, Any], found: Comparison, *, 
     recording, response, truth = found.recording, found.responses[name], found.truths.get(name)
     window = shown_part(recording, response, found[name], truth)
     content = {
-        "found": account,
+        "found": result,
         "this": THIS,
         "judged": bool(found.truths),
         "window": [float(recording.time[window.start]), float(recording.time[window.stop - 1])],
         "origin": provenance(inputs),
     }
-    if "components" in account:
+    if "components" in result:
         content["figure"] = components_figure(found, recording=recording, truths=found.truths, window=window)
         write_page(path, "compare_coupled.html.j2", content)
         return

@@ -33,7 +33,7 @@ BEFORE: Final = 0.3
 
 def write_force_report(
     path: Path,
-    account: Mapping[str, Any],
+    result: Mapping[str, Any],
     force: Force,
     *,
     inputs: Sequence[Path],
@@ -44,7 +44,7 @@ def write_force_report(
     ----------
     path
         The HTML file.
-    account
+    result
         What `aerobalance.app.commands.force` found.
     force
         The forces, with the loads that they were worked out from.
@@ -67,7 +67,7 @@ def write_force_report(
             "budget": budget_figure(estimate),
         }
     content = {
-        "found": account,
+        "found": result,
         "file": recording.name,
         "figures": figures,
         "units": {name: si_unit(name).replace("*", "·") for name in force},

@@ -29,8 +29,6 @@ class QualitySettings:
         is curved and not bidirectional. Above it the noise is too large to tell them apart with confidence.
     outlier
         Residual of a point that AIAA R-091 looks into [mV/V].
-    repeat_outlier
-        Departure of a repeated point that AIAA R-091 looks into [mV/V].
     outlier_significance
         Probability, over all points together, below which a point is an outlier (Bonferroni).
     most_deviations
@@ -43,7 +41,6 @@ class QualitySettings:
     bidirectional_significance: float = 0.001
     curved: float = 0.5
     outlier: float = 2.5e-3
-    repeat_outlier: float = 0.5e-3
     outlier_significance: float = 0.05
     most_deviations: float = 100.0
     same_load: float = 1e-4

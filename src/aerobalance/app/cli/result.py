@@ -14,12 +14,12 @@ from rich.console import Console
 from aerobalance.app.cli import streams
 
 FOR_PEOPLE: Final = ("summary", "details")
-"""Texts of an account: the short answer, and tables that go with all of it."""
+"""Texts of a result: the short answer, and tables that go with all of it."""
 
 NOT_LISTED: Final = frozenset(
     {"covariance", "warnings", "residuals", "model", "budget", "spectrum", "monte_carlo", "map"}
 )
-"""Parts of an account that are for programs, or that a text for people holds already."""
+"""Parts of a result that are for programs, or that a text for people holds already."""
 
 _LISTED: Final = 4
 
@@ -43,7 +43,7 @@ class Manner(NamedTuple):
 
 
 def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> None:
-    """Do the work with a sign of life, and print its account.
+    """Do the work with a sign of life, and print its result.
 
     Where the result itself goes to standard output, the answer goes to standard error.
     """
@@ -52,7 +52,7 @@ def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> N
     OUTPUTS.begin(replace=manner.replace)
     try:
         with Console(stderr=True).status(f"{doing} ..."):
-            account = work()
+            result = work()
     except Exception as problem:
         if OUTPUTS.wanted:
             problem.add_note(OUTPUTS.told())
@@ -60,42 +60,42 @@ def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> N
     finally:
         OUTPUTS.end()
     try:
-        _answer(account, manner)
+        _answer(result, manner)
         sys.stdout.flush()
     except BrokenPipeError:  # whoever reads it has seen enough; the parser would take it for a failure
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _answer(account: dict[str, Any], manner: Manner) -> None:
-    """Print the account, or pass on the result itself and print the account beside it."""
-    from aerobalance.app.options import account_as_options
+def _answer(result: dict[str, Any], manner: Manner) -> None:
+    """Print the result; where the file itself goes to standard output, print it beside."""
+    from aerobalance.app.options import result_as_options
     from aerobalance.io.safe_write import OUTPUTS
 
-    account = account_as_options(account)
-    texts = {key: account.pop(key, "") for key in FOR_PEOPLE}
+    result = result_as_options(result)
+    texts = {key: result.pop(key, "") for key in FOR_PEOPLE}
     if OUTPUTS.written:
-        account["outputs"] = [streams.plain(str(path)) for path in OUTPUTS.written]
-        account["replaced"] = [str(path) for path in OUTPUTS.replaced]
+        result["outputs"] = [streams.plain(str(path)) for path in OUTPUTS.written]
+        result["replaced"] = [str(path) for path in OUTPUTS.replaced]
     piped = streams.pass_on()
     if manner.as_json:
         from aerobalance.io.artefacts import json_text
 
-        typer.echo(streams.plain(json_text(account)), nl=False, err=piped)
+        typer.echo(streams.plain(json_text(result)), nl=False, err=piped)
         return
     parts = [texts["summary"].rstrip()]
     if manner.verbose:
-        parts += ["", *([texts["details"].rstrip(), ""] if texts["details"] else []), text_of(account), ""]
-    parts += closing(account)
+        parts += ["", *([texts["details"].rstrip(), ""] if texts["details"] else []), text_of(result), ""]
+    parts += closing(result)
     typer.echo(streams.plain("\n".join(parts).strip("\n")), err=piped)
 
 
-def closing(account: dict[str, Any]) -> list[str]:
+def closing(result: dict[str, Any]) -> list[str]:
     """Return the last lines of an answer: how many warnings there are, and where the files are."""
     lines = []
-    count = len(account.get("warnings") or ())
+    count = len(result.get("warnings") or ())
     if count:
         lines.append(f"{count} warning{'s' if count > 1 else ''}, on standard error")
-    outputs, replaced = account.get("outputs", ()), account.get("replaced", ())
+    outputs, replaced = result.get("outputs", ()), result.get("replaced", ())
     if len(outputs) > _LISTED:
         again = f", of which {len(replaced)} replaced" if replaced else ""
         lines.append(f"written: {len(outputs)} files in {Path(outputs[-1]).parent}{again}")
@@ -104,9 +104,9 @@ def closing(account: dict[str, Any]) -> list[str]:
     return lines
 
 
-def text_of(account: dict[str, Any]) -> str:
-    """Lay an account out in two columns, nested keys joined by dots, one line each."""
-    lines = _lines(account)
+def text_of(result: dict[str, Any]) -> str:
+    """Lay a result out in two columns, nested keys joined by dots, one line each."""
+    lines = _lines(result)
     width = max((len(key) for key, _ in lines), default=0)
     return "\n".join(f"{key:<{width}}  {text}".rstrip() for key, text in lines)
 
