@@ -20,7 +20,7 @@ from aerobalance.identification.step_relaxation.internal_coordinates import (
     invariances,
     quasi_static,
     renewed,
-    static_shares,
+    static_contributions,
 )
 from aerobalance.identification.step_relaxation.model import Segment, linearise
 from aerobalance.io import write_recording
@@ -142,9 +142,9 @@ def test_slow_motion_and_shares():
     assert here == pytest.approx(np.eye(2), abs=1e-12)
     assert -(up - here).real / s**2 == pytest.approx(slow.inertia, abs=1e-5 * np.abs(slow.inertia).max())
     assert up.imag / s == pytest.approx(slow.damping, abs=1e-5 * np.abs(slow.damping).max())
-    shares = static_shares(true.modal_form)
+    shares = static_contributions(true.modal_form)
     assert shares.sum() == pytest.approx(2)
-    assert static_shares(rigid().modal_form) == pytest.approx([1, 1], abs=0.02)  # 1 but for the damping
+    assert static_contributions(rigid().modal_form) == pytest.approx([1, 1], abs=0.02)  # 1 but for the damping
 
 
 def test_force_error_with_hidden_coordinates():

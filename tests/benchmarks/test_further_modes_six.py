@@ -19,7 +19,7 @@ from aerobalance.estimation.result import ComponentForce
 from aerobalance.identification.force_error import error_of, force_weights, true_force_error
 from aerobalance.identification.result import CoupledIdentification
 from aerobalance.identification.step_relaxation.identify import identify_releases
-from aerobalance.identification.step_relaxation.internal_coordinates import static_shares
+from aerobalance.identification.step_relaxation.internal_coordinates import static_contributions
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning
@@ -48,7 +48,7 @@ def bent(rng: np.random.Generator, *, modes: int = 1) -> tuple[CoupledBalance, C
             for _ in range(modes)
         ]
         dynamics = bending_dynamics(balance, reduce(Bending.beside, bending))
-        shares = static_shares(dynamics.modal_form)
+        shares = static_contributions(dynamics.modal_form)
         if shares.size != 6 + modes:
             continue
         theirs = bending_modes(dynamics)
@@ -60,7 +60,7 @@ def bent(rng: np.random.Generator, *, modes: int = 1) -> tuple[CoupledBalance, C
 
 def bending_modes(dynamics: CoupledDynamics) -> Array:
     """Places of the modes of model and sting: those that carry least of the loads at rest."""
-    shares = static_shares(dynamics.modal_form)
+    shares = static_contributions(dynamics.modal_form)
     return np.sort(np.argsort(shares)[: shares.size - 6])
 
 

@@ -12,7 +12,7 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.identification.rigid_body import RigidMassFit
 from aerobalance.identification.step_relaxation.experiment_design import ReleaseAdvice, combination_text
 from aerobalance.identification.step_relaxation.free_response import Complex
-from aerobalance.identification.step_relaxation.internal_coordinates import static_shares
+from aerobalance.identification.step_relaxation.internal_coordinates import static_contributions
 from aerobalance.identification.step_relaxation.model import Kind
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
@@ -119,14 +119,14 @@ class CoupledResult:
     notes: tuple[str, ...]
 
     @property
-    def shares(self) -> Array:
-        """Part of the loads felt at rest that each mode carries, shape (modes,)."""
-        return static_shares(self.dynamics.modal_form)
+    def static_contributions(self) -> Array:
+        """Modal contribution of every mode to the loads felt at rest, shape (modes,) [1]."""
+        return static_contributions(self.dynamics.modal_form)
 
     @property
     def further(self) -> tuple[int, ...]:
-        """Places of the modes of the model or sting: those of least share, one for each internal coordinate."""
-        return tuple(sorted(int(place) for place in np.argsort(self.shares)[: self.dynamics.internal]))
+        """Places of the modes of the model or sting: of least static contribution, one per internal coordinate."""
+        return tuple(sorted(int(place) for place in np.argsort(self.static_contributions)[: self.dynamics.internal]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -177,7 +177,7 @@ def segment_length(samples: int) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
+class BudgetLine:
     """One line of an uncertainty budget.
 
     Attributes
@@ -202,7 +202,7 @@ class Share:
     scalars: Mapping[str, float]
 
 
-def budget(force: Mapping[str, ComponentForce]) -> dict[str, tuple[Share, ...]]:
+def budget(force: Mapping[str, ComponentForce]) -> dict[str, tuple[BudgetLine, ...]]:
     """Uncertainty budget of a force [N, N*m] by component, the largest contribution first.
 
     Parameters
@@ -213,7 +213,7 @@ def budget(force: Mapping[str, ComponentForce]) -> dict[str, tuple[Share, ...]]:
     return {name: component_budget(part) for name, part in force.items()}
 
 
-def component_budget(estimate: ComponentForce) -> tuple[Share, ...]:
+def component_budget(estimate: ComponentForce) -> tuple[BudgetLine, ...]:
     """Uncertainty budget of the force along one component [N], the largest contribution first."""
     found = scalars(estimate)
     squares = {part.name: float(np.mean(part.deviation**2)) for part in estimate.contributions}
@@ -223,7 +223,7 @@ def component_budget(estimate: ComponentForce) -> tuple[Share, ...]:
         square = squares[part.name]
         left = max(whole - square * (1 - part.halved**2), 0.0)
         rows.append(
-            Share(
+            BudgetLine(
                 name=part.name,
                 source=part.source,
                 rms=float(np.sqrt(square)),

@@ -30,7 +30,7 @@ def common_details(found: CoupledResult) -> Result:
                 "shape_real": shape.real.tolist(),
                 "shape_imaginary": shape.imag.tolist(),
                 "set_off_by": combination_text(weights, names),
-                "static_share": float(found.shares[place]),
+                "static_share": float(found.static_contributions[place]),
                 "of_model_or_sting": place in found.further,
             }
             for place, (mode, u, u_ratio, shape, weights) in enumerate(

@@ -14,7 +14,7 @@ from aerobalance.app.commands.shared import Result, table_text
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording
-from aerobalance.uncertainty.budget import Share, advice, component_budget, scalars, spectrum
+from aerobalance.uncertainty.budget import BudgetLine, advice, component_budget, scalars, spectrum
 from aerobalance.uncertainty.monte_carlo import Compared, MonteCarlo
 
 SHOWN_STEPS: Final = 5
@@ -76,7 +76,7 @@ def scalar_result(estimate: ComponentForce, recording: Recording) -> Result:
     return result
 
 
-def significant(rows: Sequence[Share]) -> list[Share]:
+def significant(rows: Sequence[BudgetLine]) -> list[BudgetLine]:
     """Rows of a budget that are more than zero: in the force, or in one of the numbers that sum it up."""
     largest = {name: max(abs(row.scalars[name]) for row in rows) for name in (rows[0].scalars if rows else ())}
     rms = max((row.rms for row in rows), default=0.0)

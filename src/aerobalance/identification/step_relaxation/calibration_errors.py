@@ -15,7 +15,7 @@ import numpy as np
 from aerobalance.balance.matrix_errors import MatrixErrors, coefficient_covariance
 from aerobalance.identification.step_relaxation.experiment_design import physical_slopes
 from aerobalance.identification.step_relaxation.fit import ReleaseFit, whitener_of
-from aerobalance.identification.step_relaxation.model import shares_of_changes
+from aerobalance.identification.step_relaxation.model import reading_slopes
 from aerobalance.identification.step_relaxation.record import ReleaseRecord
 from aerobalance.identification.step_relaxation.stages import Units
 from aerobalance.recording.channel import Array
@@ -88,21 +88,21 @@ def _changes(
 ) -> Array:
     """J' W dX of one release by the errors of the coefficients, shape (parameters, c t)."""
     segment, whitener = fit.segments[number], whitener_of(fit.noise)
-    shares = shares_of_changes(segment, fit.motion, fit.own[number])
+    found = reading_slopes(segment, fit.motion, fit.own[number])
     rows = np.rint(record.time * record.rate).astype(np.intp)
     n, weight = sizes.size, whitener.T @ whitener / sizes
     wide = len(error.matrix.components) * len(error.matrix.terms)
     held: Array = np.zeros((n, wide))
-    ringing: Array = np.zeros((shares.columns.shape[1] * n, wide))
+    ringing: Array = np.zeros((found.columns.shape[1] * n, wide))
     for part in error.parts(rows, components):
         time = np.arange(part.rows.start, part.rows.stop)
-        before, after = time < shares.held.stop, time >= shares.ringing.start
+        before, after = time < found.held.stop, time >= found.ringing.start
         gain = (weight @ part.gain).reshape(time.size, -1)
         held += (gain[before].T @ part.terms[before]).reshape(held.shape)
-        columns = shares.columns[time[after] - shares.ringing.start]
+        columns = found.columns[time[after] - found.ringing.start]
         both = (columns[:, :, None] * gain[after][:, None, :]).reshape(len(columns), columns.shape[1] * gain.shape[1])
         ringing += (both.T @ part.terms[after]).reshape(ringing.shape)
-    slopes = shares.slopes.reshape(-1, shares.slopes.shape[2])
+    slopes = found.slopes.reshape(-1, found.slopes.shape[2])
     changes = slopes.T @ ringing
     if segment.kind != "free":
         changes[n : 2 * n] += held

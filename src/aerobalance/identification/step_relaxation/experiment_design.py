@@ -101,7 +101,7 @@ def combination_of(motion: FreeMotion, mode: int) -> Array:
     up, _ = pairs(motion)
     if motion.size > motion.components:
         return _strongest(
-            motion.shares[up, : motion.components] * np.linalg.norm(motion.felt[:, up], axis=0)[:, None], mode
+            motion.participation[up, : motion.components] * np.linalg.norm(motion.felt[:, up], axis=0)[:, None], mode
         )
     others = np.delete(motion.shapes[:, up], mode, axis=1)
     if others.shape[1] == 0:

@@ -56,15 +56,15 @@ class FreeMotion:
         Poles p, shape (2 N,).
     shapes
         Coordinates in every mode, columns, the loads felt first, shape (N, 2 N).
-    shares
-        What turns the coordinates and their rates at an instant into the size of every mode, shape (2 N, 2 N).
+    participation
+        Modal participation: turns coordinates and rates at an instant into the size of every mode, shape (2 N, 2 N).
     components
         Number of components n.
     """
 
     poles: Complex
     shapes: Complex
-    shares: Complex
+    participation: Complex
     components: int
 
     @classmethod
@@ -104,7 +104,7 @@ class FreeMotion:
 
     def sizes(self, loads: Array, rates: Array) -> Complex:
         """Size of every mode with these coordinates from rest and rates at time zero, shape (2 N,)."""
-        return np.asarray(self.shares @ np.concatenate([loads, rates]))
+        return np.asarray(self.participation @ np.concatenate([loads, rates]))
 
     def motion(self, sizes: Complex) -> ExponentialSums:
         """The motion with modes of these sizes, one function."""
@@ -113,7 +113,7 @@ class FreeMotion:
 
     def by_state(self) -> ExponentialSums:
         """Derivatives of the motion by coordinates and rates at time zero, 2 N functions."""
-        plain = self.felt.T[:, :, None] * self.shares[:, None, :]
+        plain = self.felt.T[:, :, None] * self.participation[:, None, :]
         return ExponentialSums(plain, np.zeros_like(plain), np.zeros((self.components, 2 * self.size)))
 
     def by_time(self, motion: ExponentialSums) -> ExponentialSums:
@@ -130,7 +130,7 @@ class FreeMotion:
         difference = poles[:, None] - poles[None, :]
         close = np.abs(difference) < CLOSE * np.abs(poles).max()
         inverse = np.where(close, 0.0, 1 / np.where(close, 1.0, difference))
-        into = -self.shares[:, size:]
+        into = -self.participation[:, size:]
         # from whom: coordinates of the modes for spring, their rates for brake
         carried = np.stack([self.shapes * sizes, self.shapes * (poles * sizes)])
         gained = self.felt.T[:, :, None] * into[:, None, :]  # mode k, component, row of the matrix

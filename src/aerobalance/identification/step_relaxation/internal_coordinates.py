@@ -111,8 +111,8 @@ def renewed(matrices: Array, n: int, *, let_go: Array) -> tuple[Array, Array]:
     return -np.concatenate([lower[:, :size].ravel(), lower[:, size:].ravel()]), turn
 
 
-def static_shares(form: ModalForm) -> Array:
-    """Part of the loads felt at rest that each mode carries, the slowest first, shape (N,).
+def static_contributions(form: ModalForm) -> Array:
+    """Modal contribution of every mode to the loads felt at rest, the slowest first, shape (N,).
 
     With poles p, shapes v and weights w these are the traces of -2 Re(v w' / p), which add up to the number of
     components: about 1 for a mode of a rigid model, little for one that shows little in the loads.

@@ -134,7 +134,7 @@ def linearise(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shares:
+class ReadingSlopes:
     """How the readings after the edge of a record depend on all its parameters.
 
     Attributes
@@ -154,10 +154,12 @@ class Shares:
     slopes: Array
 
 
-def shares_of_changes(segment: Segment, motion: FreeMotion, own: Array) -> Shares:
+def reading_slopes(segment: Segment, motion: FreeMotion, own: Array) -> ReadingSlopes:
     """Derivatives of the readings of a record, not weighted; the arguments are those of `linearise`."""
     held, ringing, since = _parts(segment, own)
-    return Shares(held, ringing, motion.columns(segment.time[ringing] - since), _slopes(segment, motion, own)[0])
+    return ReadingSlopes(
+        held, ringing, motion.columns(segment.time[ringing] - since), _slopes(segment, motion, own)[0]
+    )
 
 
 def _slopes(segment: Segment, motion: FreeMotion, own: Array) -> tuple[Array, ExponentialSums]:
@@ -269,7 +271,7 @@ def of_matrices(block: Array, own: int) -> Array:
 
 
 def damped(block: Array, own: int, damping: float) -> Array:
-    """The factor with its own parameters held back by a share of their information."""
+    """The factor with its own parameters held back by a part of their information."""
     if damping == 0:
         return block
     hold = np.zeros((own, block.shape[1]))

@@ -18,7 +18,7 @@ from aerobalance.identification.step_relaxation.era import Guess, from_modes, qu
 from aerobalance.identification.step_relaxation.experiment_design import excitation, pairs
 from aerobalance.identification.step_relaxation.fit import ReleaseFit, whitener_of
 from aerobalance.identification.step_relaxation.free_response import FreeMotion
-from aerobalance.identification.step_relaxation.internal_coordinates import static_shares
+from aerobalance.identification.step_relaxation.internal_coordinates import static_contributions
 from aerobalance.identification.step_relaxation.record import ROUNDING, ReleaseRecord
 from aerobalance.identification.step_relaxation.stages import (
     POOR,
@@ -48,7 +48,7 @@ class ModelOrderSettings:
     lost
         Part of its gain that a mode may lose where releases begin at rest: what rings before them as well is no mode.
     beyond_structure
-        Distance of a mode's static share from 0 to 1 beyond which it is no mode of a structure.
+        Distance of a mode's static contribution from 0 to 1 beyond which it is no mode of a structure.
     least_decay
         Logarithm of the decay over the longest record below which a line is hum and no mode.
     split
@@ -301,10 +301,12 @@ def _against(fit: ReleaseFit) -> str | None:
     """
     motion, n = fit.motion, fit.size
     spring = fit.matrices.reshape(2, motion.size, motion.size)[0]
-    shares = static_shares(ModalForm(motion.poles, motion.felt, motion.shares[:, motion.size :] @ spring[:, :n]))
-    if not ((shares > -SETTINGS.beyond_structure) & (shares < 1 + SETTINGS.beyond_structure)).all():
+    contributions = static_contributions(
+        ModalForm(motion.poles, motion.felt, motion.participation[:, motion.size :] @ spring[:, :n])
+    )
+    if not ((contributions > -SETTINGS.beyond_structure) & (contributions < 1 + SETTINGS.beyond_structure)).all():
         return "its share of the load is none of a structure"
-    if (shares[_twins(fit)].sum(axis=1) < 1 + SETTINGS.beyond_structure).any():
+    if (contributions[_twins(fit)].sum(axis=1) < 1 + SETTINGS.beyond_structure).any():
         return IN_TWO
     return None
 

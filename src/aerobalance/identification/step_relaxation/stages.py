@@ -303,17 +303,17 @@ def _with_edge(fit: ReleaseFit, number: int, record: ReleaseRecord, units: Units
     known = others_than(fit, number)
     loose = total_squares([fit.linears[number]], known, fit.matrices)
     kinds: tuple[tuple[Kind, tuple[float, ...]], ...] = (("release", (0.0,)), ("ramp", SETTINGS.durations))
-    for kind, shares in kinds:
+    for kind, parts in kinds:
         begun = [
-            _best_instant(fit, number, held=held, duration=share * (segment.edge[1] - earliest) / 2, earliest=earliest)
-            for share in shares
+            _best_instant(fit, number, held=held, duration=part * (segment.edge[1] - earliest) / 2, earliest=earliest)
+            for part in parts
         ]
         place = int(np.argmin([misfit for _, _, misfit in begun]))
         instant, rest, _ = begun[place]
         own = np.concatenate([rest[: fit.size], held, [instant]])
         edge = (instant, instant)
         if kind == "ramp":
-            own = np.append(own, shares[place] * (segment.edge[1] - earliest) / 2)
+            own = np.append(own, parts[place] * (segment.edge[1] - earliest) / 2)
             edge = (earliest, segment.edge[1] + SETTINGS.at_first * units.rate)
         own = np.append(own, rest[fit.size :])
         trial = replace(segment, kind=kind, edge=edge, anywhere=fit.internal > 0)
@@ -359,7 +359,7 @@ def _best_instant(
     growth = growth * (np.exp(-motion.poles[:, None] * duration * place) @ weight)
     state = np.vstack([motion.shapes, motion.shapes * motion.poles])
     begins = [*range(size), *range(size + n, 2 * size)]  # the loads have no rates
-    moved = np.real(np.einsum("ik,gk,kj->gij", state, growth, motion.shares[:, begins]))
+    moved = np.real(np.einsum("ik,gk,kj->gij", state, growth, motion.participation[:, begins]))
     moved, unseen = moved[:, :, :n], moved[:, :, n:]
     design = np.concatenate([np.broadcast_to(np.eye(n), (grid.size, n, n)), -moved], axis=1)  # by the loads that stay
     if fit.internal:
