@@ -141,6 +141,19 @@ def test_noise_of_the_bridges_becomes_noise_of_the_loads(balance: BalanceMatrix,
     assert np.allclose(felt.noise, felt.values.std(axis=0), rtol=0.08)
 
 
+def test_noise_that_bridges_share_is_in_the_covariance_of_the_loads(balance: BalanceMatrix, rng) -> None:
+    """An unsteady excitation moves all bridges at once: it is seen in their outputs, and adds up or cancels."""
+    count = 20_000
+    outputs = balance.outputs(np.tile(0.3 * CAPACITIES, (count, 1)))
+    noise = NOISE * (rng.normal(size=(count, 6)) + 1.5 * rng.normal(size=(count, 1)) * np.array([1, 1, 1, 1, 0, 0]))
+    felt = loads_of_outputs(recorded(outputs + noise), balance, zero=NONE)
+    size = np.sqrt(np.diag(felt.noise_covariance))
+    expected = np.corrcoef(felt.values.T)
+    # over 20000 readings a correlation is known to 0.007, over the upper half of their spectrum's weight to some 0.02
+    assert np.allclose(felt.noise_covariance / np.outer(size, size), expected, rtol=0, atol=0.08)
+    assert np.abs(expected - np.eye(6)).max() > 0.4
+
+
 def test_uncertainty_covers_the_error_of_the_calibration(seed: int) -> None:
     errors = []
     for draw in range(12):

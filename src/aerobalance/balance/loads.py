@@ -22,8 +22,9 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.gravity import GravityOnZero
-from aerobalance.recording.noise import channel_noise
+from aerobalance.recording.noise import channel_noise, noise_correlation
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +70,8 @@ class Loads:
         ``"N"`` or ``"N*m"`` of each.
     values
         Shape (n, c) [N, N*m]; NaN where an output is missing.
-    noise
-        Standard uncertainty of one reading from the noise of the gauges, shape (c,) [N, N*m].
+    noise_covariance
+        Covariance of one reading from the noise of the gauges, shape (c, c) [N^2, N^2*m, N^2*m^2].
     calibration
         Standard uncertainty of every sample from matrix, zero and tare, shape (n, c) [N, N*m].
     native
@@ -94,7 +95,7 @@ class Loads:
     components: tuple[str, ...]
     units: tuple[str, ...]
     values: Array
-    noise: Array
+    noise_covariance: Array
     calibration: Array
     native: Array
     beyond: Mapping[str, int]
@@ -104,6 +105,11 @@ class Loads:
     balance: BalanceMatrix
     recording: Recording
     ready: bool
+
+    @property
+    def noise(self) -> Array:
+        """Standard uncertainty of one reading from the noise of the gauges, shape (c,) [N, N*m]."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.noise_covariance), 0.0)))
 
     @property
     def uncertainty(self) -> Array:
@@ -229,16 +235,19 @@ def loads_of_outputs(
     middle = balance.sensitivity(np.median(native[known], axis=0)[None, :])[0]
     covariance = _static_covariance(balance, native, zero, channels)
     components, moments, T = _form_of(balance, form)
+    slope = T @ middle
+    scatter = np.sqrt(np.maximum(np.diag(slope @ np.diag(noise**2) @ slope.T), 0.0))
     values = native @ T.T if zero.operating_point is None else (native - zero.operating_point) @ T.T
     calibration = np.sqrt(np.maximum(np.einsum("ij,njk,ik->ni", T, covariance, T), 0.0))
     if tare is not None:
         values = values - tare[0]
         calibration = np.hypot(calibration, tare[1])
+    filled = np.column_stack([interpolate_gaps_linearly(column) for column in values.T])
     loads = Loads(
         components=components,
         units=tuple("N*m" if moment else "N" for moment in moments),
         values=values,
-        noise=np.sqrt(np.maximum(np.diag(T @ middle @ np.diag(noise**2) @ middle.T @ T.T), 0.0)),
+        noise_covariance=np.outer(scatter, scatter) * noise_correlation(filled),
         calibration=calibration,
         native=native,
         beyond=beyond,

@@ -6,7 +6,7 @@ others (`aerobalance.dynamics.decoupling`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,9 +23,9 @@ from aerobalance.motion.platform import PlatformMotion
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, argument, warn_quality
-from aerobalance.recording.noise import white_noise
+from aerobalance.recording.noise import noise_covariance
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import EXACT, align_channels, fractional_delay, interpolate_gaps
+from aerobalance.recording.resampling import align_channels, fractional_delay, interpolate_gaps
 from aerobalance.recording.sensors import corrected
 
 
@@ -74,8 +74,18 @@ class CoupledRecord:
         *,
         gravity: float = STANDARD_GRAVITY,
         gravity_uncertainty: float = 0.0,
+        noise: Array | None = None,
     ) -> CoupledRecord:
         """Take a recording as it was written.
+
+        Parameters
+        ----------
+        recording, dynamics
+            The recording, and the coupled components.
+        gravity, gravity_uncertainty
+            Local acceleration of gravity and its standard uncertainty [m/s^2].
+        noise
+            Covariance of the noise of a reading, shape (n, n); judged from the readings where it is not known.
 
         Raises
         ------
@@ -87,7 +97,7 @@ class CoupledRecord:
         channels = _channels(recording, dynamics)
         platform = PlatformMotion.of(recording, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
         loads = np.column_stack([np.where(channel.at_limit, np.nan, channel.values) for channel in channels])
-        noise = noise_covariance(channels, interpolate_gaps(loads))
+        noise = noise_covariance(channels, interpolate_gaps(loads)) if noise is None else noise
         nothing, on_zero = np.zeros_like(loads), _weight_on_zero(platform, dynamics)
         return cls(recording, dynamics, platform, channels, loads, noise, nothing, on_zero, ()).taken_with(dynamics)
 
@@ -254,31 +264,6 @@ def _channels(recording: Recording, dynamics: CoupledDynamics) -> tuple[Channel,
                 f"{recording.name}: {count} readings of {channel.name}; a force needs at least {FEWEST_SAMPLES}"
             )
     return channels
-
-
-def noise_covariance(channels: Sequence[Channel], filled: Array) -> Array:
-    """Covariance of the noise of a reading, shape (n, n): a balance matrix mixes the noise of the gauges.
-
-    What the channels have in common is judged from the upper half of the spectrum, where no load is left.
-    """
-    deviation = np.array(
-        [
-            max(
-                white_noise(column) if channel.noise is None else channel.noise,
-                EXACT * float(np.max(np.abs(column))),
-                1e-60,
-            )
-            for channel, column in zip(channels, filled.T, strict=True)
-        ]
-    )
-    spectrum = np.fft.rfft(np.diff(filled, 4, axis=0), axis=0)
-    upper = spectrum[spectrum.shape[0] // 2 :]
-    power = np.real(upper.conj().T @ upper)
-    size = np.sqrt(np.maximum(np.diag(power), 1e-300))
-    correlation: Array = power / np.outer(size, size)
-    # between independent channels it scatters by 1 / sqrt(2 m) over m ordinates; one in 1e8 passes this
-    correlation[np.abs(correlation) < 4 / np.sqrt(upper.shape[0])] = 0.0
-    return np.outer(deviation, deviation) * correlation
 
 
 def _free_motion(dynamics: CoupledDynamics, left: Array, present: NDArray[np.bool_], *, interval: float) -> Array:

@@ -251,10 +251,11 @@ def force_record(
     ValueError
         The loads count from the weight of a model and do not say what it is.
     """
-    model = dynamics_of(dynamics)
+    model, noise = dynamics_of(dynamics), None
     if isinstance(run, Loads):
         run.check_ready()
         _check_mass(run, model)
+        noise = _noise_of(run, model)
         run = run.recording
     if not any(name in run for name in model.components):
         gauges = any(is_gauge(name) for name in run.channels)
@@ -264,8 +265,17 @@ def force_record(
         )
     settings = {"gravity": gravity, "gravity_uncertainty": gravity_uncertainty}
     if isinstance(model, CoupledDynamics):
-        return CoupledRecord.of(run, model, **settings)
+        return CoupledRecord.of(run, model, noise=noise, **settings)
     return IndependentRecord.of(run, model, **settings)
+
+
+def _noise_of(loads: Loads, model: IndependentDynamics | CoupledDynamics) -> Array | None:
+    """Covariance of the noise of the components of a model, shape (n, n); None where the loads lack one or its noise."""
+    if any(name not in loads.components for name in model.components):
+        return None
+    place = [loads.components.index(name) for name in model.components]
+    found = loads.noise_covariance[np.ix_(place, place)]
+    return found if np.diag(found).all() else None
 
 
 def _check_mass(loads: Loads, model: IndependentDynamics | CoupledDynamics) -> None:

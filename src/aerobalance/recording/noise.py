@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -18,6 +19,12 @@ QUIET_SHARE: Final = 0.25
 
 CLEARLY_LOWER: Final = 0.7
 """Ratio of the two estimates of the noise below which it is no chance of sampling."""
+
+ROUNDING: Final = 1e-9
+"""Least noise over the largest reading: what is smaller than that is rounding."""
+
+FEWEST: Final = 64
+"""Readings below which the correlation of two channels' noise cannot be told."""
 
 
 def white_noise(values: Array) -> float:
@@ -50,3 +57,50 @@ def white_noise(values: Array) -> float:
 def channel_noise(channel: Channel) -> float:
     """Standard uncertainty of one reading: as given for the channel, or else judged from its record."""
     return channel.noise if channel.noise is not None else white_noise(channel.values)
+
+
+def noise_covariance(channels: Sequence[Channel], filled: Array) -> Array:
+    """Covariance of the noise of one reading of n channels, shape (n, n) [products of their units].
+
+    Parameters
+    ----------
+    channels
+        The channels; their noise is as given, or else judged from the readings.
+    filled
+        Their readings without gaps, shape (samples, n).
+    """
+    deviation = np.array(
+        [
+            max(
+                white_noise(column) if channel.noise is None else channel.noise,
+                ROUNDING * float(np.max(np.abs(column))),
+                1e-60,
+            )
+            for channel, column in zip(channels, filled.T, strict=True)
+        ]
+    )
+    return np.outer(deviation, deviation) * noise_correlation(filled)
+
+
+def noise_correlation(filled: Array) -> Array:
+    """Correlation of the noise of n channels, shape (n, n) [1]; 0 between two where chance explains it.
+
+    Judged from the upper half of the spectrum, where no load is left. Loads are better for it than gauge outputs: what
+    the terms of a balance matrix make of loads reaches high frequencies, and all bridges have a part in it.
+
+    Parameters
+    ----------
+    filled
+        Readings without gaps, shape (samples, n).
+    """
+    if filled.shape[0] < FEWEST:
+        return np.eye(filled.shape[1])
+    spectrum = np.fft.rfft(np.diff(filled, 4, axis=0), axis=0)
+    upper = spectrum[spectrum.shape[0] // 2 :]
+    power = np.real(upper.conj().T @ upper)
+    size = np.sqrt(np.maximum(np.diag(power), 1e-300))
+    correlation: Array = power / np.outer(size, size)
+    # between independent channels it scatters by 1 / sqrt(2 m) over m ordinates; one in 1e8 passes this
+    correlation[np.abs(correlation) < 4 / np.sqrt(upper.shape[0])] = 0.0
+    np.fill_diagonal(correlation, 1.0)
+    return correlation

@@ -10,11 +10,11 @@ import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.coupled_record import noise_covariance
 from aerobalance.estimation.live.platform import LiveChannel, LivePlatform
 from aerobalance.motion.sensors import sensor_kind
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import acceleration_name, si_unit
+from aerobalance.recording.noise import noise_covariance
 from aerobalance.recording.resampling import hold_over_gaps
 
 QUIET: Final = 0.01
