@@ -19,7 +19,7 @@ import pytest
 
 from aerobalance.acquisition import recorder as recorder_module
 from aerobalance.acquisition.intake import OnCall, RecordPlan
-from aerobalance.acquisition.recorder import RecordJob, Take, Tell
+from aerobalance.acquisition.recorder import RecorderCommand, RecordJob, RecordWriter
 from aerobalance.acquisition.session import Session
 from aerobalance.acquisition.setup import parse_setup
 from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
@@ -63,7 +63,7 @@ def stored(path):
 
 
 def test_what_the_source_gave_is_in_the_file_to_the_last_bit(tmp_path, rng) -> None:
-    take = Take(job(tmp_path / "run.h5"))
+    take = RecordWriter(job(tmp_path / "run.h5"))
     given, tick = {}, 5_000_000_000
     for _ in range(60):
         tick += int(rng.integers(0, 3) == 0) * int(rng.integers(1, 40))
@@ -89,7 +89,7 @@ def test_what_the_source_gave_is_in_the_file_to_the_last_bit(tmp_path, rng) -> N
 
 def test_every_acknowledged_block_can_be_read_while_it_is_recorded(tmp_path) -> None:
     file = tmp_path / "run.h5"
-    take = Take(job(file))
+    take = RecordWriter(job(file))
     for number in range(5):
         take.feed(Block(number * 100, truth(number * 100, number * 100 + 100), 0.0))
         assert len(stored(file)) == take.progress.samples == (number + 1) * 100 // 64 * 64
@@ -100,7 +100,7 @@ def test_every_acknowledged_block_can_be_read_while_it_is_recorded(tmp_path) -> 
 
 
 def test_pre_trigger_puts_time_zero_at_the_trigger(tmp_path) -> None:
-    take = Take(job(tmp_path / "run.h5", trigger=OnCall(), before=150))
+    take = RecordWriter(job(tmp_path / "run.h5", trigger=OnCall(), before=150))
     for number in range(4):
         take.feed(Block(number * 100, truth(number * 100, number * 100 + 100), 0.0))
     assert take.progress.state == "waiting"
@@ -115,7 +115,7 @@ def test_pre_trigger_puts_time_zero_at_the_trigger(tmp_path) -> None:
 
 
 def test_disk_is_watched_and_what_fits_is_kept(tmp_path, monkeypatch) -> None:
-    take = Take(job(tmp_path / "run.h5"))
+    take = RecordWriter(job(tmp_path / "run.h5"))
     take.feed(Block(0, truth(0, 128), 0.0))
     monkeypatch.setattr(recorder_module.shutil, "disk_usage", lambda _: SimpleNamespace(free=2000))
     take.feed(Block(128, truth(128, 256), 0.0))
@@ -339,7 +339,7 @@ from aerobalance.io.hdf5_layout import Provenance, StoredChannel
 recorder.shutil.disk_usage = lambda _: SimpleNamespace(free=2**40)
 channels = tuple(StoredChannel(f"c{i}", "N") for i in range(12))
 plan = RecordPlan(channels, 25000.0, 2500)
-take = recorder.Take(recorder.RecordJob(sys.argv[1], plan, False, recorder.Provenance("test"), 0))
+take = recorder.RecordWriter(recorder.RecordJob(sys.argv[1], plan, False, recorder.Provenance("test"), 0))
 number = 0
 while not take.progress.over:
     take.feed(Block(number * 2500, np.random.default_rng(number).normal(size=(2500, 12)), 0.0))
@@ -388,7 +388,7 @@ def test_trigger_note_and_controls_while_it_runs(tmp_path) -> None:
         session.start()
         time.sleep(0.3)
         assert recorder.poll().state == "waiting"
-        recorder.tell(Tell("note", "about to cut"))
+        recorder.tell(RecorderCommand("note", "about to cut"))
         session.control("cut", 1.0)
         session.control("frequency", 3.0)
         limit = time.monotonic() + 60
@@ -497,7 +497,7 @@ def test_kill_of_the_command_ends_the_record_and_leaves_no_process(tmp_path) -> 
 def test_replay_keeps_gaps_at_any_speed(tmp_path) -> None:
     from aerobalance.app.commands.record import RecordOptions, record
 
-    take = Take(job(tmp_path / "first.h5"))
+    take = RecordWriter(job(tmp_path / "first.h5"))
     take.feed(Block(0, truth(0, 300), 0.0))
     take.feed(Block(450, truth(450, 1000), 0.0))
     take.end("done")

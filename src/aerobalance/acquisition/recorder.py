@@ -18,7 +18,7 @@ from aerobalance.acquisition.feed import Address, Feed, Sender
 from aerobalance.acquisition.intake import AtOnce, End, Intake, Output, RecordBlock, RecordPlan, RecordStart
 from aerobalance.acquisition.source import Block
 from aerobalance.io.hdf5_layout import BlockWriter, DiskFullError, Provenance, plain_reason
-from aerobalance.io.locked_file import LockedFile, Mishap
+from aerobalance.io.locked_file import FileFault, LockedFile
 
 PATIENCE: Final = 1.0
 """Time after which samples are written although their block is not full, where none follow [s]."""
@@ -34,7 +34,7 @@ _UNHEARD: Final = 65536
 State = Literal["starting", "waiting", "recording", "ended", "failed"]
 
 
-class Tell(NamedTuple):
+class RecorderCommand(NamedTuple):
     """What the recorder is to do: ``call`` (trigger), ``note`` or ``stop``; with a text.
 
     `at` is when it was said, on the steady clock [s]; None for when it is heard.
@@ -130,7 +130,7 @@ class RecordJob:
     asked: float | None = None
 
 
-class Take:
+class RecordWriter:
     """Writes what an intake gives, and keeps count.
 
     Parameters
@@ -200,7 +200,7 @@ class Take:
             self.note("file", text)
         return True
 
-    def _lost(self, mishap: Mishap) -> None:
+    def _lost(self, mishap: FileFault) -> None:
         """End a record whose file has no name any more: what is still open is copied to a new file."""
         self._gone = self.intake.ended = True
         reason = f"{mishap.text}; the record was ended"
@@ -303,7 +303,7 @@ def run_recorder(job: RecordJob, address: Address, control: Connection[Any, Any]
     signal.signal(signal.SIGTERM, lambda *_: told.append("the recorder was told to end"))
     try:
         feed = Feed(address, viewer=False, recent=job.asked is not None)
-        take = Take(job)
+        take = RecordWriter(job)
     except (OSError, EOFError, RuntimeError) as problem:
         text = "the source is gone" if isinstance(problem, EOFError) else plain_reason(problem)
         control.send(Progress("failed", f"cannot record to {job.path}: {text}", job.path))
@@ -316,7 +316,7 @@ def run_recorder(job: RecordJob, address: Address, control: Connection[Any, Any]
     os._exit(0)
 
 
-def _record(take: Take, feed: Feed, starter: tuple[Connection[Any, Any], Sender], told: list[str]) -> None:
+def _record(take: RecordWriter, feed: Feed, starter: tuple[Connection[Any, Any], Sender], told: list[str]) -> None:
     """Serve the source and the starter until the record is over."""
     control, teller = starter
     last = looked = time.monotonic()
@@ -342,7 +342,7 @@ def _record(take: Take, feed: Feed, starter: tuple[Connection[Any, Any], Sender]
             _tell(teller, take.progress)
 
 
-def _drain(take: Take, feed: Feed) -> bool:
+def _drain(take: RecordWriter, feed: Feed) -> bool:
     """Take what the source has sent, up to a number of blocks; say whether something was acknowledged."""
     changed = False
     for _ in range(_AT_ONCE):
@@ -360,7 +360,7 @@ def _drain(take: Take, feed: Feed) -> bool:
     return changed
 
 
-def _catch_up(take: Take, feed: Feed, at: float) -> None:
+def _catch_up(take: RecordWriter, feed: Feed, at: float) -> None:
     """Take what was sampled up to a time on the steady clock [s] and is still on its way."""
     limit = time.monotonic() + _CATCHING_UP
     while not take.progress.over and take.intake.continuity.last < at and time.monotonic() < limit:
@@ -369,10 +369,10 @@ def _catch_up(take: Take, feed: Feed, at: float) -> None:
         _drain(take, feed)
 
 
-def _obey(take: Take, feed: Feed, control: Connection[Any, Any]) -> bool:
+def _obey(take: RecordWriter, feed: Feed, control: Connection[Any, Any]) -> bool:
     """Do what the starter says; return False when the record is over by that."""
     try:
-        tell: Tell = control.recv()
+        tell: RecorderCommand = control.recv()
     except (EOFError, OSError):
         take.end("the program that started the record is gone")
         return False

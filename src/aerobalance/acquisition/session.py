@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from aerobalance.acquisition.feed import Address, Feed, Order, SourceInfo, SourceMessage, run_source
 from aerobalance.acquisition.planned import plan_of
-from aerobalance.acquisition.recorder import Progress, RecordJob, Tell, run_recorder
+from aerobalance.acquisition.recorder import Progress, RecorderCommand, RecordJob, run_recorder
 from aerobalance.acquisition.scratch import make_folder, remove
 from aerobalance.acquisition.setup import Setup, setup_text, stored_channels
 from aerobalance.io.hdf5_closing import close_broken_off
@@ -93,14 +93,14 @@ class Recorder:
             raise ValueError(progress.reason)
         return progress
 
-    def tell(self, tell: Tell) -> None:
+    def tell(self, tell: RecorderCommand) -> None:
         """Call the trigger, write a note, or stop the record."""
         with contextlib.suppress(OSError):
             self._control.send(tell)
 
     def stop(self, reason: str = "stopped", *, timeout: float = _CLOSING, hurry: bool = False) -> Progress:
         """End the record and wait until its file is closed; for one that is just starting, up to a minute longer."""
-        self.tell(Tell("stop", reason, time.monotonic()))
+        self.tell(RecorderCommand("stop", reason, time.monotonic()))
         limit = time.monotonic() + timeout + (0.0 if self.poll().over or self.heard or hurry else _STARTING)
         while not self.progress.over and time.monotonic() < limit:
             self.poll(0.1)

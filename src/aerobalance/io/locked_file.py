@@ -26,7 +26,7 @@ _LONGEST: Final = 200
 _MOST_NAMES: Final = 10_000
 
 
-class Mishap(NamedTuple):
+class FileFault(NamedTuple):
     """What has happened to a file that is being written.
 
     Attributes
@@ -67,13 +67,13 @@ class LockedFile:
         if sys.platform != "win32":  # there, an open file can be neither deleted nor replaced
             self._link()
 
-    def look(self) -> Mishap | None:
+    def look(self) -> FileFault | None:
         """Return what has happened to the file since the last look; None where it is in its place and whole."""
         if sys.platform == "win32":
             return None
         size = os.fstat(self._handle).st_size
         if size < self._size:
-            return Mishap(f"{self.path.name} was cut short by another program while it was written", None, True)
+            return FileFault(f"{self.path.name} was cut short by another program while it was written", None, True)
         self._size = size
         if self._is(self.path):
             if not self._is(self._spare):
@@ -85,14 +85,14 @@ class LockedFile:
             moved = moved.readlink()
         if self._is(moved) and moved not in (self._spare, Path(f"/proc/self/fd/{self._handle}")):
             self.path = moved
-            return Mishap(f"{old} was moved to {moved} while it was written", moved)
+            return FileFault(f"{old} was moved to {moved} while it was written", moved)
         what = "was replaced by another file" if there else "was deleted"
         found = self._new_name() if self._is(self._spare) else None
         if found is not None:
             handle = open_locked(found)  # by its new name, so that it can be followed from there
             os.close(self._handle)
             self._handle, self.path = handle, found
-        return Mishap(f"{old} {what} while it was written", found)
+        return FileFault(f"{old} {what} while it was written", found)
 
     def copy(self) -> Path:
         """Copy the content of a file that has no name any more, and return the copy.

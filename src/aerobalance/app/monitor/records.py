@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from aerobalance.acquisition.recorder import Progress, Tell
+from aerobalance.acquisition.recorder import Progress, RecorderCommand
 from aerobalance.acquisition.session import Recorder
 from aerobalance.app.monitor.folder import Folder
 from aerobalance.app.monitor.live_source import LiveSource
@@ -91,7 +91,7 @@ class Records:
             self.recorder, self.progress = recorder, recorder.progress
             self._log.mark(f"record {path.name} begins", kind="start")
             for note in self.opening_notes:
-                recorder.tell(Tell("note", note, asked))
+                recorder.tell(RecorderCommand("note", note, asked))
         self._await(recorder)
 
     def _await(self, recorder: Recorder) -> None:
@@ -128,14 +128,14 @@ class Records:
             if shown:
                 self._log.mark(text)
             if self.recorder is not None and self.under_way:
-                self.recorder.tell(Tell("note", text, time.monotonic()))
+                self.recorder.tell(RecorderCommand("note", text, time.monotonic()))
 
     def call(self) -> None:
         """Begin the record now, whatever its trigger waits for."""
         with self._lock:
             if self.recorder is None or not self.under_way:
                 raise ValueError("no record is waiting for its trigger")
-            self.recorder.tell(Tell("call", "button"))
+            self.recorder.tell(RecorderCommand("call", "button"))
 
     def look(self) -> None:
         """Take note of how the record goes."""
