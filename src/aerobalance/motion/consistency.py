@@ -11,20 +11,34 @@ from aerobalance.motion.least_squares import GroundFit
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import warn_quality
 
-SURE: Final = 6.0
-"""Standard deviations from which a difference is no chance: once in 1e9 for white noise."""
 
-GAIN_DOUBTED: Final = 0.02
-"""Error of a gain that is worth a warning [1]."""
+@dataclass(frozen=True, slots=True)
+class ConsistencySettings:
+    """Thresholds of the comparison of sensors with each other.
 
-SPREAD_DOUBTED: Final = 1.5
-"""Variance of what sensors disagree by, over what their noise explains, that is worth a warning."""
+    Attributes
+    ----------
+    sure
+        Standard deviations from which a difference is no chance: once in 1e9 for white noise.
+    gain_doubted
+        Error of a gain that is worth a warning [1].
+    spread_doubted
+        Variance of what sensors disagree by, over what their noise explains, that is worth a warning.
+    alike
+        Correlation of what noise leaves of two sensors, from which it cannot be told which of them is wrong.
+    blocks
+        Parts of the record from whose means the spread of a mean is judged.
+    """
 
-ALIKE: Final = 0.98
-"""Correlation of what noise leaves of two sensors, from which it cannot be told which of them is wrong."""
+    sure: float = 6.0
+    gain_doubted: float = 0.02
+    spread_doubted: float = 1.5
+    alike: float = 0.98
+    blocks: int = 16
 
-BLOCKS: Final = 16
-"""Parts of the record from whose means the spread of a mean is judged."""
+
+SETTINGS: Final = ConsistencySettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +141,9 @@ class _Faults:
     def spread(self) -> tuple[Array, list[str]]:
         """Mean square of the residual about its mean."""
         power = np.var(self.left, axis=0)
-        limit = (SPREAD_DOUBTED + SURE * np.sqrt(2 / self.left.shape[0])) * self.floor + SURE**2 * self.allowed
+        limit = (
+            SETTINGS.spread_doubted + SETTINGS.sure * np.sqrt(2 / self.left.shape[0])
+        ) * self.floor + SETTINGS.sure**2 * self.allowed
         deviation = np.sqrt(power / self.floor)
         return np.where(power > limit, deviation, 0.0), [self._difference(index) for index in range(power.size)]
 
@@ -136,9 +152,9 @@ class _Faults:
         """Part of the residual that follows the motion; least squares make noise give none."""
         power = np.maximum(np.mean(self.expected**2, axis=0), 1e-300)
         slope = np.mean(self.left * self.expected, axis=0) / power
-        chance = SURE * np.sqrt((self.floor / self.left.shape[0] + self.allowed) / power)
+        chance = SETTINGS.sure * np.sqrt((self.floor / self.left.shape[0] + self.allowed) / power)
         gains = slope / self.redundancy
-        doubtful = (np.abs(slope) > chance) & (np.abs(gains) > GAIN_DOUBTED)
+        doubtful = (np.abs(slope) > chance) & (np.abs(gains) > SETTINGS.gain_doubted)
         return np.where(doubtful, np.abs(slope) * np.sqrt(power / self.floor), 0.0), [_in_percent(g) for g in gains]
 
     @property
@@ -146,9 +162,9 @@ class _Faults:
         """Mean of the residual."""
         samples = self.left.shape[0]
         mean = self.left.mean(axis=0)
-        blocks = np.array([part.mean(axis=0) for part in np.array_split(self.left, min(BLOCKS, samples))])
-        scatter = np.maximum(self.floor / samples, np.var(blocks, axis=0) / BLOCKS)
-        doubtful = np.abs(mean) > SURE * np.sqrt(scatter + self.allowed)
+        blocks = np.array([part.mean(axis=0) for part in np.array_split(self.left, min(SETTINGS.blocks, samples))])
+        scatter = np.maximum(self.floor / samples, np.var(blocks, axis=0) / SETTINGS.blocks)
+        doubtful = np.abs(mean) > SETTINGS.sure * np.sqrt(scatter + self.allowed)
         words = [f"{abs(b):.3g} {'more' if b > 0 else 'less'}" for b in mean / self.redundancy]
         scores = np.where(doubtful, np.abs(mean) / np.sqrt(self.floor), 0.0)
         return scores, [f"reads {by} than the others say, all along" for by in words]
@@ -168,7 +184,7 @@ class _Faults:
         """What is wrong, with whom, and what it does."""
         names = [sensor.channel.name for sensor in self.fit.sensors]
         likeness = np.abs(self.covariance[worst]) / np.sqrt(self.floor * self.floor[worst])
-        alike = [names[index] for index in np.flatnonzero(likeness > ALIKE) if index != worst]
+        alike = [names[index] for index in np.flatnonzero(likeness > SETTINGS.alike) if index != worst]
         if not alike:
             return (
                 f"{names[worst]} {words}; the motion of the ground and the force are wrong by a part of that: check "

@@ -26,24 +26,38 @@ from aerobalance.motion.sensors import GroundSensor, least_squares, observable_m
 from aerobalance.recording.channel import Array
 from aerobalance.recording.sensors import filtered
 
-STEEPNESS: Final = 16
-"""Power of the frequency with which the share of a band falls above its edge [1]."""
 
-STANDS_OUT: Final = 4.0
-"""Power over that of its noise from which a rate of turn shows rotation [1]: chance once in 1e8, of 16 degrees of
-freedom."""
+@dataclass(frozen=True, slots=True)
+class MotionFitSettings:
+    """Sizes and thresholds of the fit of the ground motion in bands.
 
-WHOLE: Final = 0.8
-"""Part of half the sampling rate from which on an edge is left out: the band then has no upper end [1]."""
+    Attributes
+    ----------
+    steepness
+        Power of the frequency with which the share of a band falls above its edge [1].
+    stands_out
+        Power over that of its noise from which a rate of turn shows rotation [1]: chance once in 1e8, of 16 degrees of
+        freedom.
+    whole
+        Part of half the sampling rate from which on an edge is left out: the band then has no upper end [1].
+    quarter
+        Period of the lowest edge over the time whose readings give the level at either end of the record [1].
+    slope
+        Slope of a rate of turn over its standard uncertainty from which it is taken as real [1]: chance once in 1e9.
+    dense
+        Frequencies from 0 to half the sampling rate over which the noise of a band is averaged.
+    """
 
-QUARTER: Final = 4.0
-"""Period of the lowest edge over the time whose readings give the level at either end of the record [1]."""
+    steepness: int = 16
+    stands_out: float = 4.0
+    whole: float = 0.8
+    quarter: float = 4.0
+    slope: float = 6.0
+    dense: int = 4097
 
-SLOPE: Final = 6.0
-"""Slope of a rate of turn over its standard uncertainty from which it is taken as real [1]: chance once in 1e9."""
 
-DENSE: Final = 4097
-"""Frequencies from 0 to half the sampling rate over which the noise of a band is averaged."""
+SETTINGS: Final = MotionFitSettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +106,7 @@ def _below(frequency: Array, edge: float) -> Array:
         return np.ones_like(frequency)
     if edge <= 0:
         return np.zeros_like(frequency)
-    return 1 / (1 + (frequency / edge) ** STEEPNESS)
+    return 1 / (1 + (frequency / edge) ** SETTINGS.steepness)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,7 +198,7 @@ class GroundFit:
         differentiated
             Whether each source is differentiated, as rates of turn are, shape (k,); None for none.
         """
-        frequency = np.linspace(0, self.rate / 2, DENSE)
+        frequency = np.linspace(0, self.rate / 2, SETTINGS.dense)
         if differentiated is None:
             differentiated = np.zeros(variance.size, dtype=bool)
         total = np.zeros((maps[0].shape[0],) * 2)
@@ -213,7 +227,7 @@ class GroundFit:
             return [(self.bands[0], readings)]
         moving = np.flatnonzero(readings.any(axis=0))
         lowest = min(band.high for band in self.bands)
-        level_over = min(round(self.rate / (QUARTER * lowest)), readings.shape[0] // 2)
+        level_over = min(round(self.rate / (SETTINGS.quarter * lowest)), readings.shape[0] // 2)
         # the filter needs a level at either end of the record: a differentiated rate is too noisy to have one, so that
         # it is integrated again, and differentiated together with the filtering
         integrated = self._is_rate & np.isfinite(self.reach)
@@ -244,7 +258,7 @@ def _bands(sensors: tuple[GroundSensor, ...], rows: Array, reach: Array, rate: f
     """Bands between the frequencies up to which rates of turn are used, each with its fit."""
     edges = [0.0, *sorted({float(edge) for edge in reach if 0 < edge < np.inf}), np.inf]
     differentiated = _is_rate(sensors)
-    frequency = np.linspace(0, rate / 2, DENSE)
+    frequency = np.linspace(0, rate / 2, SETTINGS.dense)
     bands = []
     for low, high in pairwise(edges):
         band = MotionBand(low, high, (), reach >= high, np.zeros((6, len(sensors))))
@@ -272,7 +286,7 @@ def _reach(sensors: tuple[GroundSensor, ...], rows: Array, rate: float) -> Array
         edge = without_rates[motion] / (2 * np.pi * noise[index])
         if motion not in columns:
             edge = _highest(sensors[index], rate)
-        reach[index] = edge if edge < WHOLE * rate / 2 else np.inf
+        reach[index] = edge if edge < SETTINGS.whole * rate / 2 else np.inf
     return reach
 
 
@@ -281,10 +295,10 @@ def _highest(sensor: GroundSensor, rate: float) -> float:
     values = sensor.values
     length = int(min(values.size, max(64, values.size // 8)))
     frequency, density = welch(values, rate, nperseg=length, detrend="linear")  # type: ignore[call-overload]
-    above = np.flatnonzero(density[1:] > STANDS_OUT * sensor.noise**2 / (rate / 2))
+    above = np.flatnonzero(density[1:] > SETTINGS.stands_out * sensor.noise**2 / (rate / 2))
     if above.size:
         return float(frequency[1:][above[-1]] * 1.2)
     # a rate that rises steadily does not show in a spectrum that is freed of slopes
     line = np.linspace(-1, 1, values.size)
     rise = abs(float(line @ values)) / float(np.sqrt(line @ line))
-    return float(frequency[1]) if rise > SLOPE * sensor.noise > 0 else 0.0
+    return float(frequency[1]) if rise > SETTINGS.slope * sensor.noise > 0 else 0.0

@@ -18,20 +18,34 @@ from aerobalance.motion.least_squares import GroundFit
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import DIRECTIONS, MOMENT_ROWS, MOMENTS
 
-ROUNDS: Final = 5
-"""Times that rate of turn and acceleration are worked out from each other; each adds an order of w^2 r."""
 
-SETTLED: Final = 0.03
-"""Part of w x (w x r) by which the last of these times may still change it."""
+@dataclass(frozen=True, slots=True)
+class TurningSettings:
+    """Thresholds of the rate of turn that is integrated.
 
-INTEGRATED: Final = 0.1
-"""Standard uncertainty of w x (w x r) where w is integrated, relative [1]: its line holds motion."""
+    Attributes
+    ----------
+    rounds
+        Times that rate of turn and acceleration are worked out from each other; each adds an order of w^2 r.
+    settled
+        Part of w x (w x r) by which the last of these times may still change it.
+    integrated
+        Standard uncertainty of w x (w x r) where w is integrated, relative [1]: its line holds motion.
+    walk
+        Rms of the integral of white noise less its line, over noise sqrt(n) / rate: 1 / sqrt(15).
+    mostly_noise
+        Share of the integral's rms from which such a walk makes it worthless.
+    """
 
-WALK: Final = 0.26
-"""Rms of the integral of white noise less its line, over noise sqrt(n) / rate: 1 / sqrt(15)."""
+    rounds: int = 5
+    settled: float = 0.03
+    integrated: float = 0.1
+    walk: float = 0.26
+    mostly_noise: float = 0.5
 
-MOSTLY_NOISE: Final = 0.5
-"""Share of the integral's rms from which such a walk makes it worthless."""
+
+SETTINGS: Final = TurningSettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,24 +93,26 @@ class Turning:
         felt, rate = np.zeros_like(readings), np.zeros((known.shape[0], 3))
         if not start[:, MOMENT_ROWS].any():
             return cls(start, rate, felt, True, 0.0, ())
-        walk = WALK * np.sqrt(np.diag(fit.covariance)[list(MOMENT_ROWS)] * known.shape[0]) / fit.rate
+        walk = SETTINGS.walk * np.sqrt(np.diag(fit.covariance)[list(MOMENT_ROWS)] * known.shape[0]) / fit.rate
         settled, noise = False, np.zeros(3)
-        for _ in range(ROUNDS):
+        for _ in range(SETTINGS.rounds):
             rate, noise = _rate(fit, motion, walk)
             before, felt = felt, centripetal(fit, rate)
             motion = fit.motion(readings - felt) + known
-            settled = bool((_rms(felt - before) <= SETTLED * _rms(felt)).all())
+            settled = bool((_rms(felt - before) <= SETTINGS.settled * _rms(felt)).all())
         if not settled:
             said = (
                 f"w x (w x r), up to {float(np.abs(felt).max()):.3g} m/s^2 in the accelerometers, is left in their "
                 "readings: their places tell turns too badly to work it out"
             )
             return cls(start, np.zeros_like(rate), felt, False, 1.0, (said,))
-        lost = ", ".join(name for name, part in zip(MOMENTS, noise, strict=True) if part > MOSTLY_NOISE)
+        lost = ", ".join(name for name, part in zip(MOMENTS, noise, strict=True) if part > SETTINGS.mostly_noise)
         told = (f"the rate of turn of {lost} is lost in the noise of its integral and taken as zero",) if lost else ()
-        share = float(np.max(np.where(noise > MOSTLY_NOISE, 0.0, noise)))
+        share = float(np.max(np.where(noise > SETTINGS.mostly_noise, 0.0, noise)))
         integrated = not set(np.flatnonzero(rate.any(axis=0))) <= _recorded(fit)
-        return cls(motion, rate, felt, True, float(np.hypot(INTEGRATED, 2 * share)) if integrated else 0.0, told)
+        return cls(
+            motion, rate, felt, True, float(np.hypot(SETTINGS.integrated, 2 * share)) if integrated else 0.0, told
+        )
 
 
 def _recorded(fit: GroundFit) -> set[int]:
@@ -114,7 +130,7 @@ def _rate(fit: GroundFit, motion: Array, walk: Array) -> tuple[Array, Array]:
         elif motion[:, turn].any():
             rate = _integrated(motion[:, turn], fit.rate)
             noise[place] = walk[place] / max(float(_rms(rate)), 1e-300)
-            found[:, place] = rate if noise[place] <= MOSTLY_NOISE else 0.0
+            found[:, place] = rate if noise[place] <= SETTINGS.mostly_noise else 0.0
     return found, noise
 
 

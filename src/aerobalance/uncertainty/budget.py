@@ -25,17 +25,32 @@ from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import argument
 
-SEGMENTS: Final = 8
-"""Segments of the record, counted without overlap, that a spectrum is averaged over."""
 
-LONGEST_SEGMENT: Final = 4096
-"""Samples of one such segment at most."""
+@dataclass(frozen=True, slots=True)
+class BudgetSettings:
+    """Sizes and thresholds of the spectrum in a budget.
 
-OVERLAP_LOSS: Final = 19 / 18
-"""Variance of an average over half-overlapping Hann segments over that of independent ones [Welch1967]_."""
+    Attributes
+    ----------
+    segments
+        Segments of the record, counted without overlap, that a spectrum is averaged over.
+    longest_segment
+        Samples of one such segment at most.
+    overlap_loss
+        Variance of an average over half-overlapping Hann segments over that of independent ones [Welch1967]_.
+    rounding
+        Uncertainty over that of a sample below which it is an error of rounding.
+    """
 
-ROUNDING: Final = 1e-12
-"""Uncertainty over that of a sample below which it is an error of rounding."""
+    segments: int = 8
+    longest_segment: int = 4096
+    overlap_loss: float = 19 / 18
+    rounding: float = 1e-12
+
+
+SETTINGS: Final = BudgetSettings()
+"""Thresholds that are used."""
+
 
 REMEDIES: Final[Mapping[str, str]] = {
     "noise of the readings": "a quieter load channel (more excitation, a better amplifier, shielding)",
@@ -157,7 +172,7 @@ def spectrum(estimate: ComponentForce, *, rate: float) -> ForceSpectrum:
     values = estimate.values
     length = segment_length(values.size)
     frequency, density = welch(values, rate, nperseg=length)
-    count = max(2 * (values.size // length) - 1, 1) / (1.0 if values.size < 2 * length else OVERLAP_LOSS)
+    count = max(2 * (values.size // length) - 1, 1) / (1.0 if values.size < 2 * length else SETTINGS.overlap_loss)
     noise, variance = np.zeros(frequency.size), np.zeros(frequency.size)
     for part in estimate.contributions:
         if isinstance(part, Noise):
@@ -173,7 +188,7 @@ def spectrum(estimate: ComponentForce, *, rate: float) -> ForceSpectrum:
 
 def segment_length(samples: int) -> int:
     """Return the number of samples of one segment of a spectrum."""
-    return min(max(samples // SEGMENTS, 32), LONGEST_SEGMENT, samples)
+    return min(max(samples // SETTINGS.segments, 32), SETTINGS.longest_segment, samples)
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +252,7 @@ def component_budget(estimate: ComponentForce) -> tuple[BudgetLine, ...]:
 
 def _not_rounding(u: float, square: float) -> float:
     """Return an uncertainty, or zero where it is an error of rounding."""
-    return u if u > ROUNDING * np.sqrt(square) else 0.0
+    return u if u > SETTINGS.rounding * np.sqrt(square) else 0.0
 
 
 def advice(estimate: ComponentForce, *, unit: str = "N", sources: Mapping[str, str] | None = None) -> str:

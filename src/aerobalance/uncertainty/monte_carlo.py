@@ -39,20 +39,35 @@ from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.uncertainty.budget import noise_power, scalars
 from aerobalance.uncertainty.sampling import drawn_coupled, drawn_dynamics, drawn_numbers
 
-COVERAGE: Final = (2.5, 97.5)
-"""Percentiles between which 95 % of the draws lie."""
 
-ALLOWED: Final = 0.1
-"""Difference between Monte Carlo and first order that is no reason for a warning, relative."""
+@dataclass(frozen=True, slots=True)
+class MonteCarloSettings:
+    """Thresholds of the comparison of Monte Carlo with first order.
 
-SURE: Final = 3.0
-"""Standard deviations of Monte Carlo's own scatter that such a difference must exceed beyond that."""
+    Attributes
+    ----------
+    coverage
+        Percentiles between which 95 % of the draws lie.
+    allowed
+        Difference between Monte Carlo and first order that is no reason for a warning, relative.
+    sure
+        Standard deviations of Monte Carlo's own scatter that such a difference must exceed beyond that.
+    fewest_draws
+        Draws without which a standard deviation says nothing.
+    slight
+        Rms of a contribution over that of all below which its difference is no reason for a warning.
+    """
 
-FEWEST_DRAWS: Final = 10
-"""Draws without which a standard deviation says nothing."""
+    coverage: tuple[float, float] = (2.5, 97.5)
+    allowed: float = 0.1
+    sure: float = 3.0
+    fewest_draws: int = 10
+    slight: float = 0.05
 
-SLIGHT: Final = 0.05
-"""Rms of a contribution over that of all below which its difference is no reason for a warning."""
+
+SETTINGS: Final = MonteCarloSettings()
+"""Thresholds that are used."""
+
 
 SIZES: Final = ("size and instant of steps", "which side of a step a sample is on")
 NOISES: Final = ("noise of the readings", "noise of the ground motion")
@@ -89,8 +104,8 @@ class Compared:
 
     @property
     def agrees(self) -> bool:
-        """Whether the two agree within `ALLOWED`, Monte Carlo's own scatter apart."""
-        return abs(self.ratio - 1) <= ALLOWED + SURE * self.scatter
+        """Whether the two agree within `SETTINGS.allowed`, Monte Carlo's own scatter apart."""
+        return abs(self.ratio - 1) <= SETTINGS.allowed + SETTINGS.sure * self.scatter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +148,7 @@ def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, M
     force
         The force, which holds what it was worked out from, and how.
     draws
-        Number of draws, at least `FEWEST_DRAWS`.
+        Number of draws, at least `SETTINGS.fewest_draws`.
     seed
         Seed of the draws; every component has draws of its own.
 
@@ -144,8 +159,8 @@ def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, M
     ValueError
         There are too few draws.
     """
-    if draws < FEWEST_DRAWS:
-        raise ValueError(f"draws must be at least {FEWEST_DRAWS}, not {draws}")
+    if draws < SETTINGS.fewest_draws:
+        raise ValueError(f"draws must be at least {SETTINGS.fewest_draws}, not {draws}")
     settings = force.settings
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)  # said when the force was worked out
@@ -289,7 +304,7 @@ def _summed_up(
         rows.append(Compared(name, float(np.sqrt(level)), float(np.sqrt(squares.get(name, 0.0))), scatter))
     rows = [row for row in rows if row.drawn > 0 or row.analytic > 0]
     numbers = _scalars(estimate, whole)
-    low, high = np.percentile(whole, COVERAGE, axis=0)
+    low, high = np.percentile(whole, SETTINGS.coverage, axis=0)
     return MonteCarlo(
         draws=draws,
         seed=seed,
@@ -319,7 +334,7 @@ def _scalars(estimate: ComponentForce, errors: Array) -> tuple[Compared, ...]:
     }
     rows = []
     for name, sample in drawn.items():
-        low, high = (float(end) for end in np.percentile(sample, COVERAGE))
+        low, high = (float(end) for end in np.percentile(sample, SETTINGS.coverage))
         analytic = first[name].u if name in first else float("nan")
         scatter = 1 / np.sqrt(2 * (sample.size - 1))
         rows.append(Compared(name, float(sample.std(ddof=1)), analytic, float(scatter), (low, high)))
@@ -330,11 +345,11 @@ def _doubts(rows: list[Compared], numbers: tuple[Compared, ...]) -> Iterator[str
     """Return what differs by more than it should."""
     whole = rows[-1].analytic
     for row in (*rows, *numbers):
-        slight = max(row.drawn, row.analytic) < SLIGHT * whole and row in rows
+        slight = max(row.drawn, row.analytic) < SETTINGS.slight * whole and row in rows
         if np.isfinite(row.analytic) and not row.agrees and not slight:
             what = f"the uncertainty of {row.name}" if row in numbers else f"{row.name}"
             yield (
                 f"{what}: Monte Carlo gives {row.drawn:.3g} where the first order gives {row.analytic:.3g} "
-                f"({row.ratio:.3g} times, of which {SURE:g} x {row.scatter:.2g} may be the number of draws); the "
-                "uncertainty is not linear there, so take the larger one"
+                f"({row.ratio:.3g} times, of which {SETTINGS.sure:g} x {row.scatter:.2g} may be the number of draws); "
+                "the uncertainty is not linear there, so take the larger one"
             )

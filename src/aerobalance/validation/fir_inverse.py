@@ -21,17 +21,31 @@ from aerobalance.recording.recording import Recording
 ORDER: Final = 30
 """Order of the filter: 31 coefficients, half of them before the sample that is corrected."""
 
-FITTED_SHARE: Final = 0.4
-"""Highest frequency of the fit over the sampling rate."""
 
-LINES: Final = 400
-"""Frequencies at which a response is fitted."""
+@dataclass(frozen=True, slots=True)
+class FirSettings:
+    """Sizes and thresholds of the inverse filter.
 
-RETURNED: Final = 0.1
-"""Lasting change over the largest departure, below which a record is that of an impulse and not of a step."""
+    Attributes
+    ----------
+    fitted_share
+        Highest frequency of the fit over the sampling rate.
+    lines
+        Frequencies at which a response is fitted.
+    returned
+        Lasting change over the largest departure, below which a record is that of an impulse and not of a step.
+    trusted
+        Response over its own noise, from which on a line of a measured response is used.
+    """
 
-TRUSTED: Final = 3.0
-"""Response over its own noise, from which on a line of a measured response is used."""
+    fitted_share: float = 0.4
+    lines: int = 400
+    returned: float = 0.1
+    trusted: float = 3.0
+
+
+SETTINGS: Final = FirSettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,8 +115,8 @@ def undo(values: Array, coefficients: Array, *, delay: int = ORDER // 2) -> Arra
 
 
 def fit_frequencies(rate: float) -> Array:
-    """Return the frequencies of the fit, shape (LINES,) [Hz]."""
-    return FITTED_SHARE * rate * np.arange(1, LINES + 1) / LINES
+    """Return the frequencies of the fit, shape (SETTINGS.lines,) [Hz]."""
+    return SETTINGS.fitted_share * rate * np.arange(1, SETTINGS.lines + 1) / SETTINGS.lines
 
 
 def response_of_record(
@@ -147,7 +161,7 @@ def response_of_record(
         spectrum = spectrum / np.sinc(frequency / recording.rate)
         floor = noise * 2 * np.sin(angle / 2)
     spectrum = _without_delay(spectrum, frequency, reach=natural_frequency / 5)
-    hidden = np.flatnonzero((np.abs(spectrum) < TRUSTED * floor) & (frequency > 1.5 * natural_frequency))
+    hidden = np.flatnonzero((np.abs(spectrum) < SETTINGS.trusted * floor) & (frequency > 1.5 * natural_frequency))
     last = int(hidden[0]) - 1 if hidden.size else frequency.size - 1
     tail = spectrum[last] * (frequency[last] / frequency[last:]) ** 2
     values = np.concatenate([[1.0], spectrum[:last], tail])  # at rest the balance is calibrated
@@ -171,7 +185,7 @@ def _impulse(name: str, load: Array) -> tuple[Array, float, str]:
             f"{name}: no step or impulse stands out (largest departure {largest:.3g}, noise {sigma:.3g}); "
             "the record must begin at rest, before the event"
         )
-    kind = "step" if abs(after - before) > RETURNED * largest else "impulse"
+    kind = "step" if abs(after - before) > SETTINGS.returned * largest else "impulse"
     first, last = _event(departure if kind == "impulse" else load - after, load - before, sigma)
     part = departure[first:last]
     if kind == "step":

@@ -16,20 +16,34 @@ from aerobalance.balance.terms import Term, codes
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 
-TARE_ROUNDS: Final = 300
-"""Most rounds in the search for the tares."""
 
-TARE_TOLERANCE: Final = 1e-12
-"""Last change of a tare, over capacity, at which the search ends."""
+@dataclass(frozen=True, slots=True)
+class TareSettings:
+    """Tolerances of the search for tares, and when temperature is fitted.
 
-ITERATION_TOLERANCE: Final = 1e-9
-"""The same in the iteration of AIAA R-091."""
+    Attributes
+    ----------
+    tare_rounds
+        Most rounds in the search for the tares.
+    tare_tolerance
+        Last change of a tare, over capacity, at which the search ends.
+    iteration_tolerance
+        The same in the iteration of AIAA R-091.
+    iteration_memory
+        Rounds of that iteration from which the next step is put together.
+    temperature_span
+        Span of temperature from which its effects are fitted [K].
+    """
 
-ITERATION_MEMORY: Final = 20
-"""Rounds of that iteration from which the next step is put together."""
+    tare_rounds: int = 300
+    tare_tolerance: float = 1e-12
+    iteration_tolerance: float = 1e-9
+    iteration_memory: int = 20
+    temperature_span: float = 2.0
 
-TEMPERATURE_SPAN: Final = 2.0
-"""Span of temperature from which its effects are fitted [K]."""
+
+SETTINGS: Final = TareSettings()
+"""Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +93,7 @@ class NormalisedPoints:
         if not len(schedule.natural_zeros):
             raw = raw - _series_zeros(schedule, rough[loads.shape[1] :])[schedule.series]
         warmth = None
-        if schedule.temperature is not None and np.ptp(schedule.temperature[used]) > TEMPERATURE_SPAN:
+        if schedule.temperature is not None and np.ptp(schedule.temperature[used]) > SETTINGS.temperature_span:
             warmth = schedule.temperature[used] - schedule.temperature[used].mean()
         return cls(
             schedule,
@@ -139,12 +153,12 @@ class NormalisedPoints:
                 [fit.intercepts[: self.intercepts.shape[1]] for fit in regressions]
             )
             return tares, regressions
-        for _ in range(TARE_ROUNDS):
+        for _ in range(SETTINGS.tare_rounds):
             C, left = self._coefficients(terms, choice, tares)
             # where only differences within a series are fitted, what is left of the outputs is a load of the fixture
             change = np.linalg.solve(_linear(terms, C), left.T).T
             tares[self.series_used] += change
-            if np.max(np.abs(change)) < TARE_TOLERANCE:
+            if np.max(np.abs(change)) < SETTINGS.tare_tolerance:
                 return tares, self._regress(terms, choice, tares)
         raise FitError(
             f"{self.schedule.name}: the tares do not settle (last change {100 * np.max(np.abs(change)):.2g} % of "
@@ -182,14 +196,17 @@ class NormalisedPoints:
             now = np.asarray(np.linalg.solve(_linear(terms, C), left.T).T, dtype=np.float64)
         places: list[Array] = []
         steps: list[Array] = []
-        for _ in range(TARE_ROUNDS):
+        for _ in range(SETTINGS.tare_rounds):
             tares[used] = now
             step = self._tare_step(terms, choice, outputs, tares)
             if not np.isfinite(step).all():
                 break
-            if np.max(np.abs(step)) < ITERATION_TOLERANCE:
+            if np.max(np.abs(step)) < SETTINGS.iteration_tolerance:
                 return tares
-            places, steps = [*places[-ITERATION_MEMORY:], now.ravel()], [*steps[-ITERATION_MEMORY:], step.ravel()]
+            places, steps = (
+                [*places[-SETTINGS.iteration_memory :], now.ravel()],
+                [*steps[-SETTINGS.iteration_memory :], step.ravel()],
+            )
             following = now.ravel() + step.ravel()
             if len(steps) > 1:
                 by_step, by_place = np.diff(steps, axis=0).T, np.diff(places, axis=0).T
