@@ -270,7 +270,7 @@ def force_record(
 
 
 def _noise_of(loads: Loads, model: IndependentDynamics | CoupledDynamics) -> Array | None:
-    """Covariance of the noise of the components of a model, shape (n, n); None where the loads lack one or its noise."""
+    """Covariance of the noise of a model's components, shape (n, n); None where the loads lack one or its noise."""
     if any(name not in loads.components for name in model.components):
         return None
     place = [loads.components.index(name) for name in model.components]
