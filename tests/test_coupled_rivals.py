@@ -1,4 +1,4 @@
-"""Other ways from load felt to force on coupled components, and the command compare."""
+"""Other ways from balance load to force on coupled components, and the command compare."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The force applied, from the load felt: bounds, limits, signs, and what is refused."""
+"""The force applied, from the balance load: bounds, limits, signs, and what is refused."""
 
 import warnings
 
@@ -50,7 +50,7 @@ def smooth_force(n: int) -> np.ndarray:
 
 
 def felt(dynamics: Dynamics, net: np.ndarray) -> np.ndarray:
-    """Load felt at the samples under a net force on the fine clock."""
+    """Balance load at the samples under a net force on the fine clock."""
     return dynamics.load_felt(net, interval=1 / (RATE * FINE))[::FINE]
 
 
@@ -131,7 +131,7 @@ def test_smoother_goes_to_the_truth_without_noise():
 
 def test_paper_goes_to_the_truth_without_noise():
     estimate, truth = quiet("paper")
-    # Three-point differences: AF'' is low by (w h)^2 / 12 and AF' by (w h)^2 / 6 for each sine; the load felt at each
+    # Three-point differences: AF'' is low by (w h)^2 / 12 and AF' by (w h)^2 / 6 for each sine; the load at each
     # frequency is |G| F, so the error is known in advance: |G| (w/w0)^2 (w h)^2 / 12 F and the damping's share.
     expected = 0.0
     for level, w in ((300, 2 * np.pi * 7), (200, 2 * np.pi * 66.4), (100, 600.0)):

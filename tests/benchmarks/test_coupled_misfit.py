@@ -36,7 +36,7 @@ def test_the_right_dynamics_are_not_doubted() -> None:
 
 
 def test_a_mode_beyond_the_six_is_named() -> None:
-    """A bending mode at 760 Hz rings in NF and PM with a tenth of the load felt."""
+    """A bending mode at 760 Hz rings in NF and PM with a tenth of the balance load."""
     recording, dynamics, generator, entropy = _record()
     mode = Mode(760.0, 0.01)
     first, second = (np.exp(pole / recording.rate) for pole in mode.poles)

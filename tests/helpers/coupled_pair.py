@@ -55,7 +55,7 @@ def recording_of(loads: Array, **more: Array) -> Recording:
 def shaken(
     generator: np.random.Generator, dynamics: CoupledDynamics, *, pitching: bool = True
 ) -> tuple[Array, Array, Array]:
-    """Force on NF and PM up to 250 Hz, while the balance pitches; the loads felt without noise, and the pitch."""
+    """Force on NF and PM up to 250 Hz, while the balance pitches; the balance loads without noise, and the pitch."""
     fine = 8
     force = 0.03 * SIZE * band(generator, 250, count=fine * COUNT, rate=fine * RATE, columns=2)
     pitch = pitching * (0.1 + 0.05 * np.sin(2 * np.pi * 3 * np.arange(fine * COUNT) / (fine * RATE)))

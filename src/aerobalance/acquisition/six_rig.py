@@ -52,7 +52,7 @@ def six_dynamics() -> CoupledDynamics:
 
 
 class SixMotion:
-    """Loads felt under a steady load that may change on a straight line, on a ground end that moves in sines.
+    """Balance loads under a steady load that may change on a straight line, on a ground end that moves in sines.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class SixMotion:
         self._phase = np.zeros(6)
 
     def move(self, time: Array, *, load: Array, change: Array, shaken: float, more: float) -> tuple[Array, Array]:
-        """Return loads felt and the ground's accelerations at `time`, both (n, 6), and move on to the last of it.
+        """Return balance loads and the ground's accelerations at `time`, both (n, 6), and move on to the last of it.
 
         Parameters
         ----------

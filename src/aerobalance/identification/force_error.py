@@ -36,9 +36,9 @@ def true_force_error(
 def force_weights(dynamics: CoupledDynamics, *, sizes: ArrayLike, band: tuple[float, float] | None = None) -> Array:
     """What turns errors of A and D into squares of errors of the force under a load white in a band.
 
-    The force is F = L (Z + D Z' + A Z''), where Z are the loads felt and the internal coordinates that go with them,
-    and L = [1, -P_12 P_22^-1] with the blocks of P = 1 + D s + A s^2. Without internal ones F = X + D X' + A X''.
-    No smoother stands between, which would damp the error where noise dominates.
+    The force is F = L (Z + D Z' + A Z''), where Z are the balance loads with the internal coordinates that go with
+    them, and L = [1, -P_12 P_22^-1] with the blocks of P = 1 + D s + A s^2. Without internal ones it is
+    F = X + D X' + A X''. No smoother stands between, which would damp the error where noise dominates.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ class CoupledResult:
     modes, u_natural_frequency, u_damping_ratio
         Modes, the slowest first, and their standard uncertainties, shape (modes,) [Hz] and [1].
     mode_shapes
-        Loads felt in every mode over half of range, rows, the largest of a row 1; shape (modes, n).
+        Balance loads in every mode over half of range, rows, the largest of a row 1; shape (modes, n).
     combinations
         Combination of loads, each over half of range, that sets off a mode and no other, rows; shape (modes, n).
     half_range, half_range_given
@@ -120,7 +120,7 @@ class CoupledResult:
 
     @property
     def static_contributions(self) -> Array:
-        """Modal contribution of every mode to the loads felt at rest, shape (modes,) [1]."""
+        """Modal contribution of every mode to the balance loads at rest, shape (modes,) [1]."""
         return static_contributions(self.dynamics.modal_form)
 
     @property

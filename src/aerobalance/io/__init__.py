@@ -369,7 +369,7 @@ def _result(file: Path, label: str, values: Array, u: Array, *, least: Array) ->
 
 
 def write_loads(path: Path | str, recording: Recording, felt: Loads) -> None:
-    """Write the loads felt beside the time column of their recording, and the channels that were no gauge outputs.
+    """Write the balance loads beside the time column of their recording, and the channels that were no gauge outputs.
 
     Each load is followed by its standard uncertainty: ``time [s],NF [N],u_NF [N]``; the recording's pitch,
     accelerations and other channels come after, so that the file can go on to `force`.

@@ -1,4 +1,4 @@
-"""What flows through the program: a recording of named channels, the loads felt, the force applied."""
+"""What flows through the program: a recording of named channels, the balance loads, the force applied."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class CoupledBalance:
     half_range
         Half range of every component, shape (6,) [N, N*m].
     stiffness
-        K, loads felt over displacement and turn of the live end at the balance's centre, shape (6, 6), symmetric.
+        K, balance loads over displacement and turn of the live end at the balance's centre, shape (6, 6), symmetric.
     damping
         C, shape (6, 6), symmetric.
     mass

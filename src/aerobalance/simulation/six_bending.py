@@ -81,7 +81,7 @@ class Bending:
 
 
 def bending_dynamics(balance: CoupledBalance, bending: Bending) -> CoupledDynamics:
-    """Dynamics of the loads felt, with an internal coordinate for each mode of bending.
+    """Dynamics of the balance loads, with an internal coordinate for each mode of bending.
 
     Hidden are such loads in springs that no load applied at rest makes, L q with L K^-1 B = 0; then
     [X; Y] + D [X; Y]' + A [X; Y]'' = [F; 0] with A = T K^-1 M T^-1 and D likewise, [X; Y] = T q.

@@ -1,6 +1,6 @@
 """Six coupled components: an elastic balance with a rigid model, on a sting that moves.
 
-K q = X are the loads felt and q the motion of the live end against the ground end, so that
+K q = X are the balance loads and q the motion of the live end against the ground end, so that
 
     M q'' + C q' + K q = F + W(pitch, roll) - M a - w x (...),
 
@@ -87,7 +87,7 @@ class SixSimulation:
     applied
         Loads applied to the live end at every sample, the weight left out, shape (n, 6) [N, N*m].
     load
-        Loads felt at every sample, without noise and delay, shape (n, 6) [N, N*m].
+        Balance loads at every sample, without noise and delay, shape (n, 6) [N, N*m].
     ground
         Accelerations of the ground end at every sample, shape (n, 6) [m/s^2, rad/s^2].
     rate
@@ -124,7 +124,7 @@ class SixComponentRig:
     pitch, roll
         Attitude over time [rad], or None for a level balance.
     output
-        What is recorded: gauge outputs in mV/V, or the loads felt.
+        What is recorded: gauge outputs in mV/V, or the balance loads.
     turning
         What is recorded of the base's turning: angular accelerations, or rates of turn.
     rate
@@ -211,7 +211,7 @@ class SixComponentRig:
         return net
 
     def _load(self, grid: Array) -> SixSignal:
-        """Loads felt at any times within the grid."""
+        """Balance loads at any times within the grid."""
         poles, shapes, weights = (self.dynamics or self.balance.dynamics).modal_form
         up = np.flatnonzero(poles.imag > 0)
         if 2 * up.size != poles.size:

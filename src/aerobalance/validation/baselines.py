@@ -1,4 +1,4 @@
-"""Other ways from the load felt to the force applied, each a small function with the same signature.
+"""Other ways from the balance load to the force applied, each a small function with the same signature.
 
 All of them are given what they need at its best: gaps are filled, channels aligned, and the known force of the
 ground's motion is taken off where Eq. (17) of [Gorbushin2020]_ does it. None is handicapped.
@@ -106,7 +106,7 @@ ZERO_PHASE: Final = "no delay; the record is continued by odd reflection at its 
 
 
 def raw_reading(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
-    """Take the load felt for the force, less the weight where the pitch is known."""
+    """Take the balance load for the force, less the weight where the pitch is known."""
     load = recording.channel(dynamics.component).values
     weight = _weight(recording, dynamics, settings)
     words = "as read" if weight is None else "as read, less the weight"
@@ -292,7 +292,7 @@ def estimates(
     Parameters
     ----------
     recording
-        Load felt, and what else is recorded.
+        Balance load, and what else is recorded.
     dynamics
         The balance.
     settings
@@ -385,7 +385,7 @@ def _one_mode(dynamics: ModalModel, why: str) -> str:
 
 
 def _load(recording: Recording, dynamics: ModalModel) -> Array:
-    """Load felt, without gaps."""
+    """Balance load, without gaps."""
     return interpolate_gaps_linearly(recording.channel(dynamics.component).values)
 
 
@@ -407,7 +407,7 @@ def _known_force(recording: Recording, dynamics: Dynamics, gravity: float) -> Ar
 
 
 def _reading(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> Array:
-    """Load felt less the known force: what a filter makes of it is the slow part of the force applied."""
+    """Balance load less the known force: what a filter makes of it is the slow part of the force applied."""
     return _load(recording, dynamics) - _known(recording, dynamics, settings)
 
 

@@ -1,4 +1,4 @@
-"""The other ways from load felt to force, on coupled components.
+"""The other ways from balance load to force, on coupled components.
 
 What knows one component is given the best of one component: its own reading, with what gravity and the ground's motion
 put on the balance taken off by the coupled dynamics, and its own response to its own load with all modes in it. The
@@ -119,7 +119,7 @@ class _Component:
         }
 
     def raw(self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
-        """Take the load felt for the force, less the weight where the attitude and the mass are known."""
+        """Take the balance load for the force, less the weight where the attitude and the mass are known."""
         load, whole, mass = self.filled[:, self.place], self.record.recording, self.record.dynamics.mass
         if mass is None or "pitch" not in whole:
             return BaselineEstimate("raw reading", load, "as read", "no delay")
@@ -215,7 +215,7 @@ def estimates_of_coupled(
     Parameters
     ----------
     recording
-        Loads felt of all components, and what else is recorded.
+        Balance loads of all components, and what else is recorded.
     dynamics
         The coupled components.
     components

@@ -86,8 +86,8 @@ class Misfit:
     u_frequency, u_share
         Standard uncertainties of its frequency [Hz] and its share [1].
     size
-        Root mean square, or for a release the amplitude, of its ringing in the load felt [N]; None where that would be
-        more than the load itself has.
+        Root mean square, or for a release the amplitude, of its ringing in the balance load [N]; None where that would
+        be more than the load itself has.
     frequency, damping
         Relative change of natural frequency and damping ratio of the first mode with its standard uncertainty [1];
         None where the record does not tell or nothing has changed.
@@ -226,7 +226,7 @@ def _without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
 
 
 def _possible(found: Misfit, *, most: float) -> Misfit:
-    """The same without a size of the ringing that is more than the load felt has."""
+    """The same without a size of the ringing that is more than the balance load has."""
     return found if found.size is None or found.size <= most else replace(found, size=None)
 
 

@@ -244,7 +244,7 @@ def _further_text(found: CoupledIdentification) -> str:
     names = found.dynamics.components
     lines = [
         f"\n{found.modes[place].natural_frequency:.4g} Hz: mode of the model or sting, "
-        f"{100 * found.static_contributions[place]:.2g} % of the loads felt at rest, most in "
+        f"{100 * found.static_contributions[place]:.2g} % of the balance loads at rest, most in "
         + ", ".join(names[number] for number in np.argsort(-np.abs(found.mode_shapes[place]))[:2])
         for place in found.further
     ]

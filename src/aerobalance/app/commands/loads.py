@@ -91,7 +91,7 @@ def summary(result: Result) -> str:
         u = found["u_calibration_rms"]
         means = (rounded(found[key], u)[0] for key in ("mean", "least", "largest", "rms_about_mean"))
         rows.append((f"{name} [{found['unit']}]", *means, rounded(u, u)[1], short(found["noise_of_reading"], 2)))
-    title = f"{result['file']}: loads felt; u is the standard uncertainty by the calibration"
+    title = f"{result['file']}: balance loads; u is the standard uncertainty by the calibration"
     lines = [table_text(title, ("", "mean", "least", "largest", "rms about mean", "u", "noise"), rows)]
     lines.append(f"zero: {result['zero']['from']}")
     if result["missing"]:

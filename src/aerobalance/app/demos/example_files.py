@@ -87,7 +87,7 @@ class _Laboratory:
             beside.write_text(text, encoding="utf-8")
 
     def bridges(self, name: str, time: Array, axial: Array, pitch: Array) -> None:
-        """Write what the recorder makes of a load felt along AF and of the weight along NF."""
+        """Write what the recorder makes of a balance load along AF and of the weight along NF."""
         loads = np.zeros((time.size, len(COMPONENTS)))
         loads[:, COMPONENTS.index("AF")] = axial
         loads[:, COMPONENTS.index("NF")] = WEIGHT * gravity_share("NF", pitch=pitch, roll=np.zeros(time.size))
@@ -160,7 +160,7 @@ def _weighed(laboratory: _Laboratory) -> None:
 
 
 def _cut(laboratory: _Laboratory) -> None:
-    """A cable cut, as bridges and as loads felt."""
+    """A cable cut, as bridges and as balance loads."""
     found = CableCut(sensors={"AF": Sensor(noise=0.2)}).run(3.0, laboratory.generator)
     time = found.recording.time
     laboratory.bridges("cut.txt", time, found.load, np.zeros(time.size))
@@ -173,7 +173,7 @@ def _cut(laboratory: _Laboratory) -> None:
 
 
 def _run(laboratory: _Laboratory) -> None:
-    """A run at an angle: gusts through the resonance and a step, as bridges and as loads felt, and the truth."""
+    """A run at an angle: gusts through the resonance and a step, as bridges and as balance loads, and the truth."""
     gusts = band_noise(laboratory.generator, low=1.0, high=150.0, rms=40.0, period=20.0)
     angle = np.deg2rad(4.0)
     rig = CableCut(

@@ -47,7 +47,7 @@ BEARABLE: Final = 0.7
 """Largest load that a release may ring with in any component, over half range: the weight comes on top."""
 
 FELT: Final = 0.15
-"""Rms of the load felt under the gusts of the run, over half range, in the component that feels most of them."""
+"""Rms of the balance load under the gusts of the run, over half range, in the component that feels most of them."""
 
 RELEASE: Final = 1.0
 """Length of the record of a release [s]."""
@@ -203,7 +203,7 @@ def _run(folder: DemoFolder, balance: CoupledBalance) -> tuple[Path, SixSimulati
 
 
 def largest_felt(balance: CoupledBalance, band: Band) -> float:
-    """Largest rms of a load felt over half range, when all loads applied have the rms of half range."""
+    """Largest rms of a balance load over half range, when all loads applied have the rms of half range."""
     frequency = np.linspace(0, band.highest, 4001)
     response = balance.dynamics.response(frequency) * balance.half_range / balance.half_range[:, None]
     power = np.sum(np.abs(response) ** 2, axis=2) * band.density(frequency)[:, None]

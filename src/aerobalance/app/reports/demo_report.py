@@ -67,7 +67,7 @@ class StepFigure:
     time
         Time from the release [s], shape (n,).
     load, truth
-        Load felt and force applied [N], shape (n,).
+        Balance load and force applied [N], shape (n,).
     differences
         Force by central differences [N], shape (n,).
     smoother, uncertainty
@@ -135,7 +135,7 @@ def resonance_figure(data: ResonanceFigure) -> str:
 
 
 def ringing_figure(data: StepFigure) -> str:
-    """Figure 5 of [Gorbushin2020]_ remade: the load felt after the cut, as inline SVG."""
+    """Figure 5 of [Gorbushin2020]_ remade: the balance load after the cut, as inline SVG."""
     colours = PLACE_HOLDERS
     figure, (whole, part) = empty_figure(colours, (7.6, 5.2), rows=2)
     begin = data.time >= -0.3

@@ -96,7 +96,7 @@ def force_figure(estimate: ComponentForce, load: Array, *, time: Array, window: 
     band = COVERAGE_FACTOR * estimate.uncertainty
     for number, (ax, part) in enumerate(zip(axes, (slice(None), window), strict=True)):
         for values, colour, width, label in (
-            (load, colours.first, 0.8, "load felt"),
+            (load, colours.first, 0.8, "balance load"),
             (estimate.values, colours.second, 1.4, "force applied"),
         ):
             ax.plot(*envelope(time[part], values[part]), color=colour, linewidth=width, label=label)
@@ -111,7 +111,7 @@ def force_figure(estimate: ComponentForce, load: Array, *, time: Array, window: 
     legend(axes[1], colours, "best", columns=3)
     figure.align_ylabels()
     name = estimate.component
-    return inline(figure, f"force-{name}", f"Load felt and force applied of {name}, whole and closer")
+    return inline(figure, f"force-{name}", f"Balance load and force applied of {name}, whole and closer")
 
 
 def envelope(time: Array, values: Array) -> tuple[Array, Array]:
@@ -136,7 +136,7 @@ def spectrum_figure(estimate: ComponentForce, load: Array, *, rate: float) -> st
     highest = max(float(shown.max(initial=0.0)), float(density[inner].max(initial=0.0)), 1e-30)
     least = 1e-9 * highest
     ax.loglog(
-        frequency[inner], np.maximum(density[inner], least), color=colours.first, linewidth=0.9, label="load felt"
+        frequency[inner], np.maximum(density[inner], least), color=colours.first, linewidth=0.9, label="balance load"
     )
     for u, colour, label in (
         (found.scatter, colours.third, "95 % band as an estimate of a stationary spectrum"),
@@ -161,7 +161,7 @@ def spectrum_figure(estimate: ComponentForce, load: Array, *, rate: float) -> st
     ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     legend(ax, colours, "lower left")
     name = estimate.component
-    return inline(figure, f"spectrum-{name}", f"Spectra of load felt and force applied of {name}")
+    return inline(figure, f"spectrum-{name}", f"Spectra of balance load and force applied of {name}")
 
 
 def budget_figure(estimate: ComponentForce) -> str:

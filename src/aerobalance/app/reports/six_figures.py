@@ -19,7 +19,7 @@ class SixFigure:
     time
         Shape (n,) [s].
     felt, found, truth
-        Loads felt, forces worked out and forces applied by component, shape (n,) each [N, N*m].
+        Balance loads, forces worked out and forces applied by component, shape (n,) each [N, N*m].
     """
 
     time: Array
@@ -36,7 +36,7 @@ def six_figure(data: SixFigure, label: str) -> str:
     thin = max(data.time.size // 4000, 1)
     for ax, name in zip(axes, names, strict=True):
         for values, colour, width, what, dashes in (
-            (data.felt[name], colours.first, 0.7, "load felt (raw)", "-"),
+            (data.felt[name], colours.first, 0.7, "balance load (raw)", "-"),
             (data.found[name], colours.second, 1.4, "force recovered", "-"),
             (data.truth[name], colours.ink, 0.8, "force applied (truth)", (0, (4, 3))),
         ):
@@ -44,5 +44,5 @@ def six_figure(data: SixFigure, label: str) -> str:
         ax.set(ylabel=f"{name} [{si_unit(name).replace('*', '·')}]", xlim=(data.time[0], data.time[-1]))
     axes[-1].set(xlabel="time [s]")
     legend(axes[0], colours, (0.28, 1.02), columns=3)
-    text = f"Six components, {label}: load felt, force recovered, force applied"
+    text = f"Six components, {label}: balance load, force recovered, force applied"
     return inline(figure, f"six-{label.replace(' ', '-')}", text)

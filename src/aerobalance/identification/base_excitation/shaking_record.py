@@ -45,7 +45,7 @@ class ShakeRecord:
     frequency
         Shape (m,) [Hz].
     loads, rates, seconds
-        Transforms of the loads felt, and of their first and second derivatives, shape (m, 6).
+        Transforms of the balance loads, and of their first and second derivatives, shape (m, 6).
     motion
         Transform of the ground's specific force, shape (m, 6) [m/s^2, rad/s^2].
     taken
@@ -113,7 +113,7 @@ def shake_record(recording: Recording, *, delay: float = 0.0, band: tuple[float,
     Parameters
     ----------
     recording
-        Loads felt, and the ground's motion in any sensors that `PlatformMotion` knows.
+        Balance loads, and the ground's motion in any sensors that `PlatformMotion` knows.
     delay
         Time by which the loads lag the ground's motion, beyond the delays that the channels carry [s].
     band

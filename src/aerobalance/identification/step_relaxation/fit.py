@@ -116,7 +116,7 @@ class ReleaseFit:
 
 
 def motion_of(matrices: Array, n: int) -> FreeMotion:
-    """Free motion of A^-1 and A^-1 D given row by row, of n loads felt and internal coordinates behind them."""
+    """Free motion of A^-1 and A^-1 D given row by row, of n balance loads and internal coordinates behind them."""
     size = coordinates_of(matrices)
     return FreeMotion.of(*matrices.reshape(2, size, size), components=n)
 

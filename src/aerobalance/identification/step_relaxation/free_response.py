@@ -55,7 +55,7 @@ class FreeMotion:
     poles
         Poles p, shape (2 N,).
     shapes
-        Coordinates in every mode, columns, the loads felt first, shape (N, 2 N).
+        Coordinates in every mode, columns, the balance loads first, shape (N, 2 N).
     participation
         Modal participation: turns coordinates and rates at an instant into the size of every mode, shape (2 N, 2 N).
     components
@@ -82,7 +82,7 @@ class FreeMotion:
 
     @property
     def felt(self) -> Complex:
-        """Loads felt in every mode, columns, shape (n, 2 N)."""
+        """Balance loads in every mode, columns, shape (n, 2 N)."""
         return self.shapes[: self.components]
 
     def columns(self, time: Array) -> Array:

@@ -1,6 +1,6 @@
 """Coordinates that no channel shows, of a model or sting that bends, and what of the matrices no release can tell.
 
-Z = [X; Y] are the n loads felt and e internal coordinates. Y may be any e functionals of the state [Z; Z'] that are
+Z = [X; Y] are the n balance loads and e internal coordinates. Y may be any e functionals of the state [Z; Z'] that are
 zero and at rest whenever the state is that of a load held, so that a release begins with [X; 0] at rest: there are 2 e
 such functionals that are independent, and e of them to choose. So 2 e^2 directions of the matrices change no load
 felt, and nothing that follows from them; with fewer than n releases from rest there are more, of which nothing is
@@ -112,7 +112,7 @@ def renewed(matrices: Array, n: int, *, let_go: Array) -> tuple[Array, Array]:
 
 
 def static_contributions(form: ModalForm) -> Array:
-    """Modal contribution of every mode to the loads felt at rest, the slowest first, shape (N,).
+    """Modal contribution of every mode to the balance loads at rest, the slowest first, shape (N,).
 
     With poles p, shapes v and weights w these are the traces of -2 Re(v w' / p), which add up to the number of
     components: about 1 for a mode of a rigid model, little for one that shows little in the loads.
