@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from aerobalance.balance.weighing import LoadPoints, MovingMass, points_from_recordings, weigh
+from aerobalance.balance.weighing import LoadPoints, MovingMass, fit_weight, points_from_recordings
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError
@@ -26,7 +26,7 @@ def points(pitch, load, roll=None, component="AF", noise=None):
 
 def alone(pitch, load, **more):
     """The mass of one component, weighed by itself."""
-    (mass,) = weigh(points(pitch, load, **more)).masses.values()
+    (mass,) = fit_weight(points(pitch, load, **more)).masses.values()
     return mass
 
 
@@ -38,7 +38,7 @@ def grid():
 def test_pitch_sweep_gives_mass_and_offset():
     error = np.array([1, -1, 0, 0, 0, -1, 1]) * 1e-3
     load = 0.68 * G * np.sin(SWEEP) + 3 + error
-    found = weigh(points(SWEEP, load))
+    found = fit_weight(points(SWEEP, load))
     design = np.column_stack([G * np.sin(SWEEP), np.ones(7)])
     solution, square, *_ = np.linalg.lstsq(design, load, rcond=None)
     covariance = np.linalg.inv(design.T @ design) * square[0] / 5
@@ -58,7 +58,7 @@ def test_pitch_sweep_gives_mass_and_offset():
 def test_a_turned_balance_is_covered_where_the_sweep_goes_one_way():
     sweep, scores = np.radians([0, 5, 10, 15, 20.0]), []
     for tilt in np.radians([-0.2, 0.2]):
-        found = weigh(points(sweep, 100 * G * np.sin(sweep - tilt), noise=0.05))
+        found = fit_weight(points(sweep, 100 * G * np.sin(sweep - tilt), noise=0.05))
         assert "misalignment.pitch" in found.left_out
         scores.append((found.mass - 100) / found.u_mass)
     # A fifth of the natural scale of a tilt is a fifth of a standard deviation; noise is a fortieth of it, and the
@@ -123,7 +123,7 @@ def test_readings_of_different_noise_count_by_their_weight():
     noise = np.array([0.02, 0.02, 0.02, 0.5, 0.5, 0.5, 0.5])
     design = np.column_stack([G * np.sin(SWEEP), np.ones(7)]) / noise[:, None]
     expected = np.sqrt(np.linalg.inv(design.T @ design)[0, 0])
-    found = weigh(points(SWEEP, G * np.sin(SWEEP), noise=noise))
+    found = fit_weight(points(SWEEP, G * np.sin(SWEEP), noise=noise))
     u = found.covariance[0, 0] - (found.absorbed[0] @ np.array(list(found.left_out.values()))) ** 2
     assert np.sqrt(u) == pytest.approx(expected, rel=1e-9)
 
@@ -190,7 +190,7 @@ def test_one_recording_is_split_at_its_plateaus(pitch_noise, rng):
     # Means of 1900 samples or more of the pitch noise, eight standard deviations.
     np.testing.assert_allclose(given.pitch, angles, atol=8 * pitch_noise / np.sqrt(1900) + 1e-12)
     assert given.roll is None
-    assert weigh(given).mass == pytest.approx(100 / G, rel=0.01)
+    assert fit_weight(given).mass == pytest.approx(100 / G, rel=0.01)
 
 
 def test_one_point_a_recording_with_roll():

@@ -10,8 +10,8 @@ from aerobalance.balance.weighing import (
     LoadPoints,
     Weighing,
     WeightModel,
+    fit_weight,
     points_from_recordings,
-    weigh,
 )
 from aerobalance.balance.weighing.advice import PROPOSALS
 from aerobalance.recording.channel import Channel
@@ -81,7 +81,7 @@ def weigh_quietly(given):
     """Weigh; a disagreement by chance, once in a thousand times, is no failure of a test that looks at many draws."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
-        return weigh(given)
+        return fit_weight(given)
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_misalignment_is_a_rotation():
 
 def test_exact_without_noise():
     pitch, roll = grid(4)
-    found = weigh(points(pitch, roll, read(pitch, roll, angles=ANGLES)))
+    found = fit_weight(points(pitch, roll, read(pitch, roll, angles=ANGLES)))
     # Rounding of loads of 50 N is 1e-14; angles and levers are conditioned to within a factor of a hundred.
     assert found.mass == pytest.approx(MASS, rel=1e-11)
     assert found.centre_of_gravity == pytest.approx(CENTRE, rel=1e-10)
@@ -211,7 +211,7 @@ def test_live_ends_that_differ_are_found_and_kept_apart(rng):
     masses = {"AF": 5.1, "SF": 5.0, "NF": 4.9}
     clean = read(pitch, roll, masses=masses)
     with pytest.warns(DataQualityWarning, match=r"forces find different masses: NF 4\.[89].*SF (5|4\.9).*AF 5\.[01]"):
-        found = weigh(points(pitch, roll, noisy(rng, clean)))
+        found = fit_weight(points(pitch, roll, noisy(rng, clean)))
     assert not found.mass_agreement.agree
     for name, mass in masses.items():
         assert abs(found.masses[name].mass - mass) < 6 * found.masses[name].u
@@ -229,7 +229,7 @@ def test_centres_that_differ_are_found_and_kept_apart(rng):
     centres = {"RM": {**CENTRE, "up": 0.03}}
     clean = read(pitch, roll, centres=centres)
     with pytest.warns(DataQualityWarning, match="moments find different centres of gravity"):
-        found = weigh(points(pitch, roll, noisy(rng, clean)))
+        found = fit_weight(points(pitch, roll, noisy(rng, clean)))
     assert not found.centre_agreement.agree
     assert found.model.own_centres
     values = dict(zip(found.parameters, found.values, strict=True))
@@ -246,7 +246,7 @@ def test_a_wrong_sign_of_a_moment_is_doubted():
     loads = noisy(rng, read(pitch, roll))
     loads[:, COMPONENTS.index("YM")] *= -1
     with pytest.warns(DataQualityWarning, match=r"moments find different.*a sign that is off"):
-        weigh(points(pitch, roll, loads))
+        fit_weight(points(pitch, roll, loads))
 
 
 def test_a_pitch_sweep_names_what_it_cannot_tell(rng):
@@ -312,7 +312,7 @@ def test_what_one_component_cannot_tell_is_taken_from_the_others():
     sweep = np.radians(np.arange(-40.0, 41, 5))
     loads = noisy(rng, read(sweep, 0 * sweep, masses={"NF": 5.5}))
     with pytest.warns(DataQualityWarning, match="different masses"):
-        found = weigh(points(sweep, None, loads))
+        found = fit_weight(points(sweep, None, loads))
     assert "mass.SF" in found.left_out
     assert found.assumed["mass.SF"] == pytest.approx(found.mass, rel=1e-12)
     side = found.loads(pitch=0.0, roll=np.pi / 2, offsets=False)[0, COMPONENTS.index("SF")]
@@ -424,7 +424,7 @@ def test_given_noise_counts_where_it_is_larger():
     pitch, roll = grid(4)
     loads = read(pitch, roll)
     noise = np.tile(list(NOISE.values()), (pitch.size, 1))
-    found = weigh(points(pitch, roll, loads, noise=noise))
+    found = fit_weight(points(pitch, roll, loads, noise=noise))
     model = WeightModel(COMPONENTS)
     truth = np.array([MASS, *(MASS * CENTRE[name.split(".")[1]] for name in model.names[1:4]), *[0.0] * 9])
     rows = (model.jacobian(weight_direction(pitch, roll), truth) / noise[:, :, None]).reshape(-1, truth.size)
@@ -446,7 +446,7 @@ def test_given_noise_counts_where_it_is_larger():
 def test_points_that_cannot_carry_the_mass(pitch, roll, said):
     pitch, roll = np.array(pitch), np.array(roll)
     with pytest.raises(FitError, match=said):
-        weigh(points(pitch, roll, np.nan_to_num(read(pitch, roll))))
+        fit_weight(points(pitch, roll, np.nan_to_num(read(pitch, roll))))
 
 
 def test_too_much_noise_for_the_mass():
@@ -454,7 +454,7 @@ def test_too_much_noise_for_the_mass():
     # Noise of 1 N against M g sin(1 deg) = 0.86 N at four points: u(M) = 1 / (2 g sin(1 deg)) = 2.9 kg of 5 kg.
     given = points(pitch, None, read(pitch, 0 * pitch), ["AF", "PM"], noise=np.ones((6, 2)))
     with pytest.raises(FitError, match=r"cannot tell the mass of AF from the offset; add readings at"):
-        weigh(given)
+        fit_weight(given)
 
 
 def test_wrong_signs_of_forces():
@@ -464,15 +464,15 @@ def test_wrong_signs_of_forces():
         wrong = loads.copy()
         wrong[:, COMPONENTS.index(name)] *= -1
         with pytest.raises(FitError, match=f"from {name}, which no mass is; check the signs of {name}"):
-            weigh(points(pitch, roll, wrong))
+            fit_weight(points(pitch, roll, wrong))
     loads[3, 2] = np.nan
     with pytest.raises(FitError, match="SF of point 4 is missing"):
-        weigh(points(pitch, roll, loads))
+        fit_weight(points(pitch, roll, loads))
 
 
 def test_wrong_calls():
     with pytest.raises(ValueError, match="no force among PM, RM"):
-        weigh(LoadPoints(("PM", "RM"), SWEEP, np.zeros((11, 2))))
+        fit_weight(LoadPoints(("PM", "RM"), SWEEP, np.zeros((11, 2))))
     with pytest.raises(ValueError, match=r"loads must have shape \(11, 1\)"):
         LoadPoints(("AF",), SWEEP, np.zeros((11, 2)))
     with pytest.raises(ValueError, match="components must be some of"):
@@ -482,8 +482,8 @@ def test_wrong_calls():
     with pytest.raises(ValueError, match="roll must have shape"):
         LoadPoints(("AF",), SWEEP, np.zeros((11, 1)), roll=np.zeros(3))
     with pytest.raises(ValueError, match="gravity must be positive"):
-        weigh(LoadPoints(("AF",), SWEEP, np.zeros((11, 1))), gravity=0)
-    found = weigh(points(*grid(4), read(*grid(4))))
+        fit_weight(LoadPoints(("AF",), SWEEP, np.zeros((11, 1))), gravity=0)
+    found = fit_weight(points(*grid(4), read(*grid(4))))
     fields = {name: getattr(found, name) for name in Weighing.__dataclass_fields__}
     with pytest.raises(ValueError, match="mass must be positive"):
         Weighing(**{**fields, "mass": -1.0})

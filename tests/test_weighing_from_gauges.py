@@ -8,7 +8,7 @@ from scipy import stats
 
 from aerobalance.balance.calibration.fit import calibrate
 from aerobalance.balance.loads import loads_of_outputs
-from aerobalance.balance.weighing import WeightModel, points_from_recordings, weigh, with_matrix_errors
+from aerobalance.balance.weighing import WeightModel, fit_weight, points_from_recordings, with_matrix_errors
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS
@@ -48,7 +48,7 @@ def scores(rng, balances, *, model, components, rolls, known_noise=False):
         points = with_matrix_errors(points_from_recordings([one.recording for one in felt], components), felt)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DataQualityWarning)
-            weighing = weigh(points)
+            weighing = fit_weight(points)
         found.append((weighing.mass - mass.mass) / weighing.u_mass)
     return np.array(found)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aerobalance.app.commands.weighing import weigh as weigh_files
-from aerobalance.balance.weighing import LoadPoints, Weighing, WeightModel, weigh
+from aerobalance.balance.weighing import LoadPoints, Weighing, WeightModel, fit_weight
 from aerobalance.io.mass_file import read_masses, read_weighing, write_weighing
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
@@ -53,7 +53,7 @@ def same(found, given):
 
 @pytest.mark.parametrize("rolls", [(0, 90, 180, 270), (0,)])
 def test_round_trip(tmp_path, rolls):
-    given = weigh(readings(rolls))
+    given = fit_weight(readings(rolls))
     assert bool(given.left_out) == (rolls == (0,))
     write_weighing(tmp_path / "mass.json", given, warnings=["w"])
     same(read_weighing(tmp_path / "mass.json"), given)
@@ -64,13 +64,13 @@ def test_round_trip(tmp_path, rolls):
 
 def test_round_trip_where_components_differ(tmp_path):
     with pytest.warns(DataQualityWarning, match="different masses"):
-        given = weigh(readings(AF=5.5))
+        given = fit_weight(readings(AF=5.5))
     write_weighing(tmp_path / "mass.json", given)
     same(read_weighing(tmp_path / "mass.json"), given)
 
 
 def test_structure_of_the_file(tmp_path):
-    given = weigh(readings())
+    given = fit_weight(readings())
     write_weighing(tmp_path / "mass.json", given)
     contents = json.loads((tmp_path / "mass.json").read_text())
     assert (contents["kind"], contents["schema"]) == ("mass", 1)
@@ -107,7 +107,7 @@ def test_structure_of_the_file(tmp_path):
 )
 def test_broken_files_are_refused_with_the_key(tmp_path, keys, value, said):
     path = tmp_path / "mass.json"
-    write_weighing(path, weigh(readings()))
+    write_weighing(path, fit_weight(readings()))
     contents = json.loads(path.read_text())
     place = contents
     for key in keys[:-1]:
@@ -120,7 +120,7 @@ def test_broken_files_are_refused_with_the_key(tmp_path, keys, value, said):
 
 def test_a_parameter_too_few_is_refused(tmp_path):
     path = tmp_path / "mass.json"
-    write_weighing(path, weigh(readings((0,))))
+    write_weighing(path, fit_weight(readings((0,))))
     contents = json.loads(path.read_text())
     contents["model"]["left_out"] = {}
     contents["model"]["absorbed"] = [[] for _ in contents["model"]["parameters"]]
@@ -132,7 +132,7 @@ def test_a_parameter_too_few_is_refused(tmp_path):
 def test_a_weighing_by_one_force_corrects_later_runs_along_it(tmp_path):
     points = readings((0,))
     alone = LoadPoints(("AF",), points.pitch, points.loads[:, 5:])
-    given = weigh(alone)
+    given = fit_weight(alone)
     write_weighing(tmp_path / "mass.json", given)
     same(read_weighing(tmp_path / "mass.json"), given)
     # less the weight, the readings that were weighed are their offset and noise
@@ -232,12 +232,12 @@ def test_the_command_takes_all_loads_or_one(tmp_path):
     points = readings()
     path, out = table(tmp_path / "points.csv", points), tmp_path / "mass.json"
     account = weigh_files([path], out)
-    assert account["common_mass"]["value"] == pytest.approx(weigh(points).mass, rel=1e-9)
+    assert account["common_mass"]["value"] == pytest.approx(fit_weight(points).mass, rel=1e-9)
     assert set(account["components"]) == {"NF", "SF", "AF"}
     assert read_weighing(out).components == COMPONENTS
     assert json.loads(out.read_text())["provenance"]["settings"]["components"] == list(COMPONENTS)
     account = weigh_files([path], out, component="AF")
-    alone = weigh(LoadPoints(("AF",), points.pitch, points.loads[:, 5:], points.roll))
+    alone = fit_weight(LoadPoints(("AF",), points.pitch, points.loads[:, 5:], points.roll))
     assert account["component"] == "AF"
     assert account["mass"] == account["components"]["AF"]["mass"]
     assert account["mass"]["value"] == pytest.approx(alone.mass, rel=1e-9)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.balance.weighing import weigh
+from aerobalance.balance.weighing import fit_weight
 from aerobalance.io.points import read_points
 from aerobalance.recording.errors import FitError, ReadError
 
@@ -22,7 +22,7 @@ def test_a_table_of_points(tmp_path):
     points = read_points([table(tmp_path, "pitch [deg],AF [N]\n" + rows)], ("AF",))
     assert points.roll is None
     assert not points.noise.any()
-    found = weigh(replace(points, noise=np.full(points.loads.shape, 0.1)))
+    found = fit_weight(replace(points, noise=np.full(points.loads.shape, 0.1)))
     assert found.mass == pytest.approx(2, rel=1e-12)
 
 

@@ -47,7 +47,7 @@ LEANS: Final[Mapping[str, Mapping[str, tuple[float, str]]]] = {
 """Lean of every force's axis toward the other axes when the balance is turned: sign and angle."""
 
 
-def weigh(points: LoadPoints, *, gravity: float = STANDARD_GRAVITY) -> Weighing:
+def fit_weight(points: LoadPoints, *, gravity: float = STANDARD_GRAVITY) -> Weighing:
     """Return mass [kg], centre of gravity [m], offsets [N, N*m] and tilt [rad] from static loads.
 
     Eq. (1) of [Gorbushin2020]_, by weighted non-linear least squares over all points and components; every component

@@ -11,8 +11,7 @@ import numpy as np
 from aerobalance.balance.calibration.fit import Calibration, matrix_of
 from aerobalance.balance.loads import Loads, loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.weighing import LoadPoints, Weighing, points_from_recordings, with_matrix_errors
-from aerobalance.balance.weighing import weigh as fit_weight
+from aerobalance.balance.weighing import LoadPoints, Weighing, fit_weight, points_from_recordings, with_matrix_errors
 from aerobalance.balance.weight_on_zero import (
     FORCES,
     NotWeighed,
