@@ -20,13 +20,13 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal.windows import hann
 
 from aerobalance.balance import _term_kernels as kernels
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.terms import codes
 from aerobalance.recording.channel import Array
+from aerobalance.recording.fourier import hann
 
 SEGMENT: Final = 1 << 13
 """Samples at most that a spectrum is taken from at once."""
@@ -158,7 +158,7 @@ def _nonlinear_parts(native: Array, matrix: BalanceMatrix, *, size: int) -> Iter
     x = _variables(native, matrix)
     some = np.ascontiguousarray(x[:: max(len(x) // FITTED, 1)])
     slopes = np.linalg.lstsq(_with_one(some), kernels.design(*codes(matrix.terms), some), rcond=None)[0]
-    window = hann(size, sym=False)
+    window = hann(size)
     window /= np.sqrt(np.sum(window**2))
     count = min(SEGMENTS, max(2 * (len(x) // size) - 1, 1))
     for start in np.linspace(0, len(x) - size, count).astype(int):

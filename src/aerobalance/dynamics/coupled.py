@@ -17,8 +17,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import lfilter
 
+from aerobalance.dynamics._kernels import first_order
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
@@ -366,5 +366,5 @@ class CoupledDynamics:
             growth = np.exp(pole * interval)
             late = (np.expm1(pole * interval) - pole * interval) / (pole**2 * interval)
             early = np.expm1(pole * interval) / pole - late
-            felt += lfilter([1.0], [1.0, -growth], (early * before + late * change) @ weight)[:, None] * shape
+            felt += first_order(growth, (early * before + late * change) @ weight)[:, None] * shape
         return np.asarray(net[0] + np.real(felt))

@@ -20,8 +20,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.signal import lfilter
 
+from aerobalance.dynamics._kernels import second_order
 from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import FINE, interpolation
@@ -111,7 +111,7 @@ class DrivenModes:
             for kind in range(self.kinds):
                 push += part[:, kind] * weights[kind]
         for place, pole in enumerate(self._poles):
-            push[:, place], self._state[place] = lfilter([1.0], pole, push[:, place], zi=self._state[place])
+            push[:, place] = second_order(pole, np.ascontiguousarray(push[:, place]), self._state[place])
         self._driving = self._driving[count:]
         return push
 

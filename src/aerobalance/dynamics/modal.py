@@ -13,8 +13,8 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import lfilter
 
+from aerobalance.dynamics._kernels import first_order
 from aerobalance.recording.channel import Array
 
 
@@ -102,7 +102,7 @@ class Mode:
             growth = np.exp(pole * interval)
             late = (np.expm1(pole * interval) - pole * interval) / (pole**2 * interval)
             early = np.expm1(pole * interval) / pole - late
-            part = sign * lfilter([1.0], [1.0, -growth], early * before + late * change)
+            part = sign * first_order(growth, early * before + late * change)
             response += part
             rate += pole * part
         size = self.angular_frequency**2 / (p - q)

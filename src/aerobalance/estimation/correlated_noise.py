@@ -23,7 +23,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
-from scipy.signal import oaconvolve
 
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.modal import EquivalentModel
@@ -32,6 +31,7 @@ from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
 from aerobalance.estimation.spectra.periodogram import Periodogram
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.channel import Array
+from aerobalance.recording.fourier import convolve
 from aerobalance.recording.resampling import EDGE, interpolate_gaps_linearly
 
 WORTHWHILE: Final = 0.02
@@ -113,7 +113,7 @@ class SharedNoise:
 def filtered(weights: Array, series: Array) -> Array:
     """Sum of series (samples, c) through filters (2 m + 1, c), zero beyond their ends; shape (samples,)."""
     middle = weights.shape[0] // 2
-    whole = oaconvolve(series, weights, axes=0).sum(axis=1)
+    whole = convolve(series, weights).sum(axis=1)
     return np.asarray(whole[middle : middle + series.shape[0]])
 
 

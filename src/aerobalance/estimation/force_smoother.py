@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
 from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
@@ -215,7 +215,7 @@ class SmootherResult:
         edge = np.zeros(time.size)
         for step, size in zip(self.steps, heights, strict=True):
             if step.duration <= 0:  # each sample lies before or after it with some probability
-                after = norm.cdf((time - step.instant) / max(step.instant_uncertainty, 1e-12 * reading.interval))
+                after = ndtr((time - step.instant) / max(step.instant_uncertainty, 1e-12 * reading.interval))
                 chance = after * (1 - after)
                 edge += size**2 * np.where(chance > NEVER, chance, 0.0)
         numbers = range(1, 1 + heights.size)

@@ -18,7 +18,6 @@ from typing import Final
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
-from scipy.signal import fftconvolve
 
 from aerobalance.estimation.prior import (
     Observation,
@@ -34,6 +33,7 @@ from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import warn_quality
+from aerobalance.recording.fourier import convolve
 
 
 @dataclass(frozen=True, slots=True)
@@ -382,10 +382,10 @@ def _matched_filter_scan(reading: Observation, learned: SpectralPrior, columns: 
     count = reading.values.size
     late = reading.interval * (np.arange(count) + 1)
     response = filter_.settled.whiten(reading.dynamics.step_response(late)[:, None])[:, 0]
-    score = fftconvolve(left, response[::-1])[count - 1 :]
+    score = convolve(left[:, None], response[::-1, None])[count - 1 :, 0]
     information = np.cumsum(response**2)[::-1]
     for vector in basis.T:
-        information = information - fftconvolve(vector, response[::-1])[count - 1 :] ** 2
+        information = information - convolve(vector[:, None], response[::-1, None])[count - 1 :, 0] ** 2
     gain = np.where(information > 1e-6 * information.max(), score**2 / np.maximum(information, 1e-300), 0.0)
     gain[0] = 0.0  # before the first interval a step is the constant
     place = int(np.argmax(gain))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
 from aerobalance.dynamics.inertial_parameters import mass_basis, rigid_of
@@ -64,7 +64,7 @@ class Departure:
     @classmethod
     def of(cls, square: float, degrees_of_freedom: int) -> Departure:
         """Test a sum of squares."""
-        return cls(square, degrees_of_freedom, float(chi2.sf(square, degrees_of_freedom)))
+        return cls(square, degrees_of_freedom, float(chdtrc(degrees_of_freedom, square)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,10 +20,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
-from scipy.signal import welch
 
 from aerobalance.motion.sensors import GroundSensor, least_squares, observable_motions
 from aerobalance.recording.channel import Array
+from aerobalance.recording.fourier import averaged_spectrum
 from aerobalance.recording.sensors import filtered
 
 
@@ -294,8 +294,8 @@ def _highest(sensor: GroundSensor, rate: float) -> float:
     """Highest frequency at which a rate of turn stands out of its noise [Hz]; zero where it does not."""
     values = sensor.values
     length = int(min(values.size, max(64, values.size // 8)))
-    frequency, density = welch(values, rate, nperseg=length, detrend="linear")  # type: ignore[call-overload]
-    above = np.flatnonzero(density[1:] > SETTINGS.stands_out * sensor.noise**2 / (rate / 2))
+    frequency, density = averaged_spectrum(values, rate=rate, length=length, less="line")
+    above = np.flatnonzero(np.real(density[1:]) > SETTINGS.stands_out * sensor.noise**2 / (rate / 2))
     if above.size:
         return float(frequency[1:][above[-1]] * 1.2)
     # a rate that rises steadily does not show in a spectrum that is freed of slopes

@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.signal.windows import hann
 
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.recording.channel import Array
@@ -138,7 +137,7 @@ def _integrated(values: Array, rate: float) -> Array:
     """Integral less its straight line, fitted under a Hann window, which keeps slow swings out of it, shape (n,)."""
     whole = cumulative_trapezoid(values, initial=0) / rate
     place = np.linspace(-1, 1, values.size)
-    weight = hann(values.size + 2, sym=True)[1:-1]
+    weight = np.hanning(values.size + 2)[1:-1]
     line = np.polynomial.polynomial.polyfit(place, whole, 1, w=np.sqrt(weight))
     return np.asarray(whole - line[0] - line[1] * place)
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy.signal import welch
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.fourier import averaged_spectrum
 
 BANDS: Final = 32
 """Bands of equal width between zero and the Nyquist frequency in which the level is looked at."""
@@ -43,14 +43,15 @@ def white_noise(values: Array) -> float:
     if present.size < 8:
         raise ValueError(f"noise needs at least 8 readings, not {present.size}")
     length = int(min(present.size, max(64, present.size // 8)))
-    _, density = welch(present, 1.0, nperseg=length, detrend="linear")  # type: ignore[call-overload]
+    _, power = averaged_spectrum(present, rate=1.0, length=length, less="line")
+    density = np.real(power)
     inner = density[2:-1] if density.size > 8 else density
     bands = np.array_split(inner, min(BANDS, inner.size))
     levels = np.sort([float(np.mean(band)) for band in bands])
     level = levels[int(QUIET_SHARE * (levels.size - 1))]
     spectral = float(np.sqrt(level / 2))
     # the third difference of white noise has twenty times its variance
-    calm = float(np.median(np.abs(np.diff(present, 3)))) / (norm.ppf(0.75) * np.sqrt(20))
+    calm = float(np.median(np.abs(np.diff(present, 3)))) / (ndtri(0.75) * np.sqrt(20))
     return calm if 0 < calm < CLEARLY_LOWER * spectral else spectral
 
 

@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.signal import resample_poly
 
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import FitError
@@ -37,11 +36,9 @@ EXACT: Final = 1e-9
 
 
 def upsample(series: Array) -> Array:
-    """Return a band-limited series of shape (samples, c) on a clock `FINE` times as fast, shape (FINE samples, c)."""
+    """Return a band-limited series, shape (samples, ...), with `FINE` samples for each of its own, (FINE samples, ...)."""
     first = series[:1]
-    fine = np.asarray(
-        first + resample_poly(series - first, FINE, 1, axis=0, window=("kaiser", SHARPNESS), padtype="line")
-    )
+    fine = first + _between(series - first)
     # near the ends the window reaches beyond the record: a spline through the samples there knows better
     count = series.shape[0]
     near, part = min(EDGE, count), min(4 * EDGE, count)
@@ -50,6 +47,21 @@ def upsample(series: Array) -> Array:
     late = np.arange(FINE * (count - near), FINE * count) / FINE - (count - part)
     fine[FINE * (count - near) :] = CubicSpline(clock, series[count - part :])(np.minimum(late, part - 1))
     return fine
+
+
+def _between(series: Array) -> Array:
+    """Return a series on the finer clock by the window alone; straight lines go on beyond its ends."""
+    count, width = series.shape[0], series.shape[1:]
+    series = series.reshape(count, -1)
+    slope = (series[-1] - series[0]) / max(count - 1, 1)
+    beyond = np.arange(1, REACH + 1)[:, None] * slope
+    padded = np.concatenate([series[0] - beyond[::-1], series, series[-1] + beyond])
+    place = np.arange(-REACH * FINE, REACH * FINE + 1)
+    taps = np.sinc(place / FINE) * np.kaiser(place.size, SHARPNESS)
+    taps *= FINE / taps.sum()
+    phases = np.append(taps, np.zeros(FINE - 1)).reshape(-1, FINE).T
+    between = [[np.convolve(column, phase, "valid") for phase in phases] for column in padded.T]
+    return np.asarray(between).transpose(2, 1, 0).reshape(FINE * count, *width)
 
 
 def upsample_compensated(series: Array) -> Array:

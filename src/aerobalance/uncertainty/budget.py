@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.signal import csd, welch
 
 from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import argument
+from aerobalance.recording.fourier import averaged_spectrum
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,15 +171,16 @@ def spectrum(estimate: ComponentForce, *, rate: float) -> ForceSpectrum:
     """
     values = estimate.values
     length = segment_length(values.size)
-    frequency, density = welch(values, rate, nperseg=length)
+    frequency, power = averaged_spectrum(values, rate=rate, length=length)
+    density = np.real(power)
     count = max(2 * (values.size // length) - 1, 1) / (1.0 if values.size < 2 * length else SETTINGS.overlap_loss)
     noise, variance = np.zeros(frequency.size), np.zeros(frequency.size)
     for part in estimate.contributions:
         if isinstance(part, Noise):
             noise += part.relative_density(frequency.size) * 2 * float(np.mean(part.deviation**2)) / rate
         elif isinstance(part, Systematic) and part.covariance.any():
-            slopes = [2 * np.real(csd(values, column, rate, nperseg=length)[1]) for column in part.slopes.T]
-            gradient = np.stack(slopes, axis=1)
+            spectra = [averaged_spectrum(values, other=one, rate=rate, length=length)[1] for one in part.slopes.T]
+            gradient = 2 * np.real(np.stack(spectra, axis=1))
             variance += np.sum((gradient @ part.covariance) * gradient, axis=1)
     variance = np.maximum(variance, 0.0) + (2 * density * noise + noise**2) / count
     whole = density + noise if estimate.learned is not None else np.maximum(density - noise, 0.0)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from scipy.signal.windows import hann
 
 from aerobalance.recording.channel import Array
+from aerobalance.recording.fourier import hann
 
 LENGTH: Final = 4096
 """Samples that one spectrum is made from."""
@@ -26,7 +26,7 @@ class RunningSpectrum:
 
     def __init__(self, columns: int, interval: float) -> None:
         self._held = np.empty((0, columns))
-        window = hann(LENGTH, sym=False)
+        window = hann(LENGTH)
         self._window = (2 * window / window.sum())[:, None]
         self.frequency = np.fft.rfftfreq(LENGTH, interval)[1:]
 

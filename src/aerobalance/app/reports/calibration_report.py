@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from scipy.stats import binom
+from scipy.special import bdtr
 
 from aerobalance.app.reports.calibration_figures import MOST_LABELS, direction_figure, residual_panels, series_key
 from aerobalance.app.reports.page import decimals, fixed, significant, write_page
@@ -116,7 +116,7 @@ def _doubts(calibration: Calibration, quality: Quality) -> list[str]:
         few = [
             f"{name} ({100 * share:.0f} %)"
             for name, share, count in zip(names, quality.confirmation_covered, inside, strict=True)
-            if binom.cdf(count, held, COVERED) < COVERED_SIGNIFICANCE
+            if bdtr(count, held, COVERED) < COVERED_SIGNIFICANCE
         ]
         if few:
             doubts.append(

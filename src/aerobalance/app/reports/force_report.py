@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from scipy.signal import welch
 
 from aerobalance.app.reports.page import PLACE_HOLDERS, empty_figure, inline, legend, write_page
 from aerobalance.estimation.force import Force
@@ -15,6 +14,7 @@ from aerobalance.estimation.result import ComponentForce
 from aerobalance.io.artefacts import provenance
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
+from aerobalance.recording.fourier import averaged_spectrum
 from aerobalance.recording.resampling import interpolate_gaps_linearly
 from aerobalance.uncertainty.budget import component_budget, segment_length, spectrum
 
@@ -131,7 +131,9 @@ def spectrum_figure(estimate: ComponentForce, load: Array, *, rate: float) -> st
     figure, (ax,) = empty_figure(colours, (7.6, 3.8), rows=1)
     found = spectrum(estimate, rate=rate)
     inner = slice(1, None)
-    frequency, density = welch(interpolate_gaps_linearly(load), rate, nperseg=segment_length(load.size))
+    filled, length = interpolate_gaps_linearly(load), segment_length(load.size)
+    frequency, power = averaged_spectrum(filled, rate=rate, length=length)
+    density = np.real(power)
     shown = found.density[inner]
     highest = max(float(shown.max(initial=0.0)), float(density[inner].max(initial=0.0)), 1e-30)
     least = 1e-9 * highest

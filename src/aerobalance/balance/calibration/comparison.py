@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from aerobalance.balance.load_formats import role_of
 from aerobalance.balance.matrix import BalanceMatrix
@@ -92,7 +92,7 @@ def compare_calibrations(before: BalanceMatrix, after: BalanceMatrix) -> Drift:
     for index, name in enumerate(before.components):
         relative = float(S2[index, index] / S1[index, index] - 1)
         spread = float(np.hypot(u1[index, index] / S1[index, index], u2[index, index] / S2[index, index]))
-        p = float(2 * norm.sf(abs(relative) / spread)) if spread > 0 else float(relative == 0)
+        p = float(2 * ndtr(-abs(relative) / spread)) if spread > 0 else float(relative == 0)
         sensitivities.append(
             SensitivityDrift(
                 name, float(S1[index, index]), float(S2[index, index]), relative, spread, p, p < SIGNIFICANCE

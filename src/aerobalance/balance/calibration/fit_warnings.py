@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.calibration.quality import Quality
@@ -69,7 +69,8 @@ def _warn_of_reading_noise(calibration: Calibration) -> None:
     """Warn where the stated noise of the readings is more than their scatter."""
     schedule, matrix = calibration.schedule, calibration.matrix
     noise, found, freedom = matrix.noise_of_readings, matrix.residual_deviation, matrix.degrees_of_freedom
-    least = noise * np.sqrt(chi2.ppf(TOO_QUIET / noise.size, np.maximum(freedom, 1)) / np.maximum(freedom, 1))
+    half = np.maximum(freedom, 1) / 2
+    least = noise * np.sqrt(gammaincinv(half, TOO_QUIET / noise.size) / half)
     quiet = np.flatnonzero(found < least)
     if quiet.size:
         given = np.broadcast_to(matrix.reading_noise, noise.shape)

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtr, stdtrit
 
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.calibration.regression import residual_deviation, without_intercepts
@@ -195,11 +195,11 @@ def _direction(calibration: Calibration, index: int) -> Direction:
     _, _, sum_square = _one_term(X[:, 1], rest, y, intercepts.shape[1])
     slope = np.linalg.lstsq(X[:, [0, *range(2, X.shape[1])]], y, rcond=None)[0][1 + index]
     freedom = max(y.size - rest.shape[1] - 1 - intercepts.shape[1], 1)
-    p = float(2 * student.sf(abs(by_direction) / u, freedom)) if u > 0 else 0.0
+    p = float(2 * stdtr(freedom, -abs(by_direction) / u)) if u > 0 else 0.0
     difference = float(2 * by_direction / slope)
     curved = sum_square < SETTINGS.curved * sum_direction
     real = abs(difference) > SETTINGS.bidirectional and p < SETTINGS.bidirectional_significance and not curved
-    interval = float(student.isf(0.025, freedom) * 2 * u / abs(slope))
+    interval = float(-stdtrit(freedom, 0.025) * 2 * u / abs(slope))
     return Direction(bool(real), difference, p, True, interval)
 
 
@@ -235,7 +235,7 @@ def _outliers(calibration: Calibration) -> tuple[Outlier, ...]:
     for index, fit in enumerate(calibration.regressions):
         scale = calibration.matrix.output_scale[index]
         output = fit.residuals * scale
-        limit = student.isf(SETTINGS.outlier_significance / 2 / points.size, max(fit.degrees_of_freedom - 1, 1))
+        limit = -stdtrit(max(fit.degrees_of_freedom - 1, 1), SETTINGS.outlier_significance / 2 / points.size)
         found += [
             Outlier(
                 int(points[row]), index, float(output[row]), float(fit.studentised[row]), schedule.label(points[row])

@@ -9,9 +9,7 @@ from typing import Any, Final
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
-from scipy.stats import t as student
-from statsmodels.regression.linear_model import OLS
-from statsmodels.stats.outliers_influence import OLSInfluence
+from scipy.special import stdtr
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
@@ -156,7 +154,7 @@ def regress(
         coefficients=found[: included.size],
         covariance=covariance[: included.size, : included.size],
         t=np.where(included, t, np.nan),
-        p=np.where(included, 2 * student.sf(np.abs(t), freedom), np.nan),
+        p=np.where(included, 2 * stdtr(freedom, -np.abs(t)), np.nan),
         vif=_spread(inflation(design[:, included], intercepts), included, np.nan),
         intercepts=found[included.size :],
         u_intercepts=u[included.size :],
@@ -190,11 +188,15 @@ def _left_out(fit: Any, points: int) -> tuple[float, Array]:
 
 def _fit(values: Array, design: Array, intercepts: Array, penalty: Array) -> Any:
     X, y = _drawn_to_zero(np.hstack([design, intercepts]), values, penalty)
+    from statsmodels.regression.linear_model import OLS  # noqa: PLC0415 - takes a second, and only fits need it
+
     return OLS(y, X).fit()
 
 
 def _leverage(fit: Any, points: int) -> Array:
     """Part of each point's own reading in its fitted value, shape (n,)."""
+    from statsmodels.stats.outliers_influence import OLSInfluence  # noqa: PLC0415 - as above
+
     return np.asarray(OLSInfluence(fit).hat_matrix_diag[:points])
 
 

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtrc
 
 from aerobalance.balance.weighing.adjustment import Adjustment, Readings, adjust
 from aerobalance.balance.weighing.advice import unidentified, what_would_help
@@ -196,7 +196,7 @@ def _agreement(separate: Adjustment, pairs: Sequence[tuple[str, str]]) -> Agreem
     # The components have noises of their own; the least known of them bounds how well the spread is known.
     freedom = min(separate.freedom[separate.model.components.index(name)] for name in compared)
     freedom = max(float(freedom), 1.0)
-    return Agreement(chi2, len(pairs), float(stats.f.sf(chi2 / len(pairs), len(pairs), freedom)))
+    return Agreement(chi2, len(pairs), float(fdtrc(len(pairs), freedom, chi2 / len(pairs))))
 
 
 def _warn(separate: Adjustment, *, own_masses: bool, own_centres: bool) -> None:

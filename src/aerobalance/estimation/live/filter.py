@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from aerobalance.estimation.live import _live_kernels as kernels
 from aerobalance.estimation.statespace.kalman import FORCE, GAIN_TOLERANCE, StateSpace
@@ -95,7 +95,7 @@ def false_alarm_evidence(interval: float) -> float:
     Every sample, `interval` [s] after the last, is a new instant for a step, and its test statistic takes about four
     independent values while it is within the scan.
     """
-    return float(chi2.isf(interval / (4 * SETTINGS.false_alarm), 1))
+    return float(chdtri(1, interval / (4 * SETTINGS.false_alarm)))
 
 
 class LiveFilter:

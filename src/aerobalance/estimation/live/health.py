@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import gamma
+from scipy.special import gammainccinv, gammaincinv
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.live.filter import strange_square
@@ -94,7 +94,7 @@ class Health:
     @property
     def resonance_limits(self) -> tuple[float, float]:
         """What chance does not go below and above."""
-        return float(gamma.ppf(CHANCE, TONES)) / TONES, float(gamma.isf(CHANCE, TONES)) / TONES
+        return float(gammaincinv(TONES, CHANCE)) / TONES, float(gammainccinv(TONES, CHANCE)) / TONES
 
     @property
     def explained(self) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.live import _live_kernels as kernels
@@ -88,7 +88,7 @@ class Following:
         variance = np.zeros(count)
         for step in (one.step for one in self._followed):
             if step.duration <= 0:
-                after = norm.cdf((time - step.instant) / max(step.instant_uncertainty, 1e-12 * self._interval))
+                after = ndtr((time - step.instant) / max(step.instant_uncertainty, 1e-12 * self._interval))
                 variance += step.height**2 * after * (1 - after)
         return variance
 

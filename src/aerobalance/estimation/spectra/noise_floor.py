@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.signal.windows import hann
 
 from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
 from aerobalance.estimation.spectra.noise_record import Ordinates, cost_of, fitted, humps_of, model_of
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import argument
+from aerobalance.recording.fourier import hann
 
 CERTAIN: Final = 5.0
 """Level in the reading over the noise from which on a broad band is force."""
@@ -154,7 +154,7 @@ def lasts(left: Array, *, first: float, interval: float, noise: float) -> bool:
 
     A burst is none, and is told where the innovations show it (`aerobalance.estimation.force`).
     """
-    taper = hann(left.size, sym=False)  # without it the ends of the record, which do not meet, ring in all of it
+    taper = hann(left.size)  # without it the ends of the record, which do not meet, ring in all of it
     transform = np.fft.rfft((left - left.mean()) * taper)
     frequency = np.fft.rfftfreq(left.size, interval)
     high = np.fft.irfft(np.where(frequency > first, transform, 0.0), left.size)

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.optimize import minimize
-from scipy.signal.windows import tukey
-from scipy.stats import gamma
+from scipy.special import gammainc, gammaincc
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.spectra.line_noise import columns_of_lines, hum_lines
 from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, Hump, NoiseSpectrum
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.fourier import tapered
 
 FEWEST_SAMPLES: Final = 512
 """Shortest record that a spectrum of noise is learned from."""
@@ -131,7 +131,7 @@ def _tell_of_misfit(seen: Ordinates, model: Array, *, component: str, name: str)
     place = np.digitize(seen.frequency, edges) - 1
     weight = np.bincount(place, seen.weight, MISFIT_BANDS)
     ratio = np.bincount(place, seen.weight * seen.density / model, MISFIT_BANDS) / np.maximum(weight, 1e-300)
-    chance = np.minimum(gamma.sf(weight * ratio, weight), gamma.cdf(weight * ratio, weight))
+    chance = np.minimum(gammaincc(weight, weight * ratio), gammainc(weight, weight * ratio))
     wrong = np.flatnonzero((weight > 0) & (ratio > 0) & (chance < MISFIT))
     wrong = wrong[np.abs(np.log(ratio[wrong])) > MATTERS]
     if wrong.size:
@@ -199,7 +199,7 @@ class Ordinates:
         mains = [line.frequency for line in hum_lines(values, interval)]
         columns = columns_of_lines(mains, count=values.size, interval=interval)
         values = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
-        window = tukey(values.size, taper)
+        window = tapered(values.size, taper)
         power = np.abs(np.fft.rfft(values * window)) ** 2 * (interval / np.sum(window**2))
         frequency = np.arange(power.size) / (values.size * interval)
         gain = np.abs(dynamics.response(frequency)) ** 2

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtrc
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
@@ -136,7 +136,7 @@ def identify_frf(table: ResponseTable, *, component: str = "AF", mass: float | t
         if chi2 - chi2_delayed > np.log(2 * points) * max(1.0, chi2_delayed / (2 * points - 3)):
             parameters, chi2, free = delayed, chi2_delayed, [0, 1, 2]
     degrees_of_freedom = 2 * points - len(free)
-    probability = float(chi_square.sf(chi2, degrees_of_freedom))
+    probability = float(chdtrc(degrees_of_freedom, chi2))
     scale = chi2 / degrees_of_freedom if probability < LEAST_PROBABILITY else 1.0
     dynamics = _dynamics(table, parameters, free=free, component=component, mass=(value, uncertainty), scale=scale)
     notes = _notes(table, dynamics, chi2=chi2, degrees_of_freedom=degrees_of_freedom, probability=probability)

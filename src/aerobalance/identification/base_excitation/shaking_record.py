@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import detrend
 
 from aerobalance.dynamics.inertial_parameters import NUMBERS, mass_basis, turning_basis
 from aerobalance.identification.base_excitation.shaking_ground import EXACT, GroundReadings
@@ -19,6 +18,7 @@ from aerobalance.motion.sensors import ground_sensors
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError
+from aerobalance.recording.fourier import without_line
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import fractional_delay, interpolate_gaps
@@ -138,7 +138,7 @@ def shake_record(recording: Recording, *, delay: float = 0.0, band: tuple[float,
         fractional_delay(column, delay=by, interval=1 / recording.rate)
         for column, by in zip(loads.T, delays, strict=True)
     ]
-    felt = detrend(np.column_stack(moved), axis=0)
+    felt = without_line(np.array(moved)).T
     rms = np.sqrt(np.mean(felt**2, axis=0))
     judged = np.array([channel_noise(channel) for channel in channels])
     noise = np.maximum(judged, EXACT * max(float(rms.max()), np.finfo(float).tiny))
@@ -185,7 +185,7 @@ def _unknowns(platform: PlatformMotion, window: Window) -> dict[tuple[str, str],
     """Change of the motion by what is not known exactly of the sensors, with its standard uncertainty."""
     found: dict[tuple[str, str], tuple[Complex, float]] = {}
     for item in platform.unknowns:
-        slope = window.transform(detrend(item.slope, axis=0))
+        slope = window.transform(without_line(item.slope.T).T)
         if np.abs(slope).max() > EXACT * float(np.abs(item.slope).max()):  # a zero is no motion
             found[item.name, item.source] = slope, item.uncertainty
     return found

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtrc
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.base_excitation.spectra import Complex
@@ -407,7 +407,7 @@ def _drift(values: Array, frequency: float, *, start: int, rate: float) -> tuple
     square = float(np.sum(np.abs(amplitudes - mean) ** 2))
     excess = max(square / (parts - 1) - 2 * variance, 0.0)
     relative = float(np.sqrt(excess) / max(abs(mean), 1e-300))
-    chance = float(chi_square.sf(square / max(variance, 1e-300), 2 * (parts - 1)))
+    chance = float(chdtrc(2 * (parts - 1), square / max(variance, 1e-300)))
     return relative, bool(chance < 1e-4 and relative > SETTINGS.drift_allowed), noise
 
 

@@ -8,12 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft, rfftfreq
-from scipy.signal import detrend
-from scipy.signal.windows import hann
 
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.fourier import without_line
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
 
@@ -133,10 +132,10 @@ def transform(recording: Recording, component: str) -> Spectra:
     columns = _columns(recording, load, ground)
     samples = columns[load.name].size
     frequency = rfftfreq(samples, 1 / recording.rate)
-    spectra = {name: rfft(detrend(values)) / np.sqrt(samples) for name, values in columns.items()}
+    spectra = {name: rfft(without_line(values)) / np.sqrt(samples) for name, values in columns.items()}
     weight = np.zeros(frequency.size, dtype=np.complex128)
     if "pitch" in columns:
-        weight = STANDARD_GRAVITY * rfft(detrend(np.sin(columns["pitch"]))) / np.sqrt(samples)
+        weight = STANDARD_GRAVITY * rfft(without_line(np.sin(columns["pitch"]))) / np.sqrt(samples)
     noise = {c.name: c.noise**2 if c.noise else _floor(columns[c.name]) for c in (load, ground)}
     live = None
     if "live_acceleration" in columns and np.ptp(columns["live_acceleration"]) > 0:
@@ -213,8 +212,8 @@ def _floor(values: Array) -> float:
     median of n of them has a relative standard deviation of 1 / (ln 2 sqrt(n)), so blocks of one level lie within
     five of these on either side. A swept sine has a level too, but its power is no exponential: median and mean agree.
     """
-    window = hann(values.size)  # without it, motion going on at the ends of the record leaks over the floor
-    power = np.abs(rfft(detrend(values) * window)[1:]) ** 2 / np.sum(window**2)
+    window = np.hanning(values.size)  # without it, motion going on at the ends of the record leaks over the floor
+    power = np.abs(rfft(without_line(values) * window)[1:]) ** 2 / np.sum(window**2)
     blocks = np.array_split(power, max(4, min(64, power.size // 64)))
     medians = np.array([float(np.median(block)) / np.log(2) for block in blocks])
     random = medians < SETTINGS.swept * np.array([float(np.mean(block)) for block in blocks])

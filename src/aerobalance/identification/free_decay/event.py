@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
@@ -58,6 +57,8 @@ def _peaks(values: Array, rate: float, name: str) -> list[float]:
     flat = spectrum / np.maximum(np.sin(np.pi * frequency / rate), 1e-6) ** 2
     flat[: max(lowest, 2)] = 0.0
     floor = float(np.median(flat[max(lowest, 2) :]))
+    from scipy.signal import find_peaks  # noqa: PLC0415 - takes a second, and few commands look at a release
+
     peaks, _ = find_peaks(flat, distance=8)
     peaks = peaks[flat[peaks] > 30 * max(floor, np.finfo(float).tiny)]
     if peaks.size == 0:

@@ -12,7 +12,7 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
@@ -217,7 +217,7 @@ def _shortened(ring: Ring) -> Ring:
     blocks = np.array_split(ring.residuals, count)
     sizes = np.array([block.size for block in blocks])
     squares = np.array([block @ block for block in blocks])
-    unlikely = np.asarray(chi2.sf(squares / float(np.median(squares / sizes)), sizes)) < SETTINGS.block_probability
+    unlikely = np.asarray(chdtrc(sizes, squares / float(np.median(squares / sizes)))) < SETTINGS.block_probability
     edges = np.concatenate(([0], np.cumsum(sizes)))
     home = min(int(np.searchsorted(edges, np.searchsorted(ring.time, ring.start), side="right")) - 1, count - 1)
     last = edges[home + 1 + _first_event(unlikely[home + 1 :])]

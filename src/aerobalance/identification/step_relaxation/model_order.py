@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.optimize import linear_sum_assignment
-from scipy.stats import chi2
+from scipy.special import chdtrc, gammaincinv
 
 from aerobalance.dynamics.coupled import ModalForm
 from aerobalance.identification.free_decay.waveform import HEAVIEST
@@ -359,11 +359,12 @@ def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
         beyond += _power(left - products @ (products.T @ left))
     level = median_filter(power / count, size=max(count // 32, 2 * max(SETTINGS.widths) + 1), mode="reflect")
     number = 2 * len(fit.linears) * fit.size
-    level = np.maximum(level * number / chi2.median(number), SETTINGS.faint * number / 2)
+    level = np.maximum(level * number / (2 * gammaincinv(number / 2, 0.5)), SETTINGS.faint * number / 2)
     sums = np.concatenate([[0.0], np.cumsum((beyond / count / level)[: int(SETTINGS.top * power.size)])])
     best, place = float(np.log(SETTINGS.chance)), None
     for width in SETTINGS.widths:
-        chances = chi2.logsf(number * (sums[width:] - sums[:-width]), number * width)
+        with np.errstate(divide="ignore"):
+            chances = np.log(chdtrc(number * width, number * (sums[width:] - sums[:-width])))
         least = int(np.argmin(chances))
         if chances[least] < best:
             best, place = float(chances[least]), least + width // 2

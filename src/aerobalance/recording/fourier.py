@@ -1,0 +1,84 @@
+"""Averaged spectra, and sums of series through filters, by the Fourier transform.
+
+``scipy.signal`` has the same, but loading it takes a second, as it loads ``scipy.stats``; a test compares the two.
+
+References
+----------
+.. [Welch1967] P. D. Welch, "The use of fast Fourier transform for the estimation of power spectra", IEEE Trans. Audio
+   Electroacoust. 15 (1967) 70.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
+
+from aerobalance.recording.channel import Array
+
+
+def hann(count: int) -> Array:
+    """Hann window of a period of so many samples, shape (count,) [1]."""
+    return np.asarray(np.hanning(count + 1)[:-1], dtype=np.float64)
+
+
+def tapered(count: int, share: float) -> Array:
+    """Window that rises and falls like a half sine over a share of a record, and is 1 between, shape (count,) [1]."""
+    rise = np.clip(np.arange(count) / (share * (count - 1) / 2), 0.0, 1.0)
+    return np.asarray((1 - np.cos(np.pi * np.minimum(rise, rise[::-1]))) / 2)
+
+
+def without_line(values: Array) -> Array:
+    """Series less the straight line that fits it best, along the last axis, shape (..., n)."""
+    line = np.arange(values.shape[-1]) - (values.shape[-1] - 1) / 2
+    level = values - values.mean(axis=-1, keepdims=True)
+    return np.asarray(level - (level @ line)[..., None] * line / (line @ line))
+
+
+def averaged_spectrum(
+    values: Array, *, rate: float, length: int, other: Array | None = None, less: Literal["mean", "line"] = "mean"
+) -> tuple[Array, NDArray[np.complex128]]:
+    """Frequencies [Hz] and one-sided spectral density of a series [its unit squared over Hz], by [Welch1967]_.
+
+    Segments under a Hann window, which overlap by half.
+
+    Parameters
+    ----------
+    values
+        Shape (n,), without gaps.
+    rate
+        Sampling rate [Hz].
+    length
+        Samples of a segment, at most n.
+    other
+        Another series of shape (n,); the cross-spectral density of the two is returned then.
+    less
+        What is taken off each segment.
+
+    Returns
+    -------
+    frequency, density
+        Shape (length / 2 + 1,) each.
+    """
+    window = hann(length)
+
+    def spectra(series: Array) -> NDArray[np.complex128]:
+        segments = sliding_window_view(series, length)[:: length - length // 2]
+        level = segments - segments.mean(axis=1, keepdims=True) if less == "mean" else without_line(segments)
+        return np.asarray(rfft(level * window), dtype=np.complex128)
+
+    own = spectra(values)
+    product = own.conj() * (own if other is None else spectra(other))
+    density = product.mean(axis=0) / (rate * np.sum(window**2))
+    density[1 : -1 if length % 2 == 0 else None] *= 2
+    return np.arange(density.size) * (rate / length), density
+
+
+def convolve(series: Array, weights: Array) -> Array:
+    """Convolution of series, shape (n, c), with filters, shape (m, c), column by column; shape (n + m - 1, c)."""
+    count = series.shape[0] + weights.shape[0] - 1
+    size = next_fast_len(count, real=True)
+    return np.asarray(irfft(rfft(series, size, axis=0) * rfft(weights, size, axis=0), size, axis=0)[:count])
