@@ -36,7 +36,7 @@ EXACT: Final = 1e-9
 
 
 def upsample(series: Array) -> Array:
-    """Return a band-limited series, shape (samples, ...), with `FINE` samples for each of its own, (FINE samples, ...)."""
+    """Return a band-limited series, shape (samples, ...), on a clock `FINE` times as fast; (FINE samples, ...)."""
     first = series[:1]
     fine = first + _between(series - first)
     # near the ends the window reaches beyond the record: a spline through the samples there knows better
