@@ -11,7 +11,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import EquivalentModel, Mode
 from aerobalance.estimation.correlated_noise import UNSEEN, NoiseMatrix, SharedNoise, filtered, shared_noise
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.force import Fitted, estimate_force, noise_shared
+from aerobalance.estimation.force import Fitted, estimate_force, predicted_noise
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording
@@ -61,7 +61,7 @@ def _soft_loads(rng: np.random.Generator) -> tuple[CoupledBalance, SixSimulation
 def _record(balance: CoupledBalance, simulation: SixSimulation) -> tuple[CoupledRecord, dict[str, SharedNoise]]:
     record = CoupledRecord.of(simulation.recording, balance.dynamics)
     fits = {name: Fitted.of(one, hum="keep") for name, one in record.component_records(record.loads).items()}
-    return record, noise_shared(fits, record, filled=record.loads)
+    return record, predicted_noise(fits, record, filled=record.loads)
 
 
 def _random_matrix(rng: np.random.Generator) -> NoiseMatrix:

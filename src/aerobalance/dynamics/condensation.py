@@ -45,7 +45,7 @@ class Condensed:
 
     @classmethod
     def of(cls, dynamics: CoupledDynamics) -> Condensed:
-        """Take the internal coordinates out."""
+        """Return the equations with the internal coordinates condensed."""
         n, e = len(dynamics.components), dynamics.internal
         radius = float(np.exp(np.mean(np.log(np.abs(dynamics.poles)))))
         whole = dynamics.equation(radius * np.exp(2j * np.pi * np.arange(2 * e + 3) / (2 * e + 3)))

@@ -35,7 +35,7 @@ from aerobalance.recording.resampling import FINE, upsample_compensated
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fractions:
-    """A weighted sum of series, and of what they are behind modes: value and rate of each.
+    """Partial fractions of transfer functions: a direct part, and for each mode one of its value and one of its rate.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Fractions:
         return cls(direct, tuple(modes), values.T, rates.T)
 
     def through(self, series: Array, *, interval: float) -> Array:
-        """What becomes of series of shape (samples, c), at rest before (`DrivenModes`); shape (samples,)."""
+        """Response to series of shape (samples, c), at rest before (`DrivenModes`); shape (samples,)."""
         found = series @ self.direct
         if not self.modes:
             return np.asarray(found)
@@ -99,7 +99,7 @@ class DecoupledChannel:
 
     @classmethod
     def of(cls, dynamics: CoupledDynamics, component: str, *, noise: Array) -> DecoupledChannel:
-        """Find it for a component.
+        """Return how one component is decoupled from the others.
 
         Parameters
         ----------
@@ -127,7 +127,7 @@ class DecoupledChannel:
 
     @property
     def component(self) -> str:
-        """Its name."""
+        """Name of the component."""
         return self.dynamics.component
 
     @property
@@ -141,7 +141,7 @@ class DecoupledChannel:
         return int(np.count_nonzero(self.partners)) == 1 and not self.still
 
     def reading(self, loads: Array, *, interval: float) -> Array:
-        """What that balance reads when the coupled one reads these loads, shape (samples,).
+        """Reading of the decoupled component when the coupled balance reads these loads, shape (samples,) [N, N*m].
 
         Before its first sample the loads are as in `DrivenModes`; another past of them is a free oscillation of z.
 
@@ -158,11 +158,11 @@ class DecoupledChannel:
 
     @property
     def fractions(self) -> Fractions:
-        """How its reading comes from the loads felt."""
+        """Transfer functions from the loads felt to its reading, as partial fractions."""
         return Fractions.of(self.row, self.dynamics.modes)
 
     def noise_response(self, frequency: Array) -> NDArray[np.complex128]:
-        """What its reading is of sines in the readings of every channel, at frequencies (m,) [Hz]; shape (m, n)."""
+        """Frequency response of its reading to every channel, at frequencies of shape (m,) [Hz]; shape (m, n)."""
         s = 2j * np.pi * np.asarray(frequency, dtype=np.float64)
         whole = np.stack([polynomial.polyval(s, powers) for powers in self.row], axis=-1)
         for mode in self.dynamics.modes:
@@ -203,7 +203,7 @@ class DecoupledChannel:
 
 
 def _spectrum(row: Array, noise: Array) -> Array:
-    """Coefficients of s^0, s^2, ... of what noise becomes through a row of polynomials."""
+    """Spectrum of noise behind a row of polynomials: its coefficients of s^0, s^2, ..."""
     signs = (-1.0) ** np.arange(row.shape[1])
     found = np.zeros(2 * row.shape[1] - 1)
     for one in range(len(row)):

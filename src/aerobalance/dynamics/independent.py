@@ -17,7 +17,7 @@ from aerobalance.recording.components import COMPONENTS
 
 @dataclass(frozen=True, slots=True)
 class IndependentDynamics(Mapping[str, Dynamics]):
-    """Dynamics of n components of which each rings for itself.
+    """Dynamics of n components that are not coupled.
 
     Attributes
     ----------

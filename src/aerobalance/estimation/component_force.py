@@ -99,15 +99,15 @@ class Fitted:
         The component made ready.
     hum
         What was to be taken for hum.
-    apart
-        What the record is made of.
+    signal
+        What the record is made of: hum, steps, and the spectral prior of the rest.
     smoothed
         The force.
     """
 
     record: ComponentRecord
     hum: Hum
-    apart: SignalModel
+    signal: SignalModel
     smoothed: SmootherResult
 
     @classmethod
@@ -120,15 +120,15 @@ class Fitted:
             The balance is not in the range that can be calculated with, or the noise has another sampling rate.
         """
         _check(record)
-        apart = fit_signal_model(_with_noise(record), hum=hum)
-        return cls(record, hum, apart, SmootherResult.of(apart.reading, learned=apart.learned, steps=apart.steps))
+        signal = fit_signal_model(_with_noise(record), hum=hum)
+        return cls(record, hum, signal, SmootherResult.of(signal.reading, learned=signal.learned, steps=signal.steps))
 
     def estimate(self) -> ComponentForce:
         """The force with its uncertainty; says what is doubtful about it."""
-        record, apart, fit = self.record, self.apart, self.smoothed
-        reading, steps, learned = apart.reading, apart.steps, apart.learned
-        if apart.floor is not None:
-            _doubt(record, apart.floor.sentence(record.dynamics.component, unit=si_unit(record.dynamics.component)))
+        record, signal, fit = self.record, self.signal, self.smoothed
+        reading, steps, learned = signal.reading, signal.steps, signal.learned
+        if signal.floor is not None:
+            _doubt(record, signal.floor.sentence(record.dynamics.component, unit=si_unit(record.dynamics.component)))
         elif record.noise is None and record.shared is None:
             _tell_of_faint(record, learned)
         white = fit.innovations
@@ -138,9 +138,9 @@ class Fitted:
             level = np.maximum(
                 record.shared.level, _unexplained(record, np.where(record.shared.level > 1, 0.0, white))
             )
-        lines = fit.sized(apart.hum)
+        lines = fit.sized(signal.hum)
         if self.hum == "mains":
-            _tell_of_hum(record, lines, large=apart.large)
+            _tell_of_hum(record, lines, large=signal.large)
         estimator = fit.estimator
 
         def through(series: Array) -> Array:

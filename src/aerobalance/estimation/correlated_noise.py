@@ -61,7 +61,7 @@ CLOSE: Final = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedNoise:
-    """Noise of one component that others show.
+    """Noise of one component, as far as the other components' readings predict it.
 
     Attributes
     ----------
@@ -100,12 +100,12 @@ class SharedNoise:
     level: Array
 
     def of(self, readings: Array) -> Array:
-        """What is to be taken off when the others read this, shape (samples, c); with other dynamics, say."""
+        """Noise to take off when the others read this, shape (samples, c) [N]; with other dynamics, say."""
         change = readings - self.readings
         return self.found + filtered(self.weights, change) if change.any() else self.found
 
     def slopes(self, series: Array, other: int) -> Array:
-        """What is taken off for series that one of the others reads, both of shape (samples, k)."""
+        """Change of the noise taken off with series that one of the others reads, both of shape (samples, k)."""
         weights = self.weights[:, [self.others.index(other)]]
         return np.column_stack([filtered(weights, column[:, None]) for column in series.T])
 
@@ -154,7 +154,7 @@ class NoiseMatrix:
         noise: Array,
         ground: Array,
     ) -> NoiseMatrix:
-        """Work them out.
+        """Return the spectra from how the components are decoupled and what was learned of them.
 
         Parameters
         ----------
@@ -183,7 +183,7 @@ class NoiseMatrix:
         return np.asarray(np.maximum(self.gain * self.force, UNSEEN * noise))
 
     def left_of(self, place: int, others: Sequence[int]) -> tuple[NDArray[np.complex128], Array, Array]:
-        """The weights B of others (m, c), the density of the noise that is left (m,), and the least it could be."""
+        """Weights of the others (m, c), density of the noise that is left (m,), and the least it could be [N^2/Hz]."""
         pick = np.ix_(range(self.frequency.size), others, others)
         shown = self.whole[pick] + self.felt[:, others, None] * np.eye(len(others))
         weights = _weights(shown, self.whole[:, others, place])
@@ -217,7 +217,7 @@ def shared_noise(
     present: NDArray[np.bool_],
     readings: Callable[[int], Array],
 ) -> SharedNoise | None:
-    """What others show of the noise of one component; None where that would not make its force better.
+    """Return the noise of one component that the others predict; None where its force would not be better for it.
 
     Parameters
     ----------

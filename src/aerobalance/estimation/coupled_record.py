@@ -120,14 +120,14 @@ class CoupledRecord:
         return 1 / self.recording.rate
 
     @property
-    def rings_together(self) -> bool:
-        """True where a component's force needs the readings of another."""
+    def is_coupled(self) -> bool:
+        """Whether the force of some component needs the readings of another."""
         return not all(one.alone for one in self.decoupled)
 
     @property
     def has_gaps(self) -> bool:
         """True where readings are missing that the force of another component needs."""
-        return self.rings_together and not np.isfinite(self.loads).all()
+        return self.is_coupled and not np.isfinite(self.loads).all()
 
     def component_records(
         self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None

@@ -127,14 +127,14 @@ class DecoupledRecord(ComponentRecord):
         return np.zeros_like(series) if self.shared is None else self.shared.slopes(series, other.place)
 
     def _read(self, felt: Array) -> Array:
-        """What the component reads of a part of the loads felt, shape (samples,); both linear."""
+        """Reading of the decoupled component under a part of the loads felt, shape (samples,) [N]."""
         own = self.decoupled.reading(felt, interval=self.interval)
         for other in self.others:
             own = own - self._taken_off(other.reading(felt, interval=self.interval)[:, None], other)[:, 0]
         return own
 
     def _felt(self, net: Array) -> Array:
-        """What the component reads when loads act on the moving mass of the coupled balance, both (samples, ...)."""
+        """Reading of the component under loads on the moving mass, shapes (samples,) and (samples, n) [N]."""
         return self._read(load_felt(self.coupled, net, interval=self.interval))
 
     def felt_under(self, item: SystematicParameter) -> Array:

@@ -336,7 +336,7 @@ def noise_spectra(
 def _with_matrix(
     parts: Mapping[str, ComponentForce], loads: Loads, dynamics: IndependentDynamics | CoupledDynamics
 ) -> dict[str, ComponentForce]:
-    """Add what is not known of the balance matrix to the uncertainty."""
+    """Return the forces with the errors of the balance matrix in their uncertainty."""
     static = static_uncertainty(loads, forces={name: found.values for name, found in parts.items()})
     highest = max(found.bandwidth for found in parts.values())
     curvature = NonlinearErrors.of(loads, rate=loads.recording.rate, highest=highest)
@@ -362,11 +362,11 @@ def _forces(
         return _with_gaps_filled(record, inverse, lambda one: (one.values, one.noise), noises=noises)[0]
     fitted = partial(Fitted.of, hum=settings.hum)
     fits, filled = _with_gaps_filled(
-        record, fitted, lambda fit: (fit.smoothed.force, fit.apart.learned.noise), noises=noises
+        record, fitted, lambda fit: (fit.smoothed.force, fit.signal.learned.noise), noises=noises
     )
-    for name, shared in noise_shared(fits, record, filled=filled).items():
+    for name, shared in predicted_noise(fits, record, filled=filled).items():
         component = record.component_record(name, filled, shared=shared)
-        if as_expected(component.reading(), fits[name].apart.learned):
+        if as_expected(component.reading(), fits[name].signal.learned):
             fits[name] = fitted(component)
     return {name: fit.estimate() for name, fit in fits.items()}
 
@@ -381,7 +381,7 @@ def _with_gaps_filled(
     *,
     noises: Mapping[str, NoiseSpectrum] | None,
 ) -> tuple[dict[str, Answer], Array]:
-    """Answers by component, and the readings with what the forces found put into their gaps.
+    """Return answers by component, and the readings with their gaps filled by what the forces found make them.
 
     Parameters
     ----------
@@ -406,8 +406,8 @@ def _with_gaps_filled(
     return found, filled
 
 
-def noise_shared(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: Array) -> dict[str, SharedNoise]:
-    """Noise of components that others show, by component; only of those whose force is the better for it.
+def predicted_noise(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: Array) -> dict[str, SharedNoise]:
+    """Return the noise that other components predict, by component; only where the force is the better for it [N].
 
     Parameters
     ----------
@@ -416,8 +416,8 @@ def noise_shared(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: Arr
     record, filled
         As in `filled_by`.
     """
-    learned = [fit.apart.learned for fit in fits.values()]
-    if isinstance(record, IndependentRecord) or not record.rings_together:
+    learned = [fit.signal.learned for fit in fits.values()]
+    if isinstance(record, IndependentRecord) or not record.is_coupled:
         return {}
     if any(one.color is not None for one in learned):
         return {}

@@ -122,7 +122,7 @@ class ComponentRecord(ABC):
     def parameter_errors(
         self, values: Array, again: Callable[[ComponentRecord], Array], through: Through
     ) -> Systematic:
-        """What the parameters of the dynamics do to the force.
+        """Return the error of the force from errors of the dynamics' parameters [N].
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class ComponentRecord(ABC):
 
     @abstractmethod
     def reading_errors(self, values: Array, through: Through) -> list[Contribution]:
-        """What gain and zero of the load's channel do to the force."""
+        """Return the errors of the force from gain and zero of the load's channel [N]."""
 
     def motion_errors(self, slope: Callable[[SystematicParameter], Array]) -> list[Contribution]:
         """What holds along the ground's motion and is not known, by what a unit of it does to the force, (n,)."""
@@ -159,7 +159,7 @@ class ComponentRecord(ABC):
         ]
 
     def finish(self, values: Array, contributions: list[Contribution], **facts: object) -> ComponentForce:
-        """Put the answer together; a contribution that is nothing is left out, but for those that are always there."""
+        """Return the force; contributions of zero are left out, but for that of the dynamics."""
         parts = tuple(part for part in contributions if part.deviation.any() or part.source == "dynamics")
         return ComponentForce(
             component=self.dynamics.component,
@@ -174,7 +174,7 @@ class ComponentRecord(ABC):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SingleRecord(ComponentRecord):
-    """One component that rings for itself, with the ground's motion along it.
+    """One component that is not coupled with others, with the ground's motion along it.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ class SingleRecord(ComponentRecord):
     def of(
         cls, recording: Recording, dynamics: Dynamics, motion: GroundMotion, *, noise: NoiseSpectrum | None = None
     ) -> SingleRecord:
-        """Take a recording as it was written: what its channels' filters have done is undone first."""
+        """Return the record of a recording as it was written: what its channels' filters have done is undone first."""
         return cls(corrected(recording), dynamics, motion, noise=noise)
 
     @property
@@ -237,7 +237,7 @@ class SingleRecord(ComponentRecord):
     def parameter_errors(
         self, values: Array, again: Callable[[ComponentRecord], Array], through: Through
     ) -> Systematic:
-        """What the parameters of the dynamics do to the force: the method is run again with each of them changed.
+        """Return the error of the force from errors of the parameters [N]: each is changed, and the method run again.
 
         The slopes of Eq. (17) of [Gorbushin2020]_ would say too much where the smoother's prior has no force at a
         frequency, and too little where a wrong frequency makes a wrong step.
@@ -283,7 +283,7 @@ class SingleRecord(ComponentRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IndependentRecord:
-    """A recording of components of which each rings for itself.
+    """A recording of components that are not coupled.
 
     Attributes
     ----------
