@@ -9,13 +9,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aerobalance.dynamics._kernels import first_order
 from aerobalance.recording.channel import Array
+
+FEW: Final = 512
+"""Times for which exponentials are taken one by one."""
+
+EVEN: Final = 1e-12
+"""Error of a phase up to which times are evenly spaced [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,22 +81,39 @@ class Mode:
 
     def free_decay(self, time: ArrayLike) -> Array:
         """Release from rest at time 0, over the load held before [1]."""
-        t = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
         p, q = self.poles
-        return np.asarray(np.real((p * np.exp(q * t) - q * np.exp(p * t)) / (p - q)))
+        fall = _exponentials(p, time)
+        if p.imag:  # q is the conjugate of p
+            return np.asarray((p * fall.conj()).imag / p.imag)
+        return np.asarray(np.real((p * _exponentials(q, time) - q * fall) / (p - q)))
 
     def free_decay_rate(self, time: ArrayLike) -> Array:
         """Rate of `free_decay` [1/s]."""
-        t = np.maximum(np.asarray(time, dtype=np.float64), 0.0)
         p, q = self.poles
-        return np.asarray(np.real(p * q * (np.exp(q * t) - np.exp(p * t)) / (p - q)))
+        fall = _exponentials(p, time)
+        if p.imag:
+            return np.asarray(-(abs(p) ** 2) / p.imag * fall.imag)
+        return np.asarray(np.real(p * q * (_exponentials(q, time) - fall) / (p - q)))
 
     def integrated_step(self, time: Array) -> Array:
         """Integral of the response to a step of 1 at time 0, from 0 to time [s]."""
-        t = np.maximum(time, 0.0)
         p, q = self.poles
-        swing = q / p * np.expm1(p * t) - p / q * np.expm1(q * t)
-        return np.asarray(t + np.real(swing / (p - q)))
+        fall = _exponentials(p, time)
+        if p.imag:
+            swing = (q / p * (fall - 1)).imag / p.imag
+        else:
+            swing = np.real((q / p * (fall - 1) - p / q * (_exponentials(q, time) - 1)) / (p - q))
+        return np.asarray(np.maximum(time, 0.0) + swing)
+
+    def released(self, time: ArrayLike) -> Array:
+        """Its part of a balance load after a release from rest at time 0, over the load held before [1]."""
+        part = self.share * self.free_decay(time)
+        return part + self.rate_share * self.free_decay_rate(time) if self.rate_share else part
+
+    def risen(self, time: Array) -> Array:
+        """Its part of the integral of the balance load after a step of 1 at time 0 [s]."""
+        part = self.share * self.integrated_step(time)
+        return part - self.rate_share * self.free_decay(time) if self.rate_share else part
 
     def driven(self, net: Array, *, interval: float) -> tuple[Array, Array]:
         """Response and its rate under a net force that is linear between samples, held before; shape (n,) each."""
@@ -107,6 +130,29 @@ class Mode:
             rate += pole * part
         size = self.angular_frequency**2 / (p - q)
         return np.asarray(net[0] + np.real(response * size)), np.asarray(np.real(rate * size))
+
+
+def _exponentials(pole: complex, time: ArrayLike) -> NDArray[np.complex128]:
+    """Return exp(pole t) of times [s], 1 before time 0.
+
+    Of evenly spaced times they are products of some 2 sqrt(n) exponentials, which takes a tenth of the time.
+    """
+    t = np.asarray(time, dtype=np.float64)
+    if t.ndim != 1 or t.size < FEW:
+        return np.asarray(np.exp(pole * np.maximum(t, 0.0)))
+    begin = int(np.searchsorted(t, 0.0))
+    count = t.size - begin
+    out = np.ones(t.size, dtype=np.complex128)
+    if not count:
+        return out
+    first, step = t[begin], (t[-1] - t[begin]) / max(count - 1, 1)
+    even = first + step * np.arange(count)
+    if float(np.abs(t[begin:] - even).max()) * abs(pole) > EVEN:
+        return np.asarray(np.exp(pole * np.maximum(t, 0.0)))
+    block = int(np.ceil(np.sqrt(count)))
+    rows = np.exp(pole * (first + step * block * np.arange(-(-count // block))))
+    out[begin:] = np.outer(rows, np.exp(pole * step * np.arange(block))).ravel()[:count]
+    return out
 
 
 class ModalModel(ABC):
@@ -193,10 +239,7 @@ class ModalModel(ABC):
         The sine term that (6) leaves out makes the velocity at release zero; with it the extrema of (7) are exact.
         It is 1 before the release.
         """
-        parts = (
-            mode.share * mode.free_decay(time) + mode.rate_share * mode.free_decay_rate(time) for mode in self.modes
-        )
-        return np.asarray(sum(parts))
+        return np.asarray(sum(mode.released(time) for mode in self.modes))
 
     def step_response(self, time: ArrayLike, *, duration: float = 0.0) -> Array:
         """Load felt after a force of 1 N is applied at time 0, at once or linearly over a duration.
@@ -212,12 +255,8 @@ class ModalModel(ABC):
         if duration <= 0:
             return 1 - self.free_decay(t)
         late = t - duration
-        risen = (
-            mode.share * (mode.integrated_step(t) - mode.integrated_step(late))
-            + mode.rate_share * (mode.free_decay(late) - mode.free_decay(t))
-            for mode in self.modes
-        )
-        return np.asarray(sum(risen) / duration)
+        risen = sum(mode.risen(t) - mode.risen(late) for mode in self.modes)
+        return np.asarray(risen / duration)
 
     def load_felt(self, net: Array, *, interval: float) -> Array:
         """Load felt under a net force that is linear between samples: Eq. (8) integrated exactly.

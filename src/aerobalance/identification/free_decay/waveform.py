@@ -7,6 +7,8 @@ References
 ----------
 .. [Golub1973] G. H. Golub, V. Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems
    whose variables separate", SIAM J. Numer. Anal. 10 (1973) 413.
+.. [Kaufman1975] L. Kaufman, "A variable projection method for solving separable nonlinear least squares problems", BIT
+   15 (1975) 49.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.linalg import lstsq
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, lstsq
 from scipy.optimize import least_squares
 
 from aerobalance.dynamics.single import Dynamics
@@ -30,6 +32,12 @@ TAPPED: Final = 0.5
 
 STEEPEST_RISE: Final = 50.0
 """Logarithm of the growth at which a rising trial waveform is cut, so that numbers stay finite."""
+
+SLOPE_STEP: Final = 1e-5
+"""Change of a parameter, over its scale in the search, over which slopes are taken."""
+
+ALIKE: Final = 1e-4
+"""Part of a column's size that no other column shows, below which the normal equations are too poor."""
 
 EVIDENCE: Final = 20.0
 """Drop in the sum of squares over the noise variance that a richer shape must bring."""
@@ -258,7 +266,7 @@ def _columns(
         instant, rest = vector[2], 3
         duration = abs(vector[3]) if shape == "ramp" else 0.0
         rest += shape == "ramp"
-        columns.append(1 - unit.step_response(time - instant, duration=duration))
+        columns.append(_released(unit, time - instant, duration))
     since = np.maximum(time - instant, 0.0)
     for line in lines:
         frequency, rest = vector[rest], rest + 1
@@ -273,10 +281,15 @@ def _columns(
             ]
         else:  # a mode of its own, released together with the first
             mode = Dynamics("AF", 1.0, frequency**2 + fall**2, 2 * fall)
-            columns.append(1 - mode.step_response(time - instant, duration=duration))
+            columns.append(_released(mode, time - instant, duration))
     if bent:
         columns += _bending(time - instant - duration, decay, w)
-    return np.column_stack(columns)
+    return np.array(columns).T
+
+
+def _released(mode: Dynamics, since: Array, duration: float) -> Array:
+    """Balance load after a release, over the load held before, shape (n,) [1]."""
+    return mode.free_decay(since) if duration <= 0 else 1 - mode.step_response(since, duration=duration)
 
 
 def _bending(since: Array, decay: float, w: float) -> list[Array]:
@@ -293,9 +306,23 @@ def _bending(since: Array, decay: float, w: float) -> list[Array]:
 
 
 def projected(columns: Array, values: Array) -> tuple[Array, Array]:
-    """Sizes of the columns and residuals."""
-    sizes: Array = lstsq(columns, values, lapack_driver="gelsy", check_finite=False)[0]
-    return sizes, values - columns @ sizes
+    """Sizes of the columns, shape (p,) or (p, c), and residuals of values, shape (n,) or (n, c)."""
+    scale = np.sqrt(np.einsum("np,np->p", columns, columns))
+    scale[scale == 0] = 1.0
+    unit = columns / scale
+    square = unit.T @ unit
+    try:
+        factor = cho_factor(square)
+    except LinAlgError:
+        factor = None
+    if factor is None or float(np.min(np.diag(factor[0]))) < ALIKE:
+        sizes: Array = lstsq(columns, values, lapack_driver="gelsy", check_finite=False)[0]
+        return sizes, values - columns @ sizes
+    found = cho_solve(factor, unit.T @ values)
+    left = values - unit @ found
+    more = cho_solve(factor, unit.T @ left)  # once more, for what rounding in the normal equations has lost
+    found, left = found + more, left - unit @ more
+    return found / (scale if values.ndim == 1 else scale[:, None]), left
 
 
 def _scale(start: Look | Ring, shape: Shape, size: int) -> Array:
@@ -315,12 +342,23 @@ def _search(
     origin = _start_vector(start, shape, lines)
     scale = _scale(start, shape, origin.size)
 
-    def residuals(moved: Array) -> Array:
-        return projected(_columns(time, shape, origin + scale * moved, lines, begin=begin, bent=bent), values)[1]
+    def columns_at(moved: Array) -> Array:
+        return _columns(time, shape, origin + scale * moved, lines, begin=begin, bent=bent)
 
-    found = least_squares(residuals, np.zeros(origin.size), method="lm", xtol=1e-12, ftol=1e-12, max_nfev=150)
+    def residuals(moved: Array) -> Array:
+        return projected(columns_at(moved), values)[1]
+
+    def slopes(moved: Array) -> Array:
+        """Slopes of the residuals; the change of the projection itself is left out [Kaufman1975]_."""
+        columns = columns_at(moved)
+        sizes, _ = projected(columns, values)
+        steps = SLOPE_STEP * np.eye(moved.size)
+        changes = np.column_stack([(columns_at(moved + step) - columns) @ sizes for step in steps]) / SLOPE_STEP
+        return -projected(columns, changes)[1]
+
+    found = least_squares(residuals, np.zeros(origin.size), slopes, method="lm", xtol=1e-12, ftol=1e-12, max_nfev=150)
     vector = origin + scale * found.x
-    sizes, left = projected(_columns(time, shape, vector, lines, begin=begin, bent=bent), values)
+    sizes, left = projected(columns_at(found.x), values)
     J = _jacobian(time, shape, vector, lines, begin=begin, scale=scale, sizes=sizes, bent=bent)
     covariance, colour = _covariance(J, left, time=time, frequency=float(vector[1]) / (2 * np.pi), sizes=sizes)
     place = 2 + (shape != "free") + (shape == "ramp")
