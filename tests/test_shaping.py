@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.linalg import hankel, svd
 
+from aerobalance.estimation.statespace import shaping_filter
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
 
 
@@ -63,3 +65,46 @@ def test_filter_is_stable_and_the_silent_one_silent():
     assert np.linalg.eigvals(shaping.drift).real.max() < 0
     assert ShapingFilter.silent().spectrum(np.array([0.0, 10.0])) == pytest.approx([0.0, 0.0])
     assert ShapingFilter.silent().covariance == pytest.approx(np.zeros((1, 1)))
+
+
+def realised(A: np.ndarray, B: np.ndarray, C: np.ndarray, count: int) -> np.ndarray:
+    """Impulse response C A^k B of states, k from 0."""
+    state, out = B, []
+    for _ in range(count):
+        out.append(C @ state)
+        state = A @ state
+    return np.array(out)
+
+
+@pytest.mark.parametrize("states", [2, 4, 6])
+def test_realisation_is_that_of_the_dense_hankel_matrix(states):
+    """Kung's recipe to the letter: singular vectors of the whole matrix."""
+    circle = np.linspace(0, np.pi, shaping_filter.CIRCLE // 2 + 1)
+    level = np.log(1e-4 + np.exp(-8 * (1 - np.cos(circle))))
+    response = shaping_filter._minimum_phase(np.concatenate([level, level[-2:0:-1]]))
+    size = 200  # the response has fallen below rounding within as many samples
+    left, singular, right = svd(hankel(response[1 : size + 1], response[size : 2 * size]))
+    tolerance = 2.02 * float(np.sum(singular[states:]))
+    A, B, C = shaping_filter._balanced(response, tolerance)
+    assert B.size == states
+    root = np.sqrt(singular[:states])
+    left = left[:, :states]
+    expected = realised((left[:-1].T @ left[1:]) / root[:, None] * root, root * right[:states, 0], left[0] * root, 200)
+    # what the iteration leaves is under a hundredth of the tolerance, which bounds every sample of an error too
+    assert np.max(np.abs(realised(A, B, C, 200) - expected)) < 0.02 * tolerance
+    # and the bound itself, over all frequencies
+    error = np.fft.rfft(realised(A, B, C, 4096) - response[1:4097])
+    assert np.max(np.abs(error)) < tolerance
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 3e-4])
+def test_error_of_a_sharp_edge_is_within_its_bound(tolerance):
+    spectrum = np.where(shaping_filter._bent_frequencies(1.0) <= 1.0, 1.0, tolerance**2)
+    response = shaping_filter._minimum_phase(shaping_filter._widened(np.log(spectrum)))
+    A, B, C = shaping_filter._balanced(response, tolerance)
+    assert B.size < shaping_filter.STATES
+    poles, modes = np.linalg.eig(A)
+    residues = (C @ modes) * np.linalg.solve(modes, B.astype(complex))
+    turns = np.exp(2j * np.pi * np.arange(shaping_filter.CIRCLE) / shaping_filter.CIRCLE)
+    found = np.sum(residues / (turns[:, None] - poles), axis=1)
+    assert np.max(np.abs(found - (np.fft.fft(response) - response[0]))) < tolerance * (1 + shaping_filter.CUT)

@@ -10,6 +10,7 @@ References
 ----------
 .. [Glover1984] K. Glover, "All optimal Hankel-norm approximations of linear multivariable systems and their
    L-infinity error bounds", Int. J. Control 39 (1984) 1115.
+.. [Golub1996] G. H. Golub, C. F. Van Loan, "Matrix Computations", 3rd ed., Johns Hopkins (1996), ch. 9.
 .. [Kung1978] S. Kung, "A new identification and model reduction algorithm via singular value decomposition",
    Proc. 12th Asilomar Conf. Circuits, Systems and Computers (1978) 705.
 .. [Oppenheim1989] A. V. Oppenheim, R. W. Schafer, "Discrete-Time Signal Processing", Prentice-Hall (1989), ch. 12.
@@ -22,7 +23,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
+from scipy.fft import irfft, rfft
+from scipy.linalg import eigh_tridiagonal, solve_continuous_lyapunov
 from scipy.ndimage import maximum_filter1d
 
 from aerobalance.recording.channel import Array
@@ -37,10 +39,25 @@ CIRCLE: Final = 1 << 14
 """Points on the unit circle."""
 
 MEMORY: Final = 4096
-"""Samples of the impulse response over the bent clock that the states are to reproduce."""
+"""Samples of the past over the bent clock that the states are to reproduce at most: half of the impulse response."""
+
+SHORTEST: Final = 128
+"""Samples of it at least."""
 
 NEGLIGIBLE: Final = 1e-8
 """Singular value over the largest below which a state is left out."""
+
+CUT: Final = 0.05
+"""Error over the tolerance that cutting the impulse response may make."""
+
+SETTLED: Final = 0.01
+"""Size over the tolerance of what one more step of the iteration would bring, at which it ends."""
+
+BEYOND: Final = 16
+"""Steps of the iteration at most, beyond the most states."""
+
+BLOCK: Final = 100
+"""Samples of a product of matrices at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,37 +143,78 @@ def _widened(level: Array) -> Array:
     whole = maximum_filter1d(whole, 2 * reach + 1, mode="wrap")
     weights = np.hanning(2 * reach + 3)[1:-1]
     kernel = np.roll(np.pad(weights / weights.sum(), (0, CIRCLE - weights.size)), -reach)
-    return np.fft.irfft(np.fft.rfft(whole) * np.fft.rfft(kernel), CIRCLE)
+    return np.asarray(irfft(rfft(whole) * rfft(kernel)))
 
 
 def _minimum_phase(level: Array) -> Array:
     """Impulse response of the minimum-phase factor of a spectrum, from its cepstrum [Oppenheim1989]_."""
-    cepstrum = np.fft.ifft(level).real / 2
+    cepstrum = irfft(level[: CIRCLE // 2 + 1]) / 2
     cepstrum[1 : CIRCLE // 2] *= 2
     cepstrum[CIRCLE // 2 + 1 :] = 0
-    return np.asarray(np.fft.ifft(np.exp(np.fft.fft(cepstrum))).real)
+    return np.asarray(irfft(np.exp(rfft(cepstrum))))
 
 
 def _balanced(response: Array, tolerance: float) -> tuple[Array, Array, Array]:
     """Balanced realisation A, B, C of an impulse response [Kung1978]_; what passes at once is left out.
 
-    The leading singular vectors of the Hankel matrix are found by subspace iteration, its products by convolution.
+    The Hankel matrix is symmetric; its leading eigenvectors come from Lanczos' iteration, its products by convolution
+    [Golub1996]_.
     """
-    spectrum = np.fft.rfft(response[1 : 2 * MEMORY], 4 * MEMORY)[:, None]
-
-    def hankel(columns: Array) -> Array:
-        product = np.fft.irfft(spectrum * np.fft.rfft(columns[::-1], 4 * MEMORY, axis=0), axis=0)
-        return np.asarray(product[MEMORY - 1 : 2 * MEMORY - 1])
-
-    basis = np.random.default_rng(0).normal(size=(MEMORY, STATES + 8))  # any start will do; always the same
-    for _ in range(3):
-        basis = np.linalg.qr(hankel(basis))[0]  # the matrix is symmetric
-    left, singular, right = np.linalg.svd(hankel(basis).T, full_matrices=False)
+    basis, diagonal, beside = _krylov(response, tolerance)
+    values, vectors = eigh_tridiagonal(diagonal, beside)
+    order = np.argsort(-np.abs(values))
+    values, vectors = values[order], vectors[:, order]
+    singular, sign = np.abs(values), np.sign(values)
     # the error is at most twice the sum of the singular values left out [Glover1984]_
     bound = 2 * np.cumsum(singular[::-1])[::-1]
     kept = int(np.count_nonzero((bound > tolerance) & (singular > NEGLIGIBLE * singular[0])))
     kept = min(max(kept, 1), STATES)
-    root = np.sqrt(singular[:kept])
-    left = basis @ left[:, :kept]
-    A = (left[:-1].T @ left[1:]) / root[:, None] * root
-    return A, root * right[:kept, 0], left[0] * root
+    # the basis begins with the first sample, so that the first row of the singular vectors is that of `vectors`; each
+    # of them has a free sign, which is chosen so that rounding does not
+    vectors, sign, root = vectors[:, :kept], sign[:kept], np.sqrt(singular[:kept])
+    vectors = vectors * np.copysign(1.0, vectors[0])
+    A = (vectors.T @ _products(basis[:, :-1], basis[:, 1:]) @ vectors) / root[:, None] * root
+    return A, root * sign * vectors[0], vectors[0] * root
+
+
+def _krylov(response: Array, tolerance: float) -> tuple[Array, Array, Array]:
+    """Lanczos' iteration on the Hankel matrix of an impulse response, from the first sample on.
+
+    Returns
+    -------
+    basis, diagonal, beside
+        Orthonormal rows (k, m), and the matrix in their terms: its diagonal (k,) and what is beside it (k - 1,).
+    """
+    limit = max(tolerance, NEGLIGIBLE * float(np.sum(np.abs(response))))
+    after = np.cumsum(np.abs(response[::-1]))[::-1]
+    memory = SHORTEST
+    while memory < MEMORY and after[2 * memory] > CUT * limit:
+        memory *= 2
+    # a Hankel matrix of 2 m - 1 samples is part of a circulant of size 2 m
+    spectrum = rfft(np.append(response[1 : 2 * memory], 0.0))
+    most = STATES + BEYOND
+    basis = np.zeros((most, memory))
+    basis[0, 0] = 1.0
+    diagonal, beside = np.zeros(most), np.zeros(most)
+    for last in range(most):
+        row = irfft(spectrum * rfft(basis[last, ::-1], 2 * memory))[memory - 1 : 2 * memory - 1]
+        diagonal[last] = np.sum(basis[last] * row)
+        row -= diagonal[last] * basis[last]
+        if last:
+            row -= beside[last - 1] * basis[last - 1]
+        # rounding brings the older rows back; sums, as threads of a BLAS cost more than they bring here
+        known = basis[: last + 1]
+        row -= np.einsum("km,k->m", known, np.einsum("km,m->k", known, row))
+        beside[last] = np.sqrt(np.sum(row**2))
+        if last + 1 == most or np.max(beside[max(last - 1, 0) : last + 1]) < SETTLED * limit:
+            break
+        basis[last + 1] = row / beside[last]
+    return basis[: last + 1], diagonal[: last + 1], beside[:last]
+
+
+def _products(one: Array, other: Array) -> Array:
+    """Sum of one[i, n] other[j, n] over n, shape (k, k): in parts that a BLAS does not share out to threads."""
+    whole = np.zeros((one.shape[0], other.shape[0]))
+    for first in range(0, one.shape[1], BLOCK):
+        whole += one[:, first : first + BLOCK] @ other[:, first : first + BLOCK].T
+    return whole
