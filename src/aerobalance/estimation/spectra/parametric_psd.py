@@ -1,88 +1,214 @@
-"""A spectrum that rolls off smoothly: S(f) = S(0) / (1 + (f / corner)^m)^q."""
+"""A spectrum that rolls off smoothly: S(f) = S(0) / (1 + (f / corner)^m)^q.
+
+Level, corner, one of m and q, and the noise of the reading are found together, by scoring: Newton's method with the
+information that is expected [Fahrmeir2001]_, damped as Levenberg and Marquardt do. All beginnings go at once over few
+coarse averages; the best of each kind then goes on over all averages.
+
+References
+----------
+.. [Fahrmeir2001] L. Fahrmeir, G. Tutz, "Multivariate Statistical Modelling Based on Generalized Linear Models",
+   2nd ed., Springer (2001), sec. 2.2.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize
+from numpy.typing import NDArray
 
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
 from aerobalance.recording.channel import Array
 
-STEEPEST_ORDER: Final = 16.0
-"""Largest exponent m of a Butterworth spectrum; what is steeper is an edge."""
+EXPONENTS: Final = (0.3, 16.0)
+"""Least and largest exponent m of a Butterworth spectrum (q = 1; Dryden's has m = 2); what is steeper is an edge."""
 
-STEEPEST_POWER: Final = 90.0
-"""Largest power q of a Matern spectrum; from there on it is a Gauss curve."""
+POWERS: Final = (0.2, 90.0)
+"""Least and largest power q of a Matern spectrum (m = 2; von Karman's has q = 5/6); the largest is a Gauss curve."""
+
+BEGINNINGS: Final = (((2.0, 1.0), (4.0, 1.0), (8.0, 1.0)), ((2.0, 1.0), (2.0, 6.0), (2.0, 20.0)))
+"""Pairs of m and q that are tried to begin with: Butterworth's and Matern's."""
 
 CORNERS: Final = 16
 """Corners that are tried to begin with."""
 
+COARSE: Final = 128
+"""Averages over which the beginnings are compared; half of them are the lowest, where a roll-off may begin."""
 
-def fit_butterworth(periodogram: Periodogram, noise: float, start: Spectrum) -> Spectrum:
-    """The most likely spectrum of q = 1: Butterworth's of any order, Dryden's among them."""
-    limits = (np.log(0.3), np.log(STEEPEST_ORDER))
-    return _fit(periodogram, noise, start, place=2, limits=limits, starts=(2.0, 4.0, 8.0))
+FEW_STEPS: Final = 12
+"""Steps of each beginning over these at most."""
+
+STEPS: Final = 40
+"""Steps over all averages at most."""
+
+ENOUGH: Final = 1e-3
+"""Gain in log-likelihood expected of a step below which it is not taken."""
+
+LONGEST_STEP: Final = 1.5
+"""Change of a logarithm in one step at most."""
+
+DAMPING: Final = 1e-3
+"""Damping of the first step, over the information; a tenth of it after a step that gains, else ten times it."""
+
+LEVEL, HALF, EXPONENT, POWER, NOISE = range(5)
+"""Places of the logarithms of level, frequency of half that level, m, q and noise in a point.
+
+With the corner in its place a Gauss curve is a valley: corner and q grow together without end.
+"""
 
 
-def fit_matern(periodogram: Periodogram, noise: float, start: Spectrum) -> Spectrum:
-    """The most likely spectrum of m = 2: Matern's of any order, von Karman's among them, Gauss's at its limit."""
-    limits = (np.log(0.2), np.log(STEEPEST_POWER))
-    return _fit(periodogram, noise, start, place=3, limits=limits, starts=(1.0, 6.0, 20.0))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Averages:
+    """What the likelihood needs of a periodogram.
+
+    Attributes
+    ----------
+    frequency
+        Logarithms of the frequencies [Hz], and of those that are folded onto them, shape (2, m).
+    gain
+        Squares of the response at these [1].
+    background, density
+        Density of what is no force but for the white noise, and of the reading, shape (m,) [N^2/Hz].
+    weight
+        Number of independent ordinates [1].
+    """
+
+    frequency: Array
+    gain: Array
+    background: Array
+    density: Array
+    weight: Array
+
+    @classmethod
+    def of(cls, periodogram: Periodogram, *, most: int) -> _Averages:
+        """Take the averages of a periodogram, or so many that hold them."""
+        weight = periodogram.weight
+        rows = np.stack(
+            [
+                periodogram.frequency,
+                periodogram.folded_frequency,
+                periodogram.gain,
+                periodogram.folded_gain,
+                periodogram.background(0.0),
+                periodogram.density,
+            ]
+        )
+        if weight.size > most:
+            first = np.concatenate([np.arange(most // 2), np.linspace(most // 2, weight.size, most // 2 + 1)[:-1]])
+            first = first.astype(np.int64)
+            rows = np.add.reduceat(rows * weight, first, axis=1)
+            weight = np.add.reduceat(weight, first)
+            rows = rows / weight
+        return cls(np.log(rows[:2]), rows[2:4], rows[4], rows[5], weight)
+
+    def cost(self, points: Array) -> tuple[Array, Array, Array]:
+        """Less the logarithm of Whittle's likelihood (b,) of points (b, 5), its slopes (b, 5) and information."""
+        level, half, exponent, power, noise = (points[:, place, None, None] for place in range(5))
+        exponent, power, white = np.exp(exponent), np.exp(power), np.exp(noise[:, 0])
+        octave = np.log(2.0) / power
+        bend = exponent * (self.frequency - half) + np.log(np.expm1(octave))
+        fall = np.logaddexp(0.0, bend)
+        felt = self.gain * np.exp(np.maximum(level - power * fall, -600.0))
+        steep = power * felt * np.exp(bend - fall)
+        model = self.background + white + felt.sum(axis=1)
+        slopes = np.empty((points.shape[0], 5, self.weight.size))
+        slopes[:, LEVEL] = felt.sum(axis=1)
+        whole = steep.sum(axis=1)
+        slopes[:, HALF] = exponent[:, 0] * whole
+        slopes[:, EXPONENT] = -exponent[:, 0] * np.sum(steep * (self.frequency - half), axis=1)
+        slopes[:, POWER] = (octave / -np.expm1(-octave))[:, 0] * whole - power[:, 0] * np.sum(felt * fall, axis=1)
+        slopes[:, NOISE] = white
+        slopes /= model[:, None]
+        ratio = self.density / model
+        gradient = slopes @ (self.weight * (1 - ratio))[:, :, None]
+        information = (slopes * self.weight) @ slopes.transpose(0, 2, 1)
+        return (np.log(model) + ratio) @ self.weight, gradient[:, :, 0], information
+
+    def beginnings(self, noise: float) -> Array:
+        """Points to begin from with a noise: for each pair of m and q the best of some corners, (pairs, 5)."""
+        raw = np.maximum(self.density - self.background - noise, 0.0) / self.gain[0]
+        below = np.cumsum(raw * self.weight) / np.cumsum(self.weight)
+        frequency = np.exp(self.frequency[0])
+        halves = np.geomspace(frequency[0], frequency[-1], CORNERS)
+        last = np.searchsorted(frequency, np.maximum(halves, frequency[min(3, frequency.size - 1)]), side="right") - 1
+        best = []
+        for m, q in (pair for pairs in BEGINNINGS for pair in pairs):
+            points = np.empty((CORNERS, 5))
+            points[:, LEVEL] = np.log(np.maximum(below[last], 1e-200))
+            points[:, HALF] = np.log(halves)
+            points[:, [EXPONENT, POWER, NOISE]] = np.log([m, q, noise])
+            best.append(points[np.argmin(self.cost(points)[0])])
+        return np.array(best)
 
 
-def _fit(
-    periodogram: Periodogram,
-    noise: float,
-    start: Spectrum,
-    *,
-    place: int,
-    limits: tuple[float, float],
-    starts: tuple[float, ...],
-) -> Spectrum:
-    """Level, corner and one of m and q (the one at `place`) of a roll-off, by the simplex of Nelder and Mead."""
-    gain = np.stack([periodogram.gain, periodogram.folded_gain])
-    frequency = np.log(np.stack([periodogram.frequency, periodogram.folded_frequency]))
-    background, weight, density = periodogram.background(noise), periodogram.weight, periodogram.density
+def fit_roll_offs(
+    periodogram: Periodogram, noises: Sequence[float], *, floor: float | None
+) -> list[tuple[Spectrum, float]]:
+    """The most likely Butterworth and Matern spectra, each with the density of its noise [N^2/Hz].
+
+    Parameters
+    ----------
+    periodogram
+        Of the reading.
+    noises
+        Densities of the noise to begin with [N^2/Hz].
+    floor
+        Least density of the noise [N^2/Hz]; None when it is known, and the one to begin with is kept.
+    """
+    whole, coarse = (_Averages.of(periodogram, most=most) for most in (periodogram.weight.size, COARSE))
     lowest, highest = float(periodogram.frequency[0]), float(periodogram.frequency[-1])
-
-    def complete(point: Array) -> Array:
-        whole = np.array([point[0], point[1], np.log(2.0), 0.0])
-        whole[place] = point[2]
-        return whole
-
-    def cost(point: Array) -> float:
-        level, corner, exponent, power = complete(point)
-        inside = limits[0] < point[2] < limits[1] and np.log(0.1 * lowest) < corner < np.log(30 * highest)
-        if not (inside and abs(level) < 500):
-            return np.inf
-        fall = np.exp(power) * np.logaddexp(0.0, np.exp(exponent) * (frequency - corner))
-        model = background + np.sum(gain * np.exp(np.maximum(level - fall, -600.0)), axis=0)
-        return float(weight @ (np.log(model) + density / model))
-
-    def lowered(origin: Array, **options: float) -> tuple[float, Array]:
-        found = minimize(cost, origin, method="Nelder-Mead", options=options)  # type: ignore[call-overload]
-        return float(found.fun), np.asarray(found.x)
-
-    if start.roll_off:
-        origin = np.log([start.levels[0], start.roll_off[0], start.roll_off[place - 1]])
-    else:
-        trials = [_origins(periodogram, background, shape, place) for shape in starts]
-        quick = [lowered(min(trial, key=cost), xatol=1e-2, fatol=1.0, maxiter=150) for trial in trials]
-        origin = min(quick, key=lambda trial: trial[0])[1]
-    level, corner, exponent, power = np.exp(complete(lowered(origin, xatol=1e-3, fatol=1e-2, maxiter=600)[1]))
-    return Spectrum(np.array([np.inf]), np.array([level]), (float(corner), float(exponent), float(power)))
+    least = max(floor or 0.0, 1e-200)
+    limits = np.array(
+        [[-500.0, np.log(0.1 * lowest), *np.log([EXPONENTS[0], POWERS[0], least])],
+         [500.0, np.log(30 * highest), *np.log([EXPONENTS[1], POWERS[1], 1e200])]]
+    )  # fmt: skip
+    points = np.concatenate([coarse.beginnings(noise) for noise in noises])
+    kinds = np.tile(np.repeat([0, 1], [len(pairs) for pairs in BEGINNINGS]), len(noises))
+    free = np.ones((2, 5), dtype=np.bool_)
+    free[0, POWER] = free[1, EXPONENT] = False
+    free[:, NOISE] = floor is not None
+    points, cost = _lowered(points, coarse, free[kinds], limits, most=FEW_STEPS)
+    best = np.array([np.flatnonzero(kinds == kind)[np.argmin(cost[kinds == kind])] for kind in (0, 1)])
+    points, _ = _lowered(points[best], whole, free, limits, most=STEPS)
+    found = []
+    for level, half, exponent, power, noise in np.exp(points):
+        corner = half * np.expm1(np.log(2.0) / power) ** (-1 / exponent)
+        roll_off = (float(corner), float(exponent), float(power))
+        found.append((Spectrum(np.array([np.inf]), np.array([level]), roll_off), float(noise)))
+    return found
 
 
-def _origins(periodogram: Periodogram, background: Array, shape: float, place: int) -> list[Array]:
-    """Places to begin from, for one m or q: corners over the whole band, each with the level up to it."""
-    raw = np.maximum(periodogram.density - background, 0.0) / periodogram.gain
-    frequency, weight = periodogram.frequency, periodogram.weight
-    origins = []
-    for half in np.geomspace(frequency[0], frequency[-1], CORNERS):
-        inside = frequency <= max(half, frequency[min(3, frequency.size - 1)])
-        level = max(float(np.average(raw[inside], weights=weight[inside])), 1e-200)
-        corner = half if place == 2 else half / np.sqrt(2 ** (1 / shape) - 1)
-        origins.append(np.log([level, corner, shape]))
-    return origins
+def _lowered(
+    points: Array, averages: _Averages, free: NDArray[np.bool_], limits: Array, *, most: int
+) -> tuple[Array, Array]:
+    """Points (b, 5) of least cost from others, each by itself, and those costs (b,), in so many steps at most."""
+    lower, upper = limits
+    cost, gradient, information = averages.cost(points)
+    damping = np.full(cost.size, DAMPING)
+    going = np.ones(cost.size, dtype=np.bool_)
+    unit = np.eye(points.shape[1])
+    for _ in range(most):
+        outward = ((points <= lower) & (gradient > 0)) | ((points >= upper) & (gradient < 0))
+        moved = free & ~outward
+        slope = np.where(moved, gradient, 0.0)
+        bend = information * (moved[:, :, None] & moved[:, None, :])
+        size = np.where(moved, np.diagonal(bend, axis1=1, axis2=2), 1.0)
+        damped = bend + unit * (size * damping[:, None] + np.where(moved, 1e-9, 1.0))[:, :, None]
+        step = -np.linalg.solve(damped, slope[:, :, None])[:, :, 0]
+        step = np.clip(step, -LONGEST_STEP, LONGEST_STEP)
+        promise = -np.sum(slope * step, axis=1) - 0.5 * np.einsum("bi,bij,bj->b", step, bend, step)
+        going &= promise > ENOUGH
+        if not going.any():
+            break
+        trial = np.clip(points + step * going[:, None], lower, upper)
+        trial = np.where(free, trial, points)
+        after = averages.cost(trial)
+        better = going & (after[0] < cost)
+        points = np.where(better[:, None], trial, points)
+        cost = np.where(better, after[0], cost)
+        gradient = np.where(better[:, None], after[1], gradient)
+        information = np.where(better[:, None, None], after[2], information)
+        damping = np.where(better, damping / 10, damping * 10)
+    return points, cost

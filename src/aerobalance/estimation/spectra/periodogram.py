@@ -7,11 +7,13 @@ S_F the force, S_u the white noise that comes with known inputs, and R the noise
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.recording.channel import Array
@@ -31,8 +33,14 @@ FEWEST_ORDINATES: Final = 4
 FINENESS: Final = 0.003
 """Width of such an average over its frequency."""
 
+STRAIGHT: Final = 1e-3
+"""Second difference of the response's squares at neighbouring ordinates, over them, below which they hardly bend."""
+
 STEEPEST: Final = 1.1
 """Ratio of the response's squares within one average at most."""
+
+LOBES: Final = 256
+"""Ordinates on either side of an edge up to which the window leaks at all."""
 
 
 def leaked(distance: Array) -> Array:
@@ -41,7 +49,7 @@ def leaked(distance: Array) -> Array:
 
 
 def _lobe() -> tuple[Array, Array]:
-    place = np.linspace(-256, 256, 512 * 64 + 1)
+    place = np.linspace(-LOBES, LOBES, 2 * LOBES * 64 + 1)
     power = (np.sinc(place) + 0.5 * np.sinc(place - 1) + 0.5 * np.sinc(place + 1)) ** 2
     share = np.concatenate([[0.0], np.cumsum((power[1:] + power[:-1]) / 2)])
     return place, share / share[-1]
@@ -85,18 +93,13 @@ class Spectrum:
             return "no fluctuating force"
         return f"spectrum of {filled.size} segment(s) up to {self.edges[filled[-1]]:.4g} Hz"
 
-    def density(self, frequency: Array, *, step: float = 0.0) -> Array:
-        """Density at frequencies [Hz], [N^2/Hz]; with a step, as a Hann window with such ordinates [Hz] sees it."""
+    def density(self, frequency: Array) -> Array:
+        """Density at frequencies [Hz], [N^2/Hz]."""
         frequency = np.asarray(frequency)
         if self.roll_off:
             corner, exponent, power = self.roll_off
             fall = np.logaddexp(0.0, exponent * np.log(np.maximum(frequency, 1e-12 * corner) / corner))
             return np.asarray(self.levels[0] * np.exp(-np.minimum(power * fall, 600.0)))
-        if step:
-            seen = np.full(frequency.shape, self.levels[0] if self.levels.size else 0.0)
-            for edge, change in zip(self.edges[:-1], np.diff(self.levels), strict=True):
-                seen += change * leaked((frequency - edge) / step)
-            return seen
         place = np.searchsorted(self.edges, frequency, side="left")
         return np.append(self.levels, 0.0)[place]
 
@@ -128,6 +131,8 @@ class Periodogram:
     color
         Density of the reading's noise beyond its white part at all ordinates, shape (n,) [N^2/Hz]; None if there is
         none.
+    gains_above
+        Results of `gain_above` so far.
     """
 
     frequency: Array
@@ -140,6 +145,12 @@ class Periodogram:
     edges: NDArray[np.int64]
     input_density: float
     color: Array | None = None
+    gains_above: dict[float, Array] = field(default_factory=dict)
+
+    @property
+    def step(self) -> float:
+        """Distance of the ordinates [Hz]."""
+        return float(self.ordinates[0, 1] - self.ordinates[0, 0])
 
     @property
     def count(self) -> NDArray[np.int64]:
@@ -176,25 +187,27 @@ class Periodogram:
         color
             Mean density of the colored noise about frequencies [Hz], over a width [Hz], [N^2/Hz].
         """
-        parts, window = _parts(values)
-        length = window.size
-        density = np.zeros(length // 2 + 1)
-        for part in parts:
-            density += np.abs(np.fft.rfft(part * window)) ** 2
-        density *= interval / (np.sum(window**2) * len(parts))
-        frequency = np.arange(length // 2 + 1) / (length * interval)
-        gain = _smeared_gain(dynamics, frequency)
+        grid = _Grid.of(dynamics, min(values.size, LONGEST), interval)
+        parts = _parts(values)
+        density = np.zeros(grid.frequency.size)
         # what was taken away as a constant is missing in the first ordinates; the last is real, not complex
         inside = slice(2, -1)
-        ordinates = np.stack([frequency[inside], density[inside], gain[inside]])
-        edges = _averages(ordinates[2])
-        count = np.diff(np.append(edges, ordinates.shape[1]))
-        frequency, density, gain = np.add.reduceat(ordinates, edges, axis=1) / count
-        folded = np.abs(dynamics.response(1 / interval - frequency)) ** 2
-        weight = count * (values.size / length / HANN_BANDWIDTH)
-        step = 1 / (length * interval)
-        seen = None if color is None else color(ordinates[0], HANN_WIDTH * step)
-        return cls(frequency, density, gain, weight, folded, interval, ordinates, edges, input_density, seen)
+        for part in parts:
+            found = rfft(part * grid.window)[inside]
+            density += found.real**2 + found.imag**2
+        density *= interval / (float(np.sum(grid.window**2)) * len(parts))
+        return cls(
+            frequency=grid.mean(grid.frequency),
+            density=grid.mean(density),
+            gain=grid.mean(grid.gain),
+            weight=np.asarray(grid.count * (values.size / grid.window.size / HANN_BANDWIDTH)),
+            folded_gain=grid.folded_gain,
+            interval=interval,
+            ordinates=np.stack([grid.frequency, density, grid.gain]),
+            edges=grid.edges,
+            input_density=input_density,
+            color=None if color is None else color(grid.frequency, HANN_WIDTH * grid.step),
+        )
 
     def background(self, noise: float) -> Array:
         """Density of what is no force: the noise of the reading (its white part is given) and the input's, (m,)."""
@@ -205,12 +218,31 @@ class Periodogram:
 
     def load(self, spectrum: Spectrum) -> Array:
         """Density of the load felt under a force of this spectrum, as the window sees it [N^2/Hz], shape (m,)."""
-        folded = self.folded_gain * spectrum.density(self.folded_frequency)
         if spectrum.roll_off:
+            folded = self.folded_gain * spectrum.density(self.folded_frequency)
             return np.asarray(self.gain * spectrum.density(self.frequency) + folded)
-        frequency, _, gain = self.ordinates
-        seen = gain * spectrum.density(frequency, step=float(frequency[1] - frequency[0]))
-        return np.asarray(np.add.reduceat(seen, self.edges) / self.count + folded)
+        felt = (spectrum.levels[0] if spectrum.levels.size else 0.0) * self.gain
+        for edge, change in zip(spectrum.edges[:-1], np.diff(spectrum.levels), strict=True):
+            felt = felt + change * self.gain_above(float(edge))
+        return felt
+
+    def gain_above(self, edge: float) -> Array:
+        """Mean in each average of the gain times the share of the window that lies above an edge [Hz], shape (m,)."""
+        known = self.gains_above.get(edge)
+        if known is not None:
+            return known
+        place = (edge - float(self.ordinates[0, 0])) / self.step
+        low, high = (int(np.clip(round(place) + reach, 0, self.ordinates.shape[1])) for reach in (-LOBES, LOBES))
+        first = max(int(np.searchsorted(self.edges, low, side="right")) - 1, 0)
+        last = int(np.searchsorted(self.edges, high))
+        found = np.where(np.arange(self.edges.size) >= last, self.gain, 0.0)
+        if last > first:
+            part = slice(int(self.edges[first]), int(np.append(self.edges, self.ordinates.shape[1])[last]))
+            share = leaked(np.arange(part.start, part.stop, dtype=np.float64) - place)
+            seen = self.ordinates[2, part] * share
+            found[first:last] = np.add.reduceat(seen, self.edges[first:last] - part.start) / self.count[first:last]
+        self.gains_above[edge] = found
+        return found
 
     def log_likelihood(self, load: Array, noise: float) -> float:
         """Logarithm of Whittle's likelihood of a load's density (m,) and a noise's [N^2/Hz]."""
@@ -218,27 +250,86 @@ class Periodogram:
         return -float(self.weight @ (np.log(model) + self.density / model))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grid:
+    """What periodograms of records of one length and balance have in common.
+
+    Attributes
+    ----------
+    window
+        Hann window, shape (l,).
+    frequency, gain
+        Frequencies of the ordinates [Hz], and square of the response as the window sees it [1], shape (n,) each.
+    edges, count
+        First ordinate of each average, and the number of them, shape (m,) each.
+    folded_gain
+        Square of the response at the sampling rate less the frequency of each average [1], shape (m,).
+    """
+
+    window: Array
+    frequency: Array
+    gain: Array
+    edges: NDArray[np.int64]
+    count: NDArray[np.int64]
+    folded_gain: Array
+
+    @staticmethod
+    @lru_cache(maxsize=8)  # it is asked for with every step that is found in a record
+    def of(dynamics: ModalModel, length: int, interval: float) -> _Grid:
+        """Lay it out for periodograms of so many samples."""
+        frequency = np.arange(length // 2 + 1) / (length * interval)
+        gain = _smeared_gain(dynamics, frequency)[2:-1]
+        frequency = frequency[2:-1]
+        edges = _averages(gain)
+        count = np.diff(np.append(edges, gain.size))
+        middle = np.add.reduceat(frequency, edges) / count
+        folded = np.abs(dynamics.response(1 / interval - middle)) ** 2
+        return _Grid(np.hanning(length + 2)[1:-1], frequency, gain, edges, count, folded)
+
+    @property
+    def step(self) -> float:
+        """Distance of the ordinates [Hz]."""
+        return float(self.frequency[1] - self.frequency[0])
+
+    def mean(self, values: Array) -> Array:
+        """Mean of ordinates (n,) over each average, shape (m,)."""
+        return np.asarray(np.add.reduceat(values, self.edges) / self.count)
+
+
 def share_seen(present: NDArray[np.bool_]) -> float:
     """Share of the readings that a periodogram sees, weighted as its windows weight them."""
-    parts, window = _parts(present.astype(np.float64))
-    return float(np.mean([part @ window**2 for part in parts]) / np.sum(window**2))
+    if present.all():
+        return 1.0
+    parts = _parts(present.astype(np.float64))
+    weights = np.hanning(parts[0].size + 2)[1:-1] ** 2
+    return float(np.mean([part @ weights for part in parts]) / np.sum(weights))
 
 
-def _parts(values: Array) -> tuple[list[Array], Array]:
-    """Parts of a record of which one periodogram is taken each, half of each in the next, and their Hann window."""
+def _parts(values: Array) -> list[Array]:
+    """Parts of a record of which one periodogram is taken each, half of each in the next."""
     length = min(values.size, LONGEST)
-    parts = [values[k : k + length] for k in range(0, values.size - length + 1, max(length // 2, 1))]
-    return parts, np.hanning(length + 2)[1:-1]
+    return [values[k : k + length] for k in range(0, values.size - length + 1, max(length // 2, 1))]
 
 
 def _smeared_gain(dynamics: ModalModel, frequency: Array) -> Array:
-    """Square of the response as a Hann window sees it: averaged over the main lobe, eight points an ordinate."""
-    step = frequency[1]
-    fine = (np.arange(8 * (frequency.size + 4)) / 8 - 2) * step
-    gain = np.abs(dynamics.response(fine)) ** 2
+    """Square of the response as a Hann window sees it, averaged over the main lobe, at ordinates from 0 on, (n,).
+
+    Eight points an ordinate near the modes; elsewhere it bends so little that its second difference tells all.
+    """
+    step, beyond = frequency[1], 2
+    places = np.arange(-beyond, frequency.size + beyond)
+    gain = np.abs(dynamics.response(places * step)) ** 2
     offset = np.arange(-15, 16) / 8
     lobe = (np.sinc(offset) + 0.5 * np.sinc(offset - 1) + 0.5 * np.sinc(offset + 1)) ** 2
-    return np.convolve(gain, lobe / lobe.sum(), mode="same")[16::8][: frequency.size]
+    lobe /= lobe.sum()
+    bend = np.diff(gain, 2)
+    smeared = gain[beyond:-beyond] + 0.5 * float(lobe @ offset**2) * bend[1:-1]
+    steep = np.abs(bend[1:-1]) > STRAIGHT * gain[beyond:-beyond]
+    for first, last in np.flatnonzero(np.diff(np.concatenate([[0], steep, [0]]))).reshape(-1, 2):
+        fine = np.arange(8 * first - 15, 8 * (last - 1) + 16) / 8 * step
+        near = np.abs(dynamics.response(fine)) ** 2
+        smeared[first:last] = np.convolve(near, lobe, mode="valid")[::8]
+    return np.asarray(smeared)
 
 
 def _averages(gain: Array) -> NDArray[np.int64]:
@@ -249,6 +340,7 @@ def _averages(gain: Array) -> NDArray[np.int64]:
     while here < gain.size:
         edges.append(here)
         width = max(FEWEST_ORDINATES, int(FINENESS * here))
-        part = level[here : here + width]
-        here += max(1, int(np.argmax(np.abs(part - part[0]) > most)) if np.abs(part - part[0]).max() > most else width)
+        steep = np.abs(level[here : here + width] - level[here]) > most
+        first = int(steep.argmax())
+        here += first or width
     return np.array(edges)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.estimation.spectra._kernels import cheapest
 from aerobalance.estimation.spectra.periodogram import FEWEST_ORDINATES, FINENESS, Periodogram, Spectrum, leaked
 from aerobalance.recording.channel import Array
 
@@ -31,7 +32,7 @@ LEAK: Final = 40
 """Ordinates on either side of an edge between which the window leaks noticeably."""
 
 
-def fit_segments(periodogram: Periodogram, noise: float, _start: Spectrum) -> Spectrum:
+def fit_segments(periodogram: Periodogram, noise: float) -> Spectrum:
     """The segments of constant level that are most likely at the price of a change, by dynamic programming.
 
     Where the balance weakens the force, no level is allowed above those elsewhere (lines apart): there the reading's
@@ -87,43 +88,81 @@ def _costs(periodogram: Periodogram, background: Array) -> tuple[Array, Array]:
 
 def _cheapest(cost: Array) -> NDArray[np.int64]:
     """Column for each row of a table of costs, so that all together with `CHANGE_EVIDENCE` a change are least."""
-    came = np.empty(cost.shape, dtype=np.int64)
-    total = cost[0]
-    stay = np.arange(cost.shape[1])
-    for row in range(1, cost.shape[0]):
-        best = int(np.argmin(total))
-        change = total[best] + CHANGE_EVIDENCE
-        came[row] = np.where(total <= change, stay, best)
-        total = np.minimum(total, change) + cost[row]
-    path = np.empty(cost.shape[0], dtype=np.int64)
-    path[-1] = np.argmin(total)
-    for row in range(cost.shape[0] - 1, 0, -1):
-        path[row - 1] = came[row, path[row]]
+    rows, columns = cost.shape
+    path, best = np.empty(rows, dtype=np.int64), np.zeros(rows + 1, dtype=np.int64)
+    moved = np.empty(cost.shape, dtype=np.bool_)
+    cheapest(np.ascontiguousarray(cost), CHANGE_EVIDENCE, np.zeros(columns), moved, best, path)
     return path
 
 
 def _sharpened(spectrum: Spectrum, periodogram: Periodogram, noise: float) -> Spectrum:
     """The edges placed again among single ordinates, with what the window leaks across them."""
-    frequency, density, gain = periodogram.ordinates
-    color = np.zeros(frequency.size) if periodogram.color is None else periodogram.color
-    step = frequency[1] - frequency[0]
     edges = spectrum.edges.copy()
+    first, step = float(periodogram.ordinates[0, 0]), periodogram.step
     widths = np.diff(np.append(0.0, spectrum.edges)) / step
     for place in range(edges.size - 1):
         if min(widths[place : place + 2]) < LEAK:
             continue  # a line: its edges are not seen one by one
-        middle = float((edges[place] - frequency[0]) / step)
+        middle = (edges[place] - first) / step
         width = max(FEWEST_ORDINATES, int(FINENESS * middle))
-        part = slice(max(round(middle) - 2 * width - LEAK, 0), round(middle) + 2 * width + LEAK)
-        index = np.arange(frequency.size)[part]
-        tried = np.arange(middle - width - LEAK // 2, middle + width, 0.25)
-        tried = tried[tried > 0]
-        share = leaked(index - tried[:, None])
-        below, above = spectrum.levels[place : place + 2]
-        model = gain[part] * (below + (above - below) * share + periodogram.input_density) + noise + color[part]
-        cost = np.sum(np.log(model) + density[part] / model, axis=1)
-        edges[place] = frequency[0] + step * tried[np.argmin(cost)]
+        cost = _EdgeCost.of(periodogram, spectrum.levels[place : place + 2], noise, middle=middle, width=width)
+        tried = np.arange(middle - width - LEAK // 2, middle + width, 1.0)
+        near = cost.best(tried[tried > 0])
+        edges[place] = first + step * cost.best(near + np.arange(-1.0, 1.25, 0.25))
     return replace(spectrum, edges=edges)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _EdgeCost:
+    """Less the log-likelihood of single ordinates about an edge between two levels.
+
+    Attributes
+    ----------
+    start
+        First ordinate that counts.
+    density, gain, background
+        Density of the reading, gain, and density of what is no force, of those from it on, shape (n,).
+    levels
+        Densities of the force below the edge and above it.
+    below, above
+        Costs of the ordinates before each one if they lie below the edge, and above it, shape (n + 1,).
+    """
+
+    start: int
+    density: Array
+    gain: Array
+    background: Array
+    levels: Array
+    below: Array
+    above: Array
+
+    @classmethod
+    def of(cls, periodogram: Periodogram, levels: Array, noise: float, *, middle: float, width: int) -> _EdgeCost:
+        """Take the ordinates about a place, in ordinates from the first."""
+        _, density, gain = periodogram.ordinates
+        reach = 2 * width + LEAK
+        part = slice(max(round(middle) - reach, 0), round(middle) + reach)
+        density, gain = density[part], gain[part]
+        background = gain * periodogram.input_density + noise
+        if periodogram.color is not None:
+            background = background + periodogram.color[part]
+        models = gain * levels[:, None] + background
+        below, above = np.cumsum(np.log(models) + density / models, axis=1)
+        return cls(part.start, density, gain, background, levels, np.append(0.0, below), np.append(0.0, above))
+
+    def best(self, tried: Array) -> float:
+        """The edge of least cost among some that are tried, in ordinates from the first."""
+        count = self.density.size
+        near = np.floor(tried).astype(np.int64)[:, None] - self.start + np.arange(1 - LEAK, LEAK + 1)
+        inside = (near >= 0) & (near < count)
+        near = np.clip(near, 0, count - 1)
+        share = leaked(near + self.start - tried[:, None])
+        force = self.levels[0] + (self.levels[1] - self.levels[0]) * share
+        model = self.gain[near] * force + self.background[near]
+        cost = np.sum(np.where(inside, np.log(model) + self.density[near] / model, 0.0), axis=1)
+        first, last = near[:, 0], near[:, -1] + 1
+        cost += self.below[first] + self.above[-1] - self.above[last]
+        return float(tried[np.argmin(cost)])
 
 
 def _level(periodogram: Periodogram, part: slice, background: Array, start: float) -> float:

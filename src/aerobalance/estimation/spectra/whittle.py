@@ -10,19 +10,18 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from aerobalance.estimation.spectra.parametric_psd import fit_butterworth, fit_matern
+from aerobalance.estimation.spectra.parametric_psd import fit_roll_offs
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
 from aerobalance.estimation.spectra.piecewise_psd import fit_segments, pruned
 from aerobalance.recording.channel import Array
 
 TURNS: Final = 4
-"""Times that spectrum and noise are found in turn."""
+"""Times that segments and noise are found in turn."""
 
 SETTLED: Final = 1e-3
 """Relative change of the noise at which they are found."""
@@ -39,8 +38,6 @@ BANDS: Final = 32
 
 COLORED: Final = 1.2
 """Ratio of the levels of the reading's upper quarter and its quiet bands, from which both are tried as the noise."""
-
-Kind = Callable[[Periodogram, float, Spectrum], Spectrum]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,32 +74,29 @@ def fit_spectrum(periodogram: Periodogram, *, noise_density: float | None = None
     floor
         Least density of that noise [N^2/Hz].
     """
-    free = noise_density is None
     starts = _quiet_levels(periodogram) if noise_density is None else [noise_density]
+    noises = [max(start, floor) for start in starts]
+    least = floor if noise_density is None else None
+    nothing = Spectrum(np.zeros(0), np.zeros(0))
     fits = [
-        _fit(kind, periodogram, max(start, floor), floor=floor if free else None)
-        for kind in (_nothing, fit_segments, fit_butterworth, fit_matern)
-        for start in starts
+        *(_with_noise(nothing, periodogram, noise, floor=least) for noise in noises),
+        *(_segmented(periodogram, noise, floor=least) for noise in noises),
+        *(
+            _with_noise(spectrum, periodogram, noise, floor=None)
+            for spectrum, noise in fit_roll_offs(periodogram, noises, floor=least)
+        ),
     ]
     return max(fits, key=lambda fit: fit.evidence)
 
 
-def _nothing(_periodogram: Periodogram, _noise: float, start: Spectrum) -> Spectrum:
-    """A force that does not fluctuate."""
-    return start
-
-
-def _fit(kind: Kind, periodogram: Periodogram, noise: float, *, floor: float | None) -> SpectrumFit:
-    """Spectrum and noise in turn, from a noise; it is kept where no floor is given."""
-    spectrum = Spectrum(np.zeros(0), np.zeros(0))
+def _segmented(periodogram: Periodogram, noise: float, *, floor: float | None) -> SpectrumFit:
+    """Segments and noise in turn, from a noise; it is kept where no floor is given."""
     for _ in range(TURNS):
-        spectrum = kind(periodogram, noise, spectrum)
+        spectrum = fit_segments(periodogram, noise)
         here = _with_noise(spectrum, periodogram, noise, floor=floor)
         change, noise = here.noise_density / noise - 1, here.noise_density
         if abs(change) < SETTLED:
             break
-    if spectrum.roll_off:
-        return here
     spectrum = pruned(
         spectrum,
         lambda other: _with_noise(other, periodogram, here.noise_density, floor=floor).log_likelihood,
