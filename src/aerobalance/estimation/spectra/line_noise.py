@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import rfft
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import interpolate_gaps_linearly
@@ -39,6 +41,9 @@ NEXT: Final = (2.0, 3.0, 4.0)
 
 FINE: Final = 8
 """Places an ordinate at which a line is sought."""
+
+NEAR: Final = 2048
+"""Parts of a record in whose sums the neighbourhood of an ordinate is seen: five ordinates off, 1e-5 of it is lost."""
 
 QUARTERS: Final = 4
 """Parts of the record in which a line has to be the same."""
@@ -173,9 +178,10 @@ class _Record:
     def of(cls, values: Array, interval: float) -> _Record:
         filled = interpolate_gaps_linearly(values)
         filled = filled - np.mean(filled)
-        window = np.hanning(filled.size + 2)[1:-1]
+        window = _hann(filled.size)
         windowed = filled * window / np.sqrt(np.sum(window**2))
-        power = np.abs(np.fft.rfft(windowed)) ** 2
+        transform = rfft(windowed)
+        power = transform.real**2 + transform.imag**2
         # the power of noise is exponential; three quarters of all ordinates may hold something else
         floor = float(np.quantile(power, 0.25)) / np.log(4 / 3)
         return cls(filled, interval, windowed, power, floor)
@@ -188,11 +194,6 @@ class _Record:
     def ordinate(self) -> float:
         """Frequency that the record resolves [Hz]."""
         return 1 / self.duration
-
-    def at(self, frequency: Array) -> Array:
-        """Power of the windowed record at any frequencies [N^2]."""
-        turns = -2j * np.pi * self.interval * np.arange(self.values.size)
-        return np.array([abs(np.exp(turns * f) @ self.windowed) ** 2 for f in frequency])
 
     def strongest(self, middle: float, *, reach: float) -> int:
         """Number of the ordinate with the largest power within a reach of a frequency [Hz]."""
@@ -207,22 +208,24 @@ class _Record:
 
     def line(self, middle: float, *, reach: float) -> Line:
         """The strongest line within a reach of a frequency [Hz]."""
-        tried = self.ordinate * (self.strongest(middle, reach=reach) + np.arange(-FINE, FINE + 1) / FINE)
-        power = self.at(tried)
+        place = self.strongest(middle, reach=reach)
+        near = _Near.of(self.windowed, place)
+        tried = place + np.arange(-FINE, FINE + 1) / FINE
+        power = near.power(tried)
         best = int(np.clip(np.argmax(power), 1, tried.size - 2))
         # the lobe's logarithm is a parabola to better than a hundredth of an ordinate
         low, here, high = np.log(power[best - 1 : best + 2] + 1e-300)
         bend = low - 2 * here + high
         shift = float(np.clip(0.5 * (low - high) / bend, -1, 1)) if bend < 0 else 0.0
-        frequency = float(tried[best] + shift * (tried[1] - tried[0]))
-        offsets = self.ordinate * np.array([sign * place for place in NEXT for sign in (-1, 1)])
-        level = max(self.surroundings(frequency), float(np.mean(self.at(frequency + offsets))))
+        found = float(tried[best] + shift * (tried[1] - tried[0]))
+        frequency = found * self.ordinate
+        offsets = np.array([sign * place for place in NEXT for sign in (-1, 1)])
+        level = max(self.surroundings(frequency), float(np.mean(near.power(found + offsets))))
         # of a sine's likelihood the Hann window sees two thirds
-        evidence = 2 * 1.5 * float(self.at(np.array([frequency]))[0]) / max(level, 1e-300)
+        evidence = 2 * 1.5 * float(near.power(np.array([found]))[0]) / max(level, 1e-300)
         u_frequency = self.ordinate * np.sqrt(6 / max(evidence, 1e-300)) / np.pi
-        fitted = columns_of_lines([frequency], count=self.values.size, interval=self.interval)
-        sine, cosine = (float(size) for size in np.linalg.lstsq(fitted, self.values, rcond=None)[0])
-        return Line(frequency, sine, cosine, float(u_frequency), evidence)
+        size = _line_of(self.values, np.ones(self.values.size), frequency * self.interval)
+        return Line(frequency, -size.imag, size.real, float(u_frequency), evidence)
 
     def surroundings(self, frequency: float) -> float:
         """Power that stands around a frequency: the largest of what is to the left, to the right, and everywhere.
@@ -239,15 +242,85 @@ class _Record:
 
     def steady(self, frequency: float) -> bool:
         """Whether amplitude and phase of a line are the same in all parts of the record."""
-        fitted = columns_of_lines([frequency], count=self.values.size, interval=self.interval)
-        sizes, spreads = [], []
-        for shapes, values in zip(
-            np.array_split(fitted, QUARTERS), np.array_split(self.values, QUARTERS), strict=True
-        ):
-            window = np.hanning(values.size + 2)[1:-1][:, None]
-            size = np.linalg.lstsq(window * shapes, window[:, 0] * (values - np.mean(values)), rcond=None)[0]
-            sizes.append(size[0] + 1j * size[1])
-            spreads.append(1.5 * 4 * self.surroundings(frequency) / values.size)
+        sizes, spreads, begin = [], [], 0
+        cycles = frequency * self.interval
+        for part in np.array_split(self.values, QUARTERS):
+            size = _line_of(part - np.mean(part), _hann(part.size) ** 2, cycles)
+            # turned from the middle of the part to that of the record
+            later = begin + (part.size - 1) / 2 - (self.values.size - 1) / 2
+            sizes.append(size * np.exp(-2j * np.pi * cycles * later))
+            spreads.append(1.5 * 4 * self.surroundings(frequency) / part.size)
+            begin += part.size
         mean = np.mean(sizes)
         allowed = UNSTEADY * abs(mean) + 4 * np.sqrt(np.array(spreads))
         return bool(np.all(np.abs(np.array(sizes) - mean) < allowed))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Near:
+    """A record turned back by the frequency of an ordinate, and summed over many short parts.
+
+    Attributes
+    ----------
+    ordinate
+        The ordinate.
+    middle
+        Middles of the parts over the length of the record, shape (k,) [1].
+    sums, moments
+        Sum over each of them, and of the products with the distance from its middle, over that length, shape (k,).
+    """
+
+    ordinate: int
+    middle: Array
+    sums: NDArray[np.complex128]
+    moments: NDArray[np.complex128]
+
+    @classmethod
+    def of(cls, values: Array, ordinate: int) -> _Near:
+        """Sum a record about an ordinate."""
+        length = max(values.size // NEAR, 1)
+        along = (np.arange(length) - (length - 1) / 2) / values.size
+        sums, moments = (
+            _sums(values, ordinate / values.size, weights=weights) for weights in (np.ones(length), along)
+        )
+        middle = (length * np.arange(sums.size) + (length - 1) / 2) / values.size
+        return cls(ordinate, middle, sums, moments)
+
+    def power(self, places: Array) -> Array:
+        """Power of the record at some places within a few ordinates, in ordinates, shape (p,)."""
+        angle = 2j * np.pi * (places - self.ordinate)
+        turns = np.exp(-np.outer(angle, self.middle))
+        found = turns @ self.sums - angle * (turns @ self.moments)
+        return np.asarray(found.real**2 + found.imag**2)
+
+
+def _hann(count: int) -> Array:
+    """Hann window of so many samples, none of them zero."""
+    return np.hanning(count + 2)[1:-1]
+
+
+def _sums(values: Array, cycles: float, *, weights: Array) -> NDArray[np.complex128]:
+    """Sums of values times exp(-2 pi i cycles k), k from 0, and weights, over parts as long as these are."""
+    length = weights.size
+    turn = np.exp(-2j * np.pi * cycles * np.arange(length)) * weights
+    whole = values.size // length
+    parts = values[: whole * length].reshape(whole, length)
+    rest = values[whole * length :]
+    sums = parts @ turn.real + 1j * (parts @ turn.imag)
+    if rest.size:
+        sums = np.append(sums, rest @ turn[: rest.size])
+    return np.asarray(sums * np.exp(-2j * np.pi * cycles * length * np.arange(sums.size)))
+
+
+def _line_of(values: Array, weights: Array, cycles: float) -> complex:
+    """Size a of the line Re(a exp(2 pi i cycles k)), k from the middle, by weighted least squares.
+
+    The normal equations are c a + d a* = b and its conjugate, with the weights' sum c, their transform d at twice the
+    frequency and twice that of the weighted values, b.
+    """
+    part = np.ones(max(int(np.sqrt(values.size)), 1))
+    middle = np.exp(2j * np.pi * cycles * (values.size - 1) / 2)
+    b = 2 * np.sum(_sums(weights * values, cycles, weights=part)) * middle
+    d = np.sum(_sums(weights, 2 * cycles, weights=part)) * middle**2
+    c = float(np.sum(weights))
+    return complex((c * b - d * np.conj(b)) / max(c**2 - abs(d) ** 2, 1e-300))
