@@ -9,6 +9,7 @@ from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import (
     Observation,
     SpectralPrior,
+    _least_squares,
     fit_prior,
     generalised_least_squares,
     log_likelihood,
@@ -113,6 +114,23 @@ def test_generalised_least_squares_is_the_textbook_one(rng):
     assert sizes == pytest.approx(expected @ X.T @ inverse @ reading.values, rel=1e-8)
     left = reading.values - X @ sizes
     assert squares == pytest.approx(left @ inverse @ left, rel=1e-8)
+
+
+@pytest.mark.parametrize("later", [0.3, 1e-4, 0.0])
+def test_sizes_are_those_of_singular_values(later, rng):
+    """Responses to two steps, of which the second is far from the first, nearly the same, or the same."""
+    time = np.arange(4000) / RATE
+    shapes = np.column_stack([np.ones(4000), T128.step_response(time - 1), T128.step_response(time - 1 - later)])
+    values = shapes @ [1e5, 300.0, -200.0] + rng.normal(size=4000)
+    scale = np.linalg.norm(shapes, axis=0)
+    sizes, covariance, squares = _least_squares(values, shapes)
+    expected, _, rank, _ = np.linalg.lstsq(shapes / scale, values, rcond=1e-10)
+    assert rank == (3 if later else 2)
+    inverse = np.linalg.pinv(shapes / scale, rcond=1e-10) / scale[:, None]
+    # rounding, 2e-16 of 1e5 over 200, grows at most by the square of the condition, 50 at 0.1 ms: 3e-10
+    assert sizes == pytest.approx(expected / scale, rel=1e-6)
+    assert covariance == pytest.approx(inverse @ inverse.T, rel=1e-6)
+    assert squares == pytest.approx(np.sum((values - shapes @ sizes) ** 2), rel=1e-12)
 
 
 def test_noise_and_band_are_learned(rng):

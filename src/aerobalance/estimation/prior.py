@@ -31,6 +31,8 @@ EDGE_MOVES: Final = (0.5, 1.0, 2.0, 4.0)
 EDGE_EVIDENCE: Final = 3.0
 """Gain in log-likelihood of the innovations for which an edge is moved by one of them."""
 
+DEPENDENT: Final = 1e-7
+"""Singular value of scaled shapes over the largest below which they depend on each other."""
 
 BESIDE_A_GAP: Final = 64
 """Readings on either side of a gap at most from whose mean a line leads across it."""
@@ -146,7 +148,8 @@ def fit_prior(reading: Observation, *, columns: Array, before: SpectralPrior | N
     present = reading.present
     if before is not None:
         return _learned_beside(reading, before, columns)
-    sizes, *_ = np.linalg.lstsq(columns[present], reading.values[present], rcond=None)
+    shown = columns if present.all() else columns * present[:, None]
+    sizes, *_ = _least_squares(reading.filled, shown)
     left = np.where(present, reading.values - columns @ sizes, np.nan)
     left = interpolate_gaps_linearly(left, beside=BESIDE_A_GAP)
     learned = _learn(reading, left)
@@ -256,20 +259,35 @@ def _shaped(reading: Observation, spectrum: Spectrum, noise_density: float) -> S
 
 
 def generalised_least_squares(filter_: KalmanFilter, readings: Array, columns: Array) -> tuple[Array, Array, float]:
-    """Sizes of known shapes in a record: values (p,), covariance (p, p) and the sum of squares left over [1]."""
+    """Sizes of known shapes in a record: values (p,), covariance (p, p) and the sum of squares left over [1].
+
+    Raises
+    ------
+    FitError
+        The readings cannot be whitened.
+    """
     series = filter_.whiten(np.column_stack([readings, columns]))
-    white, shapes = series[:, 0], series[:, 1:]
-    scale = np.sqrt(np.sum(shapes**2, axis=0))
-    scale[scale == 0] = 1.0  # a shape that no reading shows: its size stays zero
     if not np.isfinite(series).all():
         raise FitError("the readings cannot be told from their model: they do not change, or their scale is absurd")
-    solution, _, rank, singular = np.linalg.lstsq(shapes / scale, white, rcond=1e-10)
-    _, _, rows = np.linalg.svd(shapes / scale, full_matrices=False)
-    kept = slice(0, int(rank))
-    spread = rows[kept].T / singular[kept]
-    covariance = spread @ spread.T / np.outer(scale, scale)
-    residual = white - shapes @ (solution / scale)
-    return solution / scale, covariance, float(residual @ residual)
+    return _least_squares(series[:, 0], series[:, 1:])
+
+
+def _least_squares(values: Array, shapes: Array) -> tuple[Array, Array, float]:
+    """Sizes (p,) of shapes (n, p) in values (n,), their covariance where values have variance 1, and the squares left.
+
+    Normal equations, solved again for what they leave: that is as exact as a decomposition of the shapes themselves,
+    and takes a tenth of its time. Of shapes that depend on each other only what they tell together has a size.
+    """
+    scale = np.sqrt(np.einsum("np,np->p", shapes, shapes))
+    scale[scale == 0] = 1.0  # a shape that no reading shows: its size stays zero
+    information, vectors = np.linalg.eigh(shapes.T @ shapes / np.outer(scale, scale))
+    kept = information > DEPENDENT**2 * information[-1]
+    spread = vectors[:, kept] / np.sqrt(information[kept]) / scale[:, None]
+    sizes, left = np.zeros(scale.size), values
+    for _ in range(2):
+        sizes = sizes + spread @ (spread.T @ (shapes.T @ left))
+        left = values - shapes @ sizes
+    return sizes, spread @ spread.T, float(left @ left)
 
 
 def _filter(reading: Observation, learned: SpectralPrior) -> KalmanFilter:
