@@ -67,6 +67,18 @@ def test_likelihood_is_that_of_the_covariance(rng):
     assert found == pytest.approx(multivariate_normal(np.zeros(n), covariance).logpdf(readings), rel=1e-8)
 
 
+def test_slopes_of_the_density_are_its_differences(rng):
+    seen = noise_record.Ordinates.of(rng.normal(0, 2, 4000), T128, interval=1 / RATE)
+    point = np.concatenate([np.log([WHITE, 10 * WHITE]), [1.3], np.log([300.0, 0.4, 2 * WHITE, 500.0, 1.5, WHITE])])
+    slopes, small = noise_record.slopes_of(point, seen), 1e-5
+    for place, slope in enumerate(slopes):
+        late, early = (
+            noise_record.model_of(point + sign * small * np.eye(point.size)[place], seen) for sign in (1, -1)
+        )
+        # third differences times the square of the step, 1e-10 times some hundreds of a hump's flank; rounding is less
+        assert slope == pytest.approx((late - early) / (2 * small), abs=1e-7 * WHITE)
+
+
 def test_white_noise_is_found_white(monkeypatch, rng):
     # chance brings an evidence of 15 once in exp(15) records
     monkeypatch.setattr(noise_record, "COLOR_EVIDENCE", 15.0)

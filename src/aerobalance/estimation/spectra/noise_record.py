@@ -281,6 +281,18 @@ def model_of(point: Array, seen: Ordinates) -> Array:
     return np.asarray(model)
 
 
+def slopes_of(point: Array, seen: Ordinates) -> Array:
+    """Derivatives of `model_of` with the numbers of a point, zero for those that it does not have, shape (p, m)."""
+    slopes = np.zeros((point.size, seen.frequency.size))
+    slopes[0] = np.exp(point[0])
+    if np.isfinite(point[1]):
+        slow = np.exp(point[1] - point[2] * np.log(seen.frequency))
+        slopes[1:3] = slow, -slow * np.log(seen.frequency)
+    for place, hump in zip(range(3, point.size, 3), humps_of(point), strict=True):
+        slopes[place : place + 3] = hump.slopes(seen.frequency, seen.interval)
+    return slopes
+
+
 def humps_of(point: Array) -> tuple[Hump, ...]:
     """The humps of a point."""
     return tuple(Hump(*(float(number) for number in np.exp(part))) for part in point[3:].reshape(-1, 3))
@@ -367,10 +379,15 @@ def _lowered(start: Array, seen: Ordinates, mean: float) -> tuple[Array, float]:
         full[free] = point
         return full
 
-    found = minimize(  # type: ignore[call-overload]
-        lambda point: cost_of(model_of(whole(point), seen), seen),
+    def cost(point: Array) -> tuple[float, Array]:
+        model, slopes = model_of(whole(point), seen), slopes_of(whole(point), seen)[free]
+        return cost_of(model, seen), slopes @ (seen.weight * (1 - seen.density / model) / model)
+
+    found = minimize(
+        cost,
         np.clip(start[free], *limits),
         method="L-BFGS-B",
+        jac=True,
         bounds=list(zip(*limits, strict=True)),
         options={"maxiter": 200, "ftol": 1e-10},
     )
@@ -382,12 +399,8 @@ def _covariance(point: Array, seen: Ordinates) -> Array:
     model = model_of(point, seen)
     free = np.isfinite(point)
     free[2] = free[1]
-    slopes = np.zeros((model.size, point.size))
-    for place in np.flatnonzero(free):
-        change = 1e-4 * np.eye(point.size)[place]
-        moved = [np.where(np.isfinite(point), point, -np.inf) + sign * change for sign in (1, -1)]
-        slopes[:, place] = (model_of(moved[0], seen) - model_of(moved[1], seen)) / (2e-4 * model)
-    information = (slopes * seen.weight[:, None]).T @ slopes
+    slopes = slopes_of(point, seen) / model
+    information = (slopes * seen.weight) @ slopes.T
     covariance = np.zeros((point.size, point.size))
     covariance[np.ix_(free, free)] = np.linalg.pinv(information[np.ix_(free, free)], hermitian=True)
     return covariance

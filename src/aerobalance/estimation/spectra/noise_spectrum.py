@@ -62,6 +62,19 @@ class Hump:
         """Two-sided density of its samples at frequencies [Hz], with the aliases from either side [N^2/Hz]."""
         return np.asarray(sum(self.density(frequency + shift / interval) for shift in (0, -1, 1)))
 
+    def slopes(self, frequency: Array, interval: float) -> Array:
+        """Derivatives of `sampled` with the logarithms of frequency, width and level [N^2/Hz], shape (3, n)."""
+        whole = np.zeros((3, frequency.size))
+        for shift in (0, -1, 1):
+            f = frequency + shift / interval
+            off = self.frequency**2 - f**2
+            across, square = (self.width * f * self.frequency) ** 2, off**2
+            density = self.level * across / (square + across)
+            whole[0] += density * (2 - (2 * across + 4 * self.frequency**2 * off) / (square + across))
+            whole[1] += 2 * density * square / (square + across)
+            whole[2] += density
+        return whole
+
     @property
     def shaping(self) -> ShapingFilter:
         """Shaping filter of two states: a damped oscillator, of which the noise is the velocity [N]."""
