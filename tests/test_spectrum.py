@@ -71,6 +71,9 @@ def test_gain_above_an_edge_is_the_sum_over_ordinates(rng):
     two = Spectrum(np.array([30.0, 300.11, 800.0]), np.array([5.0, 2.0, 0.5]))
     expected = 5 * periodogram.gain - 3 * periodogram.gain_above(30.0) - 1.5 * periodogram.gain_above(300.11)
     assert periodogram.load(two) == pytest.approx(expected)
+    # beside a force without noise, where the window leaks parts of 1e-16 of it, nothing is below zero
+    strong = Spectrum(np.array([29.3, 30.0, 300.11, 800.0]), np.array([0.0, 1e15, 1e-15, 0.0]))
+    assert periodogram.load(strong).min() >= 0
 
 
 def test_leakage_of_the_window():

@@ -221,10 +221,12 @@ class Periodogram:
         if spectrum.roll_off:
             folded = self.folded_gain * spectrum.density(self.folded_frequency)
             return np.asarray(self.gain * spectrum.density(self.frequency) + folded)
-        felt = (spectrum.levels[0] if spectrum.levels.size else 0.0) * self.gain
-        for edge, change in zip(spectrum.edges[:-1], np.diff(spectrum.levels), strict=True):
-            felt = felt + change * self.gain_above(float(edge))
-        return felt
+        felt, here = np.zeros(self.gain.size), self.gain
+        for edge, level in zip(spectrum.edges[:-1], spectrum.levels[:-1], strict=True):
+            beyond = self.gain_above(float(edge))
+            felt += level * np.maximum(here - beyond, 0.0)  # rounding must not make a density negative
+            here = beyond
+        return felt + spectrum.levels[-1] * here if spectrum.levels.size else felt
 
     def gain_above(self, edge: float) -> Array:
         """Mean in each average of the gain times the share of the window that lies above an edge [Hz], shape (m,)."""
