@@ -40,11 +40,14 @@ COARSE: Final = 128
 FEW_STEPS: Final = 12
 """Steps of each beginning over these at most."""
 
+FIRST_ENOUGH: Final = 0.1
+"""Gain in log-likelihood expected of a step over these below which it is not taken."""
+
 STEPS: Final = 40
 """Steps over all averages at most."""
 
 ENOUGH: Final = 1e-3
-"""Gain in log-likelihood expected of a step below which it is not taken."""
+"""The same over all averages."""
 
 LONGEST_STEP: Final = 1.5
 """Change of a logarithm in one step at most."""
@@ -169,9 +172,9 @@ def fit_roll_offs(
     free = np.ones((2, 5), dtype=np.bool_)
     free[0, POWER] = free[1, EXPONENT] = False
     free[:, NOISE] = floor is not None
-    points, cost = _lowered(points, coarse, free[kinds], limits, most=FEW_STEPS)
+    points, cost = _lowered(points, coarse, free[kinds], limits, most=FEW_STEPS, enough=FIRST_ENOUGH)
     best = np.array([np.flatnonzero(kinds == kind)[np.argmin(cost[kinds == kind])] for kind in (0, 1)])
-    points, _ = _lowered(points[best], whole, free, limits, most=STEPS)
+    points, _ = _lowered(points[best], whole, free, limits, most=STEPS, enough=ENOUGH)
     found = []
     for level, half, exponent, power, noise in np.exp(points):
         corner = half * np.expm1(np.log(2.0) / power) ** (-1 / exponent)
@@ -181,7 +184,7 @@ def fit_roll_offs(
 
 
 def _lowered(
-    points: Array, averages: _Averages, free: NDArray[np.bool_], limits: Array, *, most: int
+    points: Array, averages: _Averages, free: NDArray[np.bool_], limits: Array, *, most: int, enough: float
 ) -> tuple[Array, Array]:
     """Points (b, 5) of least cost from others, each by itself, and those costs (b,), in so many steps at most."""
     lower, upper = limits
@@ -199,7 +202,7 @@ def _lowered(
         step = -np.linalg.solve(damped, slope[:, :, None])[:, :, 0]
         step = np.clip(step, -LONGEST_STEP, LONGEST_STEP)
         promise = -np.sum(slope * step, axis=1) - 0.5 * np.einsum("bi,bij,bj->b", step, bend, step)
-        going &= promise > ENOUGH
+        going &= promise > enough
         if not going.any():
             break
         trial = np.clip(points + step * going[:, None], lower, upper)

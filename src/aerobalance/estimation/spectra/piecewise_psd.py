@@ -82,8 +82,12 @@ def _costs(periodogram: Periodogram, background: Array) -> tuple[Array, Array]:
     most = max(float(np.max(density / gain)), 10 * least)
     levels = np.geomspace(least, most, int(LEVELS_A_DECADE * np.log10(most / least)) + 2)
     levels = np.concatenate([[0.0], levels])
-    model = gain[:, None] * levels + background[:, None]
-    return levels, weight[:, None] * (np.log(model) + density[:, None] / model)
+    model = np.outer(gain, levels)
+    model += background[:, None]
+    cost = np.log(model)
+    cost += np.divide(density[:, None], model, out=model)
+    cost *= weight[:, None]
+    return levels, cost
 
 
 def _cheapest(cost: Array) -> NDArray[np.int64]:
