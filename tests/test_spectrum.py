@@ -127,9 +127,9 @@ def test_slopes_of_the_likelihood_are_its_differences(rng):
         point = np.log([2e-3, 40.0, m, q, 9 / RATE])
 
         def slopes(at: np.ndarray) -> np.ndarray:
-            return averages.cost(at[None])[1][0]
+            return averages.slopes(at[None])[1][0]
 
-        difference = approx_fprime(point, lambda at: averages.cost(at[None])[0][0], 1e-6)
+        difference = approx_fprime(point, lambda at: averages.cost(at[None])[0], 1e-6)
         # halves of second differences times the step, and rounding of a cost of thousands over it
         assert slopes(point) == pytest.approx(difference, abs=2e-3, rel=1e-3)
 
@@ -164,7 +164,7 @@ def test_no_roll_off_is_likelier_than_the_one_found(name, rng):
         for start in starts:
             best = minimize(lambda point: -likelihood(point), np.log(start), method="Nelder-Mead",
                             options={"maxiter": 600, "xatol": 1e-4, "fatol": 1e-4})  # fmt: skip
-            # a step that promises a thousandth is not taken any more; in a valley ten such are left
+            # a step that promises 1e-4 is not taken any more; in a valley a hundred such are left
             assert -best.fun < here + 0.01
 
 

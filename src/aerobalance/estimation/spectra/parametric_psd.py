@@ -46,7 +46,7 @@ FIRST_ENOUGH: Final = 0.1
 STEPS: Final = 40
 """Steps over all averages at most."""
 
-ENOUGH: Final = 1e-3
+ENOUGH: Final = 1e-4
 """The same over all averages."""
 
 LONGEST_STEP: Final = 1.5
@@ -106,23 +106,32 @@ class _Averages:
             rows = rows / weight
         return cls(np.log(rows[:2]), rows[2:4], rows[4], rows[5], weight)
 
-    def cost(self, points: Array) -> tuple[Array, Array, Array]:
-        """Less the logarithm of Whittle's likelihood (b,) of points (b, 5), its slopes (b, 5) and information."""
-        level, half, exponent, power, noise = (points[:, place, None, None] for place in range(5))
-        exponent, power, white = np.exp(exponent), np.exp(power), np.exp(noise[:, 0])
-        octave = np.log(2.0) / power
-        bend = exponent * (self.frequency - half) + np.log(np.expm1(octave))
+    def felt(self, points: Array) -> tuple[Array, Array, Array]:
+        """Densities of the load felt at points (b, 5), and the terms q log(1 + e^u) and u of them, shape (b, 2, m)."""
+        level, half, exponent, power = (points[:, place, None, None] for place in range(4))
+        bend = np.exp(exponent) * (self.frequency - half) + np.log(np.expm1(np.log(2.0) / np.exp(power)))
         fall = np.logaddexp(0.0, bend)
-        felt = self.gain * np.exp(np.maximum(level - power * fall, -600.0))
-        steep = power * felt * np.exp(bend - fall)
-        model = self.background + white + felt.sum(axis=1)
+        return self.gain * np.exp(np.maximum(level - np.exp(power) * fall, -600.0)), fall, bend
+
+    def cost(self, points: Array) -> Array:
+        """Less the logarithm of Whittle's likelihood of points (b, 5), shape (b,)."""
+        model = self.felt(points)[0].sum(axis=1) + self.background + np.exp(points[:, NOISE, None])
+        return np.asarray((np.log(model) + self.density / model) @ self.weight)
+
+    def slopes(self, points: Array) -> tuple[Array, Array, Array]:
+        """The same with its slopes, shape (b, 5), and the information that is expected, shape (b, 5, 5)."""
+        felt, fall, bend = self.felt(points)
+        half, exponent, power, noise = (points[:, place, None] for place in (HALF, EXPONENT, POWER, NOISE))
+        exponent, power = np.exp(exponent), np.exp(power)
+        steep = power[:, :, None] * felt * np.exp(bend - fall)
+        whole, octave = steep.sum(axis=1), np.log(2.0) / power
         slopes = np.empty((points.shape[0], 5, self.weight.size))
         slopes[:, LEVEL] = felt.sum(axis=1)
-        whole = steep.sum(axis=1)
-        slopes[:, HALF] = exponent[:, 0] * whole
-        slopes[:, EXPONENT] = -exponent[:, 0] * np.sum(steep * (self.frequency - half), axis=1)
-        slopes[:, POWER] = (octave / -np.expm1(-octave))[:, 0] * whole - power[:, 0] * np.sum(felt * fall, axis=1)
-        slopes[:, NOISE] = white
+        slopes[:, HALF] = exponent * whole
+        slopes[:, EXPONENT] = -exponent * np.sum(steep * (self.frequency - half[:, :, None]), axis=1)
+        slopes[:, POWER] = octave / -np.expm1(-octave) * whole - power * np.sum(felt * fall, axis=1)
+        slopes[:, NOISE] = np.exp(noise)
+        model = slopes[:, LEVEL] + self.background + np.exp(noise)
         slopes /= model[:, None]
         ratio = self.density / model
         gradient = slopes @ (self.weight * (1 - ratio))[:, :, None]
@@ -136,14 +145,14 @@ class _Averages:
         frequency = np.exp(self.frequency[0])
         halves = np.geomspace(frequency[0], frequency[-1], CORNERS)
         last = np.searchsorted(frequency, np.maximum(halves, frequency[min(3, frequency.size - 1)]), side="right") - 1
-        best = []
-        for m, q in (pair for pairs in BEGINNINGS for pair in pairs):
-            points = np.empty((CORNERS, 5))
-            points[:, LEVEL] = np.log(np.maximum(below[last], 1e-200))
-            points[:, HALF] = np.log(halves)
-            points[:, [EXPONENT, POWER, NOISE]] = np.log([m, q, noise])
-            best.append(points[np.argmin(self.cost(points)[0])])
-        return np.array(best)
+        pairs = np.array([pair for pairs in BEGINNINGS for pair in pairs])
+        points = np.empty((pairs.shape[0], CORNERS, 5))
+        points[:, :, LEVEL] = np.log(np.maximum(below[last], 1e-200))
+        points[:, :, HALF] = np.log(halves)
+        points[:, :, [EXPONENT, POWER]] = np.log(pairs)[:, None]
+        points[:, :, NOISE] = np.log(noise)
+        cost = self.cost(points.reshape(-1, 5)).reshape(points.shape[:2])
+        return np.asarray(points[np.arange(pairs.shape[0]), np.argmin(cost, axis=1)])
 
 
 def fit_roll_offs(
@@ -188,26 +197,22 @@ def _lowered(
 ) -> tuple[Array, Array]:
     """Points (b, 5) of least cost from others, each by itself, and those costs (b,), in so many steps at most."""
     lower, upper = limits
-    cost, gradient, information = averages.cost(points)
+    cost, gradient, information = averages.slopes(points)
     damping = np.full(cost.size, DAMPING)
     going = np.ones(cost.size, dtype=np.bool_)
-    unit = np.eye(points.shape[1])
     for _ in range(most):
         outward = ((points <= lower) & (gradient > 0)) | ((points >= upper) & (gradient < 0))
         moved = free & ~outward
         slope = np.where(moved, gradient, 0.0)
         bend = information * (moved[:, :, None] & moved[:, None, :])
-        size = np.where(moved, np.diagonal(bend, axis1=1, axis2=2), 1.0)
-        damped = bend + unit * (size * damping[:, None] + np.where(moved, 1e-9, 1.0))[:, :, None]
-        step = -np.linalg.solve(damped, slope[:, :, None])[:, :, 0]
-        step = np.clip(step, -LONGEST_STEP, LONGEST_STEP)
+        step = _step(slope, bend, damping, np.clip([lower - points, upper - points], -LONGEST_STEP, LONGEST_STEP))
         promise = -np.sum(slope * step, axis=1) - 0.5 * np.einsum("bi,bij,bj->b", step, bend, step)
         going &= promise > enough
         if not going.any():
             break
         trial = np.clip(points + step * going[:, None], lower, upper)
         trial = np.where(free, trial, points)
-        after = averages.cost(trial)
+        after = averages.slopes(trial)
         better = going & (after[0] < cost)
         points = np.where(better[:, None], trial, points)
         cost = np.where(better, after[0], cost)
@@ -215,3 +220,22 @@ def _lowered(
         information = np.where(better[:, None, None], after[2], information)
         damping = np.where(better, damping / 10, damping * 10)
     return points, cost
+
+
+def _step(slope: Array, bend: Array, damping: Array, limits: Array) -> Array:
+    """Steps (b, 5) of damped scoring: what would go too far stops there, and the others go on from that."""
+    step = _solved(slope, bend, damping)
+    stops = (step < limits[0]) | (step > limits[1])
+    if stops.any():
+        there = np.where(stops, np.clip(step, *limits), 0.0)
+        left = np.where(stops, 0.0, slope + np.einsum("bij,bj->bi", bend, there))
+        step = there + _solved(left, np.where(stops[:, :, None] | stops[:, None, :], 0.0, bend), damping)
+    return np.clip(step, *limits)
+
+
+def _solved(slope: Array, bend: Array, damping: Array) -> Array:
+    """Steps (b, 5) for slopes and information, this with so much more of its diagonal; zero where there is none."""
+    size = np.diagonal(bend, axis1=1, axis2=2)
+    more = size * damping[:, None] + np.where(size > 0, 1e-9, 1.0)
+    damped = bend + np.eye(size.shape[1]) * more[:, :, None]
+    return np.asarray(-np.linalg.solve(damped, slope[:, :, None])[:, :, 0])

@@ -118,8 +118,8 @@ def _with_noise(spectrum: Spectrum, periodogram: Periodogram, noise: float, *, f
 def _quiet_levels(periodogram: Periodogram) -> list[float]:
     """Densities of the noise to begin with: the lower quartile of the bands' levels, the mean of the upper ones."""
     place = (periodogram.frequency * periodogram.interval * 2 * BANDS).astype(int)
-    bands = [place == band for band in range(BANDS)]
-    levels = [np.average(periodogram.density[band], weights=periodogram.weight[band]) for band in bands if band.any()]
+    weight = np.bincount(place, periodogram.weight)
+    levels = np.bincount(place, periodogram.weight * periodogram.density)[weight > 0] / weight[weight > 0]
     quiet, upper = float(np.sort(levels)[len(levels) // 4]), float(np.mean(levels[-(BANDS // 4) :]))
     return [quiet, upper] if upper > COLORED * quiet else [quiet]
 
