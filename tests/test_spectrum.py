@@ -178,6 +178,23 @@ def test_line_is_found_beside_a_band(rng):
     assert spectrum.density(np.array([30.0, 50.0])) == pytest.approx([500.0, 500.0], rel=0.5)
 
 
+def test_line_does_not_pull_at_the_edge_of_a_band(rng):
+    values = felt(rng, lambda f: np.where(f <= 30, 40.0, 0.0), n=6400)
+    t = np.arange(values.size) / RATE
+    values += 300 * np.abs(T128.response(41.3)) * np.cos(2 * np.pi * 41.3 * t + rng.uniform(0, 6))
+    spectrum = fit(values).spectrum
+    # 40 dB above the noise the edge is seen to an ordinate of 0.25 Hz and a half; the line is 45 of them away
+    assert spectrum.edges[0] == pytest.approx(30.0, abs=0.4)
+
+
+@pytest.mark.parametrize("edge", [30.0, 120.0])
+def test_edge_without_noise_is_where_the_window_has_it(edge, rng):
+    """What the window leaks beyond the edge is not taken for force, though it is far above the noise."""
+    found = fit(felt(rng, lambda f: np.where(f <= edge, 40.0, 0.0), noise=0.0, n=4800)).spectrum
+    below = found.edges[np.searchsorted(-found.levels, -1.0) - 1]
+    assert below == pytest.approx(edge, abs=1.4)  # an average of four ordinates
+
+
 def test_nothing_is_found_in_noise(rng):
     found = fit(rng.normal(0, 2, 8000))
     # every change costs 10 in log-likelihood, which 600 averages reach with 600 exp(-10) = 3 %, and one level alone 4,

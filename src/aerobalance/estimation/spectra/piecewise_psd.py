@@ -31,6 +31,9 @@ BROAD: Final = 0.1
 LEAK: Final = 40
 """Ordinates on either side of an edge between which the window leaks noticeably."""
 
+FAR: Final = 128
+"""The same for a force 1e11 times as strong as the noise, as it is in a record without any."""
+
 
 def fit_segments(periodogram: Periodogram, noise: float) -> Spectrum:
     """The segments of constant level that are most likely at the price of a change, by dynamic programming.
@@ -101,18 +104,21 @@ def _cheapest(cost: Array) -> NDArray[np.int64]:
 
 def _sharpened(spectrum: Spectrum, periodogram: Periodogram, noise: float) -> Spectrum:
     """The edges placed again among single ordinates, with what the window leaks across them."""
-    edges = spectrum.edges.copy()
     first, step = float(periodogram.ordinates[0, 0]), periodogram.step
-    widths = np.diff(np.append(0.0, spectrum.edges)) / step
-    for place in range(edges.size - 1):
-        if min(widths[place : place + 2]) < LEAK:
+    places = (np.append(0.0, spectrum.edges) - first) / step
+    for below in range(1, places.size - 1):
+        left, middle, right = places[below - 1 : below + 2]
+        if min(middle - left, right - middle) < LEAK:
             continue  # a line: its edges are not seen one by one
-        middle = (edges[place] - first) / step
         width = max(FEWEST_ORDINATES, int(FINENESS * middle))
-        cost = _EdgeCost.of(periodogram, spectrum.levels[place : place + 2], noise, middle=middle, width=width)
+        reach = 2 * width + LEAK
+        # not beyond the segments on either side: what is in the next ones would pull at this edge
+        part = slice(max(round(middle) - reach, round(left), 0), min(round(middle) + reach, round(right)))
+        cost = _EdgeCost.of(periodogram, spectrum.levels[below - 1 : below + 1], noise, part=part)
         tried = np.arange(middle - width - LEAK // 2, middle + width, 1.0)
-        near = cost.best(tried[tried > 0])
-        edges[place] = first + step * cost.best(near + np.arange(-1.0, 1.25, 0.25))
+        near = cost.best(tried[(tried > max(left, 0.0)) & (tried < right)])
+        places[below] = cost.best(near + np.arange(-1.0, 1.25, 0.25))
+    edges = np.append(first + step * places[1:-1], spectrum.edges[-1])
     return replace(spectrum, edges=edges)
 
 
@@ -141,11 +147,9 @@ class _EdgeCost:
     above: Array
 
     @classmethod
-    def of(cls, periodogram: Periodogram, levels: Array, noise: float, *, middle: float, width: int) -> _EdgeCost:
-        """Take the ordinates about a place, in ordinates from the first."""
+    def of(cls, periodogram: Periodogram, levels: Array, noise: float, *, part: slice) -> _EdgeCost:
+        """Take a part of the ordinates."""
         _, density, gain = periodogram.ordinates
-        reach = 2 * width + LEAK
-        part = slice(max(round(middle) - reach, 0), round(middle) + reach)
         density, gain = density[part], gain[part]
         background = gain * periodogram.input_density + noise
         if periodogram.color is not None:
@@ -157,7 +161,7 @@ class _EdgeCost:
     def best(self, tried: Array) -> float:
         """The edge of least cost among some that are tried, in ordinates from the first."""
         count = self.density.size
-        near = np.floor(tried).astype(np.int64)[:, None] - self.start + np.arange(1 - LEAK, LEAK + 1)
+        near = np.floor(tried).astype(np.int64)[:, None] - self.start + np.arange(1 - FAR, FAR + 1)
         inside = (near >= 0) & (near < count)
         near = np.clip(near, 0, count - 1)
         share = leaked(near + self.start - tried[:, None])
