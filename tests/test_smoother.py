@@ -61,11 +61,12 @@ def test_smoother_is_dense_conditioning(order, missing, rng):
     filter_ = KalmanFilter.of(system, present)
     states, found = filter_.smooth(readings[:, None])[:, 0], filter_.smoothed_variance
     assert states.shape == (60, 3)
-    # The gain is frozen at a change of 1e-8 a sample, which leaves at most 1e-8 times the settling time (about 100).
+    # what the filter is taken to have forgotten is 1e-7 of a standard deviation
     mean = mean[:, :3]
     scale = np.max(np.abs(mean), axis=0)
     assert np.max(np.abs(states - mean) / scale) < 1e-6
-    assert found == pytest.approx(variance, rel=1e-6)
+    # and what adds less than 1e-6 to a variance is left out, of up to 10 states and on the average of a stretch
+    assert found == pytest.approx(variance, rel=1e-4)
 
 
 @pytest.mark.parametrize("missing", [False, True], ids=["whole", "gaps"])
@@ -85,27 +86,10 @@ def test_whitening_several_series_is_whitening_each(rng):
     filter_ = KalmanFilter.of(system, present)
     together = filter_.whiten(series)
     for column in range(3):
-        assert (together[:, column] == filter_.whiten(series[:, [column]])[:, 0]).all()
+        # products of matrices of another shape may add in another order
+        alone = filter_.whiten(series[:, [column]])[:, 0]
+        assert together[:, column] == pytest.approx(alone, rel=0, abs=1e-12 * np.max(np.abs(alone)))
     assert (together[~present] == 0).all()
-
-
-def test_a_frozen_gain_thaws_after_a_gap():
-    # Long enough to settle, then a gap: against a filter whose gain is never frozen, written out step by step.
-    force = butterworth(2, cutoff=120.0, density=500.0)
-    system = StateSpace.of_balance(T128, force, interval=INTERVAL, noise=2.0)
-    present = np.ones(3000, dtype=bool)
-    present[2000:2040] = False
-    filter_ = KalmanFilter.of(system, present)
-    assert filter_.gains.S.size < 3000
-    A, Q, h, P = system.transition, system.process_noise, system.observation, system.initial
-    for k in range(present.size):
-        S = h @ P @ h + system.noise_variance
-        # frozen at 1e-8 a step, with about a hundred steps of memory
-        assert filter_.gains.S[filter_.gains.row[k]] == pytest.approx(S, rel=1e-6), k
-        if present[k]:
-            K = P @ h / S
-            P = P - np.outer(K, K) * S
-        P = A @ P @ A.T + Q
 
 
 @pytest.mark.parametrize("order", (*ORDERS, 16))

@@ -20,8 +20,11 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from aerobalance.estimation.live import _live_kernels as kernels
-from aerobalance.estimation.statespace.kalman import FORCE, GAIN_TOLERANCE, StateSpace
+from aerobalance.estimation.statespace.kalman import FORCE, StateSpace
 from aerobalance.recording.channel import Array
+
+GAIN_TOLERANCE: Final = 1e-8
+"""Relative change of the covariance in one sample below which the filter's gain is frozen."""
 
 HISTORY: Final = 16
 """Observations that the buffers keep, in lags."""

@@ -6,15 +6,13 @@ going to zero the estimate goes to Eq. (17).
 
 References
 ----------
-.. [deJong1989] P. de Jong, "Smoothing and interpolation with the state-space model", J. Amer. Statist. Assoc. 84
-   (1989) 1085.
 .. [VanLoan1978] C. F. Van Loan, "Computing integrals involving the matrix exponential", IEEE Trans. Automat. Control
    23 (1978) 395.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -24,11 +22,21 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 
 from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.estimation.statespace import _kernels
+from aerobalance.estimation.statespace.blocks import BLOCK, BlockForms
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
+from aerobalance.estimation.statespace.smoothed_variance import gap_before, smoothed_variance
+from aerobalance.estimation.statespace.steady_state import SteadyState
+from aerobalance.estimation.statespace.stretches import Planner, Stretch
 from aerobalance.recording.channel import Array
 
-GAIN_TOLERANCE: Final = 1e-8
-"""Relative change of the covariance in one sample below which the filter's gain is frozen."""
+SURE: Final = 1e-6
+"""Change of what is found of a state, over its standard deviation, that makes no difference."""
+
+CLEAR: Final = 1e3
+"""How much more than their noise readings may show of a state before rounding makes it less than exact."""
+
+PASSES: Final = 4
+"""Times that such a state is found again."""
 
 LOAD, LOAD_RATE, FORCE = 0, 1, 2
 """Places in the state: the load felt AF, its rate AF'/w0, and the force F, the first state of its shaping filter.
@@ -188,7 +196,9 @@ def _discretise(A: Array, intensity: Array, interval: float) -> tuple[Array, Arr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KalmanFilter:
-    """A state space and the gains of its Kalman filter for the samples that are present.
+    """The Kalman filter of a state space and its fixed-interval smoother, for the samples that are present.
+
+    The gain is the steady one throughout; start and gaps are taken into account beside it (`stretches`), exactly.
 
     Attributes
     ----------
@@ -196,58 +206,162 @@ class KalmanFilter:
         The state space.
     present
         False where an observation is missing, shape (n,).
-    gains
-        Gain and innovation variance of each sample, and the rows of load, load rate and force of its covariance.
+    planner
+        What knows the steady filter.
+    forms
+        What runs it along a series.
+    stretches
+        The samples between gaps.
     """
 
     system: StateSpace
     present: NDArray[np.bool_]
-    gains: _kernels.Gains
+    planner: Planner
+    forms: BlockForms
+    stretches: tuple[Stretch, ...]
 
     @classmethod
     def of(cls, system: StateSpace, present: NDArray[np.bool_]) -> KalmanFilter:
-        """Return the filter of a state space, its gains computed for these samples."""
-        row, P, K, S = _kernels.gains(present, system.model, system.initial, FORCE + 1, GAIN_TOLERANCE)
-        return cls(system, present, _kernels.Gains(row, P.reshape(S.size, FORCE + 1, -1), K, S[:, 0]))
-
-    def filter(self, series: Array, wanted: Sequence[int] = ()) -> tuple[Array, Array]:
-        """Return predictions (n, c, w) of the wanted states and innovations (n, c) of several series at once.
-
-        Each series (n, c) starts from a zero state; an innovation is 0 where an observation is missing.
-        """
-        places = np.array(wanted, dtype=np.int64)
-        return _kernels.filtered(np.ascontiguousarray(series), self.present, self.system.model, self.gains, places)
-
-    def whiten(self, series: Array) -> Array:
-        """Return innovations over their standard deviation, of several series at once, shape (n, c) [1].
-
-        Observations become white with variance 1 if the model is right.
-        """
-        _, innovations = self.filter(series)
-        return innovations / np.sqrt(self.gains.S[self.gains.row])[:, None]
+        """Return the filter of a state space for these samples."""
+        steady = SteadyState.of(system.model, system.initial)
+        planner = Planner(steady, steady.initial)
+        return cls(system, present, planner, BlockForms.of(steady), planner.stretches(present))
 
     @property
     def settled(self) -> KalmanFilter:
-        """The filter as it is long after the start, when it has forgotten the initial state."""
-        last = np.full_like(self.gains.row, self.gains.S.size - 1)
-        return replace(self, gains=self.gains._replace(row=last), present=np.ones_like(self.present))
+        """The filter as it is long after the start, when it has forgotten the initial state, without gaps."""
+        present = np.ones_like(self.present)
+        planner = Planner(self.forms.steady, self.forms.steady.covariance)
+        return replace(self, present=present, planner=planner, stretches=planner.stretches(present))
 
     @property
     def log_determinant(self) -> float:
         """Sum over the present samples of the logarithm of the innovation variance."""
-        return float(np.sum(np.log(self.gains.S[self.gains.row[self.present]])))
+        steady = np.count_nonzero(self.present) * np.log(self.forms.steady.variance)
+        return float(steady + sum(np.sum(np.log1p(one.seen**2)) for one in self.stretches))
+
+    def whiten(self, series: Array) -> Array:
+        """Return several series (n, c) such that observations become white with variance 1, shape (n, c) [1].
+
+        These are innovations over their standard deviation, at the start and after gaps in an order of their own; 0
+        where an observation is missing.
+        """
+        forms = self.forms
+        out = np.zeros(series.shape[::-1])
+        for run in self._forward(series):
+            one, innovations = run.stretch, run.innovations
+            if one.memory:
+                # 1 - Z Z' / (1 + Z' Z), the inverse of what c does to white noise, is the square of 1 - Z b Z'
+                power = np.maximum(one.seen, 1e-30) ** 2
+                half = -np.expm1(-0.5 * np.log1p(power)) * (1 + power) / power
+                innovations[:, : one.memory] -= forms.released((run.numbers * (half - 1)) @ one.start.T, one.memory)[1]
+            out[:, one.first : one.stop] = innovations
+        out /= np.sqrt(forms.steady.variance)
+        return out.T
 
     def smooth(self, series: Array, wanted: Sequence[int] = (LOAD, LOAD_RATE, FORCE)) -> Array:
-        """Return the wanted states of several series (n, c) given all observations, shape (n, c, w) [deJong1989]_.
+        """Return the wanted states of several series (n, c) given all observations, shape (n, c, w)."""
+        forms = self.forms
+        out = np.empty((len(wanted), *series.shape[::-1]))
+        last = np.zeros((series.shape[1], forms.steady.entry.size))
+        for run in reversed(list(self._forward(series))):
+            one = run.stretch
+            if one.first < one.stop:
+                last = self._smoothed(run, last, wanted=wanted, out=out[:, :, one.first : one.stop])
+            if one.gap_length:
+                gap = gap_before(one, forms.steady)
+                for place, row in enumerate(forms.steady.basis[list(wanted)]):
+                    mean = gap.mean(row, run.before)
+                    out[place, :, one.gap : one.first] = mean + gap.told_later(gap.covariance_rows(row), last)
+                last = gap.before(last)
+        return np.transpose(out)
 
-        The wanted states are among load, load rate and force.
-        """
-        states, innovations = self.filter(series, wanted)
-        places = np.array(wanted, dtype=np.int64)
-        _kernels.smooth(states, innovations, self.present, self.system.model, self.gains, places)
-        return states
+    def _smoothed(self, run: Run, last: Array, *, wanted: Sequence[int], out: Array) -> Array:
+        """Write the wanted states (w, c, m) of a stretch; from the adjoint states after it (c, d) those before it."""
+        forms, one = self.forms, run.stretch
+        adjoint = forms.adjoint(run.innovations, last)
+        if one.memory:
+            edge = one.memory // BLOCK
+            after = last if one.memory == run.series.shape[1] else adjoint[:, edge]
+            if one.end.size or np.max(one.seen) > CLEAR:
+                self._tell(run, after)
+                adjoint[:, : edge + 1] = forms.adjoint(run.innovations[:, : one.memory], after)
+        for place, row in enumerate(forms.steady.basis[list(wanted)]):
+            forms.smoothed(run.series, run.states, run.innovations, adjoint, last=last, row=row, out=out[place])
+        before = adjoint[:, 0]
+        if one.memory and one.gap_length:
+            # c is what is told of it exactly, so that a gap before is not filled with what rounding makes of that
+            seen = self.planner.seen_by(one.memory, np.eye(before.shape[1]))
+            left = (before @ one.start - run.numbers) / (1 + one.seen**2)
+            before = before - left @ (seen @ one.start).T @ seen
+        return before
 
     @property
     def smoothed_variance(self) -> Array:
         """Variance of the force given all observations, shape (n,) [N^2]."""
-        return _kernels.smoothed_variance(self.present, self.system.model, self.gains, FORCE, GAIN_TOLERANCE)
+        return smoothed_variance(self.forms, self.planner, self.stretches, row=self.forms.steady.basis[FORCE])
+
+    def _forward(self, series: Array) -> Iterator[Run]:
+        """Run the filter along several series (n, c), each from a zero state."""
+        forms, A = self.forms, self.forms.steady.model.A
+        whole = np.ascontiguousarray(series.T)
+        mean = np.zeros((whole.shape[0], A.shape[0]))
+        for one in self.stretches:
+            before = mean
+            first = before @ np.linalg.matrix_power(A, one.gap_length).T if one.gap_length else before
+            part = whole[:, one.first : one.stop]
+            states, mean = forms.states(part, first)
+            numbers = np.zeros((whole.shape[0], one.seen.size))
+            run = Run(one, before, part, first, states, forms.innovations(part, states), numbers)
+            if one.memory:
+                self._tell(run, np.zeros_like(first))
+                if one.end.size:
+                    mean = forms.states(part, first + run.numbers @ one.start.T)[1]
+            yield run
+
+    def _tell(self, run: Run, after: Array) -> None:
+        """Find the numbers c of a stretch, given the adjoint states (c, d) after its memory; the rest goes with them.
+
+        The first answer is as wrong as rounding of innovations without it, so it is found again from those with it.
+        """
+        forms, one = self.forms, run.stretch
+        early, edge = run.innovations[:, : one.memory], one.memory // BLOCK
+        power = 1 + one.seen**2
+        for _ in range(PASSES if np.max(one.seen) > CLEAR else 1):
+            told = forms.adjoint(early, after)[:, 0] @ one.start
+            change = (told - run.numbers) / power
+            if not np.max(np.abs(change) * np.sqrt(power)) > SURE:
+                break
+            run.numbers[:] += change
+            states, shown = forms.released(change @ one.start.T, one.memory)
+            run.states[:, : edge + 1] += states
+            early -= shown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """The steady filter along a stretch of several series.
+
+    Attributes
+    ----------
+    stretch
+        The stretch.
+    before, first
+        States expected at the first sample of its gap and at its first reading, shape (c, d).
+    series
+        The readings, shape (c, m).
+    states
+        Predicted states at the edges of blocks, shape (c, m // BLOCK + 1, d).
+    innovations
+        What the readings differ from their prediction by, shape (c, m).
+    numbers
+        The numbers c of the stretch, as far as they are told, shape (c, r); states and innovations go with them.
+    """
+
+    stretch: Stretch
+    before: Array
+    series: Array
+    first: Array
+    states: Array
+    innovations: Array
+    numbers: Array

@@ -1,0 +1,174 @@
+"""The steady filter and its adjoint, a block of samples at a time.
+
+Within a block, innovations and smoothed states are fixed linear forms of the readings, of the state before the block
+and of the adjoint state after it. So a whole record is a few products of matrices, and only the states at the edges of
+the blocks follow one from another. Nothing is diagonalised: the eigenvectors of a closed loop may be as good as
+parallel.
+
+References
+----------
+.. [deJong1989] P. de Jong, "Smoothing and interpolation with the state-space model", J. Amer. Statist. Assoc. 84
+   (1989) 1085.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from aerobalance.estimation.statespace import _kernels
+from aerobalance.estimation.statespace.steady_state import SteadyState
+from aerobalance.recording.channel import Array
+
+BLOCK: Final = 64
+"""Samples of a block: as many operations within the blocks as from edge to edge, for some thirty states."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockForms:
+    """What turns a stretch of readings without gaps into innovations and smoothed states.
+
+    Series have shape (c, m). States at the edges have shape (c, m // BLOCK + 1, d): those before each whole block, and
+    before what is left at the end.
+
+    Attributes
+    ----------
+    steady
+        The filter.
+    powers
+        Powers 0 to BLOCK of its closed loop, shape (BLOCK + 1, d, d).
+    rows
+        h F^i: what a state makes of the prediction i samples later, shape (BLOCK, d).
+    own
+        Innovations of a block by its readings, shape (BLOCK, BLOCK).
+    entries
+        State after a block by its readings, shape (BLOCK, d).
+    """
+
+    steady: SteadyState
+    powers: Array
+    rows: Array
+    own: Array
+    entries: Array
+
+    @classmethod
+    def of(cls, steady: SteadyState) -> BlockForms:
+        """Return the forms of a steady filter."""
+        observation, powers = steady.model.h, powers_of(steady.closed_loop, BLOCK)
+        rows = observation @ powers[:BLOCK]
+        entries = powers[:BLOCK] @ steady.entry
+        own = np.eye(BLOCK) - _toeplitz_below(entries @ observation)
+        return cls(steady, powers, rows, own, np.ascontiguousarray(entries[::-1]))
+
+    def states(self, series: Array, first: Array) -> tuple[Array, Array]:
+        """Return predicted states at the edges and after the last sample (c, d), from first ones of shape (c, d)."""
+        whole, left = _divided(series)
+        states = np.empty((series.shape[0], whole.shape[1] + 1, first.shape[1]))
+        states[:, 0] = first
+        np.matmul(whole, self.entries, out=states[:, 1:])
+        _kernels.chain(np.ascontiguousarray(self.powers[BLOCK].T), states, True)
+        count = left.shape[1]
+        return states, states[:, -1] @ self.powers[count].T + left @ self.entries[BLOCK - count :]
+
+    def innovations(self, series: Array, states: Array) -> Array:
+        """Return readings less their predictions, shape (c, m)."""
+        out = np.empty_like(series)
+        (whole, left), (of_whole, of_left) = _divided(series), _divided(out)
+        count = left.shape[1]
+        np.matmul(whole, self.own.T, out=of_whole)
+        of_whole -= states[:, :-1] @ self.rows.T
+        of_left[:] = left @ self.own[:count, :count].T - states[:, -1] @ self.rows[:count].T
+        return out
+
+    def released(self, first: Array, count: int) -> tuple[Array, Array]:
+        """Return states at the edges, and what readings show of them (c, count), if nothing follows first ones."""
+        edges = np.zeros((first.shape[0], count // BLOCK + 1, first.shape[1]))
+        edges[:, 0] = first
+        _kernels.chain(np.ascontiguousarray(self.powers[BLOCK].T), edges, True)
+        shown = (edges @ self.rows.T).reshape(first.shape[0], -1)
+        return edges, shown[:, :count]
+
+    def adjoint(self, innovations: Array, last: Array) -> Array:
+        """Return adjoint states at the edges, given those after the last sample (c, d) [deJong1989]_."""
+        whole, left = _divided(innovations)
+        count, S = left.shape[1], self.steady.variance
+        states = np.empty((innovations.shape[0], whole.shape[1] + 1, last.shape[1]))
+        np.matmul(whole, self.rows / S, out=states[:, :-1])
+        states[:, -1] = last @ self.powers[count] + left @ self.rows[:count] / S
+        _kernels.chain(np.ascontiguousarray(self.powers[BLOCK]), states, False)
+        return states
+
+    def smoothed(
+        self,
+        series: Array | None,
+        states: Array,
+        innovations: Array,
+        adjoint: Array,
+        *,
+        last: Array,
+        row: Array,
+        out: Array,
+    ) -> None:
+        """Write what a row of the state is, given all readings, shape (c, m).
+
+        Parameters
+        ----------
+        series
+            Readings, shape (c, m); None if they are zero.
+        states, innovations, adjoint
+            What the other methods make of them.
+        last
+            Adjoint states after the last sample, shape (c, d).
+        row
+            What is wanted of the state, shape (d,).
+        out
+            Where it is written.
+        """
+        column = self.steady.covariance @ row
+        along, later = row @ self.powers[:BLOCK], self.powers[1:] @ column
+        of_innovations = _toeplitz_from(self.rows @ column / self.steady.variance).T
+        (whole, left), (of_whole, of_left) = _divided(innovations), _divided(out)
+        count = left.shape[1]
+        np.matmul(whole, of_innovations.T, out=of_whole)
+        of_whole += states[:, :-1] @ along.T
+        of_whole += adjoint[:, 1:] @ later[::-1].T
+        of_left[:] = left @ of_innovations[:count, :count].T
+        of_left += states[:, -1] @ along[:count].T + last @ later[:count][::-1].T
+        if series is not None:
+            of_series = _toeplitz_below(along @ self.steady.entry)
+            whole, left = _divided(series)
+            of_whole += whole @ of_series.T
+            of_left += left @ of_series[:count, :count].T
+
+
+def powers_of(matrix: Array, highest: int) -> Array:
+    """Return the powers 0 to the highest one of a matrix (d, d), shape (highest + 1, d, d)."""
+    powers = np.empty((highest + 1, *matrix.shape))
+    powers[0] = np.eye(matrix.shape[0])
+    done = 1
+    while done <= highest:
+        count = min(done, highest + 1 - done)
+        following = powers[done - 1] @ matrix
+        np.matmul(powers[:count], following, out=powers[done : done + count])
+        done += count
+    return powers
+
+
+def _divided(series: Array) -> tuple[Array, Array]:
+    """Return views on the whole blocks (c, blocks, BLOCK) and on what is left at the end (c, less than BLOCK)."""
+    cut = series.shape[1] - series.shape[1] % BLOCK
+    return series[:, :cut].reshape(series.shape[0], -1, BLOCK), series[:, cut:]
+
+
+def _toeplitz_from(response: Array) -> Array:
+    """Return the lower triangular matrix that convolves with a response from the same sample on."""
+    size = response.size
+    back = np.arange(size)[:, None] - np.arange(size)
+    return np.where(back >= 0, response[np.abs(back)], 0.0)
+
+
+def _toeplitz_below(response: Array) -> Array:
+    """Return the lower triangular matrix that convolves with a response from the next sample on."""
+    return _toeplitz_from(np.concatenate([[0.0], response[:-1]]))
