@@ -31,6 +31,7 @@ from aerobalance.estimation.spectra.line_noise import columns_of_lines
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
+from aerobalance.estimation.step_window import StepWindow
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.fourier import convolve
@@ -404,14 +405,10 @@ def _refine_step(reading: Observation, learned: SpectralPrior, columns: Array, s
     fixed = fixed[:, (np.ptp(fixed, axis=0) > 0) | (np.arange(fixed.shape[1]) == 0)]
     origin = first * interval
 
-    white = filter_.whiten(np.column_stack([local.filled, fixed]))
-    basis, _ = np.linalg.qr(white[:, 1:])
-    left = white[:, 0] - basis @ (basis.T @ white[:, 0])
+    window = StepWindow.of(local, filter_, fixed)
 
     def squares(instant: float, duration: float) -> float:
-        column = filter_.whiten(response_to(Step(instant - origin, duration), local)[:, None])[:, 0]
-        column -= basis @ (basis.T @ column)
-        return float(left @ left - (left @ column) ** 2 / max(float(column @ column), 1e-300))
+        return window.squares(instant - origin, duration)
 
     begin, end = step.instant - 1.5 * interval, step.instant + step.duration + 1.5 * interval
     grid = np.arange(begin, end, max(0.25 * interval, (end - begin) / SETTINGS.grid))
