@@ -32,7 +32,7 @@ from aerobalance.recording.channel import Array
 SURE: Final = 1e-6
 """Change of what is found of a state, over its standard deviation, that makes no difference."""
 
-CLEAR: Final = 1e3
+CLEAR: Final = 1e4
 """How much more than their noise readings may show of a state before rounding makes it less than exact."""
 
 PASSES: Final = 4
@@ -283,8 +283,8 @@ class KalmanFilter:
         if one.memory:
             edge = one.memory // BLOCK
             after = last if one.memory == run.series.shape[1] else adjoint[:, edge]
-            if one.end.size or np.max(one.seen) > CLEAR:
-                self._tell(run, after)
+            clear = not one.end.size and np.max(one.seen) <= CLEAR
+            if not clear and self._tell(run, after, start=adjoint[:, 0]):
                 adjoint[:, : edge + 1] = forms.adjoint(run.innovations[:, : one.memory], after)
         for place, row in enumerate(forms.steady.basis[list(wanted)]):
             forms.smoothed(run.series, run.states, run.innovations, adjoint, last=last, row=row, out=out[place])
@@ -319,23 +319,26 @@ class KalmanFilter:
                     mean = forms.states(part, first + run.numbers @ one.start.T)[1]
             yield run
 
-    def _tell(self, run: Run, after: Array) -> None:
-        """Find the numbers c of a stretch, given the adjoint states (c, d) after its memory; the rest goes with them.
+    def _tell(self, run: Run, after: Array, *, start: Array | None = None) -> bool:
+        """Find the numbers c of a stretch, given adjoint states (c, d) after its memory; return whether they changed.
 
-        The first answer is as wrong as rounding of innovations without it, so it is found again from those with it.
+        The rest of the run goes with them. The first answer is as wrong as rounding of innovations without it, so it
+        is found again from those with it. The adjoint states before the stretch are taken if they are known.
         """
         forms, one = self.forms, run.stretch
         early, edge = run.innovations[:, : one.memory], one.memory // BLOCK
-        power = 1 + one.seen**2
+        power, changed = 1 + one.seen**2, False
         for _ in range(PASSES if np.max(one.seen) > CLEAR else 1):
-            told = forms.adjoint(early, after)[:, 0] @ one.start
-            change = (told - run.numbers) / power
+            before = forms.adjoint(early, after)[:, 0] if start is None else start
+            change = (before @ one.start - run.numbers) / power
             if not np.max(np.abs(change) * np.sqrt(power)) > SURE:
                 break
             run.numbers[:] += change
             states, shown = forms.released(change @ one.start.T, one.memory)
             run.states[:, : edge + 1] += states
             early -= shown
+            start, changed = None, True
+        return changed
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,6 +24,9 @@ FAINT: Final = 1e-3
 LONGEST: Final = 13
 """Power of two of the samples at most after which it is looked anew which states matter to a variance."""
 
+FEW: Final = 4
+"""So few states that it is looked more rarely."""
+
 
 def smoothed_variance(forms: BlockForms, planner: Planner, stretches: Sequence[Stretch], *, row: Array) -> Array:
     """Return the variance of a row (d,) of the state given all observations, shape (n,)."""
@@ -102,7 +105,7 @@ def _variance_of_c(
         adjoint, out = forms.adjoint(-shown, last), np.empty_like(shown)
         forms.smoothed(None, states, -shown, adjoint, last=last, row=row, out=out)
         variance[part] = np.sum(out**2, axis=0)
-        first, places = part.stop, min(places + 2, LONGEST)
+        first, places = part.stop, min(places + 2, LONGEST + (3 if columns.shape[1] <= FEW else 0))
     return variance
 
 

@@ -14,9 +14,11 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
+from scipy.linalg.lapack import dgeqrf
 
 from aerobalance.estimation.statespace import _kernels
 from aerobalance.estimation.statespace._kernels import Model
@@ -144,9 +146,17 @@ def root_of(covariance: Array) -> Array:
 def joined(*roots: Array) -> Array:
     """Return B with B B^T the sum of B_i B_i^T, shape (d, at most d), for roots of shape (d, any)."""
     together = np.hstack(roots)
-    if together.shape[1] <= together.shape[0]:
+    size = together.shape[0]
+    if together.shape[1] <= size:
         return together
-    return np.transpose(np.asarray(np.linalg.qr(together.T, mode="r")))
+    factors = dgeqrf(together.T, overwrite_a=True)[0]
+    return np.asarray((factors[:size] * _upper(size)).T)
+
+
+@cache
+def _upper(size: int) -> Array:
+    """Ones in the upper triangle of a square."""
+    return np.triu(np.ones((size, size)))
 
 
 def _covariance_root(model: Model, unit: Array, *, rounding: float) -> Array:
