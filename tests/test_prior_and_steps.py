@@ -1,10 +1,13 @@
 """What the estimator learns from a record: spectrum, noise and steps, each against the truth of a simulation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 from scipy.stats import multivariate_normal
 
+from aerobalance.estimation import steps as steps_module
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import (
     Observation,
@@ -20,6 +23,7 @@ from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
 from aerobalance.estimation.steps import Step, find_steps, shape_of
 from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
 from helpers.cable_cut import T128
@@ -316,3 +320,12 @@ def test_shape_of_a_step():
     reading = Observation(np.zeros(8), 0.1, T128)
     assert shape_of(Step(0.25, 0.0), reading) == pytest.approx([0, 0, 0, 1, 1, 1, 1, 1])
     assert shape_of(Step(0.15, 0.2), reading) == pytest.approx([0, 0, 0.25, 0.75, 1, 1, 1, 1])
+
+
+def test_the_search_for_steps_ends_with_a_warning(rng, monkeypatch):
+    monkeypatch.setattr(steps_module, "SETTINGS", replace(steps_module.SETTINGS, most_steps=1))
+    time = np.arange(3200) / RATE
+    load = STEP * (T128.step_response(time - 0.5) - T128.step_response(time - 1.2))
+    with pytest.warns(DataQualityWarning, match="more than 1 steps"):
+        steps, _ = find_steps(Observation(load + rng.normal(0, 2, time.size), 1 / RATE, T128))
+    assert len(steps) == 1

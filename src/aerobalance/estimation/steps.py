@@ -56,7 +56,7 @@ class StepSettings:
     ramps
         Durations that are tried first [samples].
     most_steps
-        Largest number of steps that are searched in one record.
+        Largest number of steps that are searched in one record; a warning says where there are more.
     highest
         Height of a step over the range of the observations, above which it is one of a pair that cannot be separated.
     faint
@@ -183,6 +183,13 @@ def find_steps(reading: Observation) -> tuple[list[Step], SpectralPrior]:
                 "the dynamics again"
             )
             return sound, fit_prior(reading, columns=columns_of(sound, reading))
+    if len(steps) >= SETTINGS.most_steps:
+        _, promise = _matched_filter_scan(reading, learned, columns_of(steps, reading))
+        if promise >= _evidence_threshold(reading):
+            warn_quality(
+                f"{reading.dynamics.component} has more than {SETTINGS.most_steps} steps: no more of them are looked "
+                "for, and the others are taken for a force that fluctuates; divide the record"
+            )
     return sorted(steps, key=lambda step: step.instant), learned
 
 

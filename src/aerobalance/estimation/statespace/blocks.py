@@ -100,47 +100,62 @@ class BlockForms:
         _kernels.chain(np.ascontiguousarray(self.powers[BLOCK]), states, False)
         return states
 
-    def smoothed(
-        self,
-        series: Array | None,
-        states: Array,
-        innovations: Array,
-        adjoint: Array,
-        *,
-        last: Array,
-        row: Array,
-        out: Array,
+    def output(self, row: Array) -> OutputForms:
+        """Return what makes a row (d,) of the state, given all readings."""
+        column = self.steady.covariance @ row
+        along = row @ self.powers[:BLOCK]
+        return OutputForms(
+            along,
+            np.ascontiguousarray((self.powers[1:] @ column)[::-1]),
+            _toeplitz_below(along @ self.steady.entry),
+            np.ascontiguousarray(_toeplitz_from(self.rows @ column / self.steady.variance).T),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutputForms:
+    """A row of the state at the samples of a block, given all readings.
+
+    Attributes
+    ----------
+    states, adjoint
+        By the state before the block and the adjoint state after it, shape (BLOCK, d).
+    series, innovations
+        By the readings of the block and their innovations, shape (BLOCK, BLOCK).
+    """
+
+    states: Array
+    adjoint: Array
+    series: Array
+    innovations: Array
+
+    def write(
+        self, out: Array, series: Array | None, states: Array, innovations: Array, adjoint: Array, *, last: Array
     ) -> None:
-        """Write what a row of the state is, given all readings, shape (c, m).
+        """Write the row along a stretch, shape (c, m).
 
         Parameters
         ----------
+        out
+            Where it is written.
         series
             Readings, shape (c, m); None if they are zero.
         states, innovations, adjoint
-            What the other methods make of them.
+            What `BlockForms` makes of them.
         last
             Adjoint states after the last sample, shape (c, d).
-        row
-            What is wanted of the state, shape (d,).
-        out
-            Where it is written.
         """
-        column = self.steady.covariance @ row
-        along, later = row @ self.powers[:BLOCK], self.powers[1:] @ column
-        of_innovations = _toeplitz_from(self.rows @ column / self.steady.variance).T
         (whole, left), (of_whole, of_left) = _divided(innovations), _divided(out)
         count = left.shape[1]
-        np.matmul(whole, of_innovations.T, out=of_whole)
-        of_whole += states[:, :-1] @ along.T
-        of_whole += adjoint[:, 1:] @ later[::-1].T
-        of_left[:] = left @ of_innovations[:count, :count].T
-        of_left += states[:, -1] @ along[:count].T + last @ later[:count][::-1].T
+        np.matmul(whole, self.innovations.T, out=of_whole)
+        of_whole += states[:, :-1] @ self.states.T
+        of_whole += adjoint[:, 1:] @ self.adjoint.T
+        of_left[:] = left @ self.innovations[:count, :count].T
+        of_left += states[:, -1] @ self.states[:count].T + last @ self.adjoint[BLOCK - count :].T
         if series is not None:
-            of_series = _toeplitz_below(along @ self.steady.entry)
             whole, left = _divided(series)
-            of_whole += whole @ of_series.T
-            of_left += left @ of_series[:count, :count].T
+            of_whole += whole @ self.series.T
+            of_left += left @ self.series[:count, :count].T
 
 
 def powers_of(matrix: Array, highest: int) -> Array:

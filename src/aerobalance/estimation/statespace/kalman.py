@@ -22,7 +22,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 
 from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.estimation.statespace import _kernels
-from aerobalance.estimation.statespace.blocks import BLOCK, BlockForms
+from aerobalance.estimation.statespace.blocks import BLOCK, BlockForms, OutputForms
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.estimation.statespace.smoothed_variance import gap_before, smoothed_variance
 from aerobalance.estimation.statespace.steady_state import SteadyState
@@ -262,21 +262,23 @@ class KalmanFilter:
     def smooth(self, series: Array, wanted: Sequence[int] = (LOAD, LOAD_RATE, FORCE)) -> Array:
         """Return the wanted states of several series (n, c) given all observations, shape (n, c, w)."""
         forms = self.forms
+        rows = forms.steady.basis[list(wanted)]
+        outputs = [forms.output(row) for row in rows]
         out = np.empty((len(wanted), *series.shape[::-1]))
         last = np.zeros((series.shape[1], forms.steady.entry.size))
         for run in reversed(list(self._forward(series))):
             one = run.stretch
             if one.first < one.stop:
-                last = self._smoothed(run, last, wanted=wanted, out=out[:, :, one.first : one.stop])
+                last = self._smoothed(run, last, outputs=outputs, out=out[:, :, one.first : one.stop])
             if one.gap_length:
                 gap = gap_before(one, forms.steady)
-                for place, row in enumerate(forms.steady.basis[list(wanted)]):
+                for place, row in enumerate(rows):
                     mean = gap.mean(row, run.before)
                     out[place, :, one.gap : one.first] = mean + gap.told_later(gap.covariance_rows(row), last)
                 last = gap.before(last)
         return np.transpose(out)
 
-    def _smoothed(self, run: Run, last: Array, *, wanted: Sequence[int], out: Array) -> Array:
+    def _smoothed(self, run: Run, last: Array, *, outputs: Sequence[OutputForms], out: Array) -> Array:
         """Write the wanted states (w, c, m) of a stretch; from the adjoint states after it (c, d) those before it."""
         forms, one = self.forms, run.stretch
         adjoint = forms.adjoint(run.innovations, last)
@@ -286,8 +288,8 @@ class KalmanFilter:
             clear = not one.end.size and np.max(one.seen) <= CLEAR
             if not clear and self._tell(run, after, start=adjoint[:, 0]):
                 adjoint[:, : edge + 1] = forms.adjoint(run.innovations[:, : one.memory], after)
-        for place, row in enumerate(forms.steady.basis[list(wanted)]):
-            forms.smoothed(run.series, run.states, run.innovations, adjoint, last=last, row=row, out=out[place])
+        for output, place in zip(outputs, out, strict=True):
+            output.write(place, run.series, run.states, run.innovations, adjoint, last=last)
         before = adjoint[:, 0]
         if one.memory and one.gap_length:
             # c is what is told of it exactly, so that a gap before is not filled with what rounding makes of that

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.estimation.statespace import _kernels
-from aerobalance.estimation.statespace.blocks import BLOCK, BlockForms
+from aerobalance.estimation.statespace.blocks import BLOCK, BlockForms, OutputForms
 from aerobalance.estimation.statespace.gaps import Gap
 from aerobalance.estimation.statespace.steady_state import SteadyState
 from aerobalance.estimation.statespace.stretches import Planner, Stretch
@@ -30,7 +30,7 @@ FEW: Final = 4
 
 def smoothed_variance(forms: BlockForms, planner: Planner, stretches: Sequence[Stretch], *, row: Array) -> Array:
     """Return the variance of a row (d,) of the state given all observations, shape (n,)."""
-    out = np.empty(stretches[-1].stop)
+    out, output = np.empty(stretches[-1].stop), forms.output(row)
     later = np.zeros((0, row.size))  # N = later' later is the covariance of the adjoint state, c known
     for one in reversed(stretches):
         count = one.stop - one.first
@@ -43,7 +43,7 @@ def smoothed_variance(forms: BlockForms, planner: Planner, stretches: Sequence[S
             spread = np.ones(one.start.shape[1])
             spread[: size.size] = 1 / np.sqrt(1 + size**2)
             unsure = one.start @ turned.T * spread
-            more = _variance_of_c(forms, planner, one, columns=unsure, later=ahead, row=row)
+            more = _variance_of_c(forms, planner, one, columns=unsure, later=ahead, output=output, row=row)
             out[one.first : one.first + one.memory] += more
         if one.gap_length:
             gap = gap_before(one, forms.steady)
@@ -77,7 +77,7 @@ def _variance_with_c(forms: BlockForms, planner: Planner, count: int, *, later: 
 
 
 def _variance_of_c(
-    forms: BlockForms, planner: Planner, one: Stretch, *, columns: Array, later: Array, row: Array
+    forms: BlockForms, planner: Planner, one: Stretch, *, columns: Array, later: Array, output: OutputForms, row: Array
 ) -> Array:
     """Variance of a row of the state along a stretch that comes from c, given the roots of both, shape (memory,)."""
     variance, count = np.zeros(one.memory), one.stop - one.first
@@ -103,7 +103,7 @@ def _variance_of_c(
         columns = planner.after(part.stop - first, columns)
         last = -(columns.T @ ahead.T) @ ahead
         adjoint, out = forms.adjoint(-shown, last), np.empty_like(shown)
-        forms.smoothed(None, states, -shown, adjoint, last=last, row=row, out=out)
+        output.write(out, None, states, -shown, adjoint, last=last)
         variance[part] = np.sum(out**2, axis=0)
         first, places = part.stop, min(places + 2, LONGEST + (3 if columns.shape[1] <= FEW else 0))
     return variance
