@@ -171,17 +171,21 @@ def settled_covariance(P: Floats, model: Model, steps: int, tolerance: float) ->
 
 @numba.njit(cache=True)
 def chain(columns: Floats, states: Floats, forward: bool) -> None:
-    """Add to each state (c, m, d) of several series what a matrix, given by its columns, makes of the one before it.
+    """Add to each state (c, m, d) of several series what a matrix makes of the one before it.
 
-    The order is that of time, or the other way round.
+    The order is that of time, or the other way round. The matrix is given by its columns, and zeros that make their
+    length a multiple of 16: what is beyond such a multiple is worked out one by one.
     """
-    c, m, _ = states.shape
+    c, m, d = states.shape
+    work = np.zeros(columns.shape[1])
     for series in range(c):
         for k in range(1, m):
-            if forward:
-                add_product(columns, states[series, k - 1], states[series, k])
-            else:
-                add_product(columns, states[series, m - k], states[series, m - k - 1])
+            place, before = (k, k - 1) if forward else (m - k - 1, m - k)
+            for i in range(d):
+                work[i] = states[series, place, i]
+            add_product(columns, states[series, before], work)
+            for i in range(d):
+                states[series, place, i] = work[i]
 
 
 @numba.njit(cache=True)

@@ -26,6 +26,10 @@ BLOCK: Final = 64
 """Samples of a block: as many operations within the blocks as from edge to edge, for some thirty states."""
 
 
+WIDTH: Final = 16
+"""Numbers that the compiler takes together."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockForms:
     """What turns a stretch of readings without gaps into innovations and smoothed states.
@@ -62,13 +66,18 @@ class BlockForms:
         own = np.eye(BLOCK) - _toeplitz_below(entries @ observation)
         return cls(steady, powers, rows, own, np.ascontiguousarray(entries[::-1]))
 
+    def chain(self, states: Array, *, forward: bool = True) -> None:
+        """Add to each state at the edges, shape (c, any, d), what becomes of the one before it; or back in time."""
+        matrix = self.powers[BLOCK].T if forward else self.powers[BLOCK]
+        _kernels.chain(np.pad(matrix, ((0, 0), (0, -matrix.shape[0] % WIDTH))), states, forward)
+
     def states(self, series: Array, first: Array) -> tuple[Array, Array]:
         """Return predicted states at the edges and after the last sample (c, d), from first ones of shape (c, d)."""
         whole, left = _divided(series)
         states = np.empty((series.shape[0], whole.shape[1] + 1, first.shape[1]))
         states[:, 0] = first
         np.matmul(whole, self.entries, out=states[:, 1:])
-        _kernels.chain(np.ascontiguousarray(self.powers[BLOCK].T), states, True)
+        self.chain(states)
         count = left.shape[1]
         return states, states[:, -1] @ self.powers[count].T + left @ self.entries[BLOCK - count :]
 
@@ -86,7 +95,7 @@ class BlockForms:
         """Return states at the edges, and what readings show of them (c, count), if nothing follows first ones."""
         edges = np.zeros((first.shape[0], count // BLOCK + 1, first.shape[1]))
         edges[:, 0] = first
-        _kernels.chain(np.ascontiguousarray(self.powers[BLOCK].T), edges, True)
+        self.chain(edges)
         shown = (edges @ self.rows.T).reshape(first.shape[0], -1)
         return edges, shown[:, :count]
 
@@ -97,7 +106,7 @@ class BlockForms:
         states = np.empty((innovations.shape[0], whole.shape[1] + 1, last.shape[1]))
         np.matmul(whole, self.rows / S, out=states[:, :-1])
         states[:, -1] = last @ self.powers[count] + left @ self.rows[:count] / S
-        _kernels.chain(np.ascontiguousarray(self.powers[BLOCK]), states, False)
+        self.chain(states, forward=False)
         return states
 
     def output(self, row: Array) -> OutputForms:

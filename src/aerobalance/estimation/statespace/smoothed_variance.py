@@ -11,7 +11,6 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.estimation.statespace import _kernels
 from aerobalance.estimation.statespace.blocks import BLOCK, BlockForms, OutputForms
 from aerobalance.estimation.statespace.gaps import Gap
 from aerobalance.estimation.statespace.steady_state import SteadyState
@@ -65,7 +64,7 @@ def _variance_with_c(forms: BlockForms, planner: Planner, count: int, *, later: 
     reach = planner.memory(count, column[:, None])
     edges = np.zeros((1, -(-reach // BLOCK) + 1, column.size))
     edges[0, 0] = column
-    _kernels.chain(np.ascontiguousarray(forms.powers[BLOCK].T), edges, True)
+    forms.chain(edges)
     seen = np.cumsum((edges[0, :-1] @ forms.rows.T).ravel()[:reach] ** 2) / forms.steady.variance
     if later.size:
         forward = (later @ forms.powers[1:]).reshape(-1, column.size)
