@@ -390,10 +390,10 @@ def _matched_filter_scan(reading: Observation, learned: SpectralPrior, columns: 
     count = reading.values.size
     late = reading.interval * (np.arange(count) + 1)
     response = filter_.settled.whiten(reading.dynamics.step_response(late)[:, None])[:, 0]
-    score = convolve(left[:, None], response[::-1, None])[count - 1 :, 0]
+    score, *across = convolve(np.column_stack([left, basis]), response[::-1, None])[count - 1 :].T
     information = np.cumsum(response**2)[::-1]
-    for vector in basis.T:
-        information = information - convolve(vector[:, None], response[::-1, None])[count - 1 :, 0] ** 2
+    for other in across:
+        information = information - other**2
     gain = np.where(information > 1e-6 * information.max(), score**2 / np.maximum(information, 1e-300), 0.0)
     gain[0] = 0.0  # before the first interval a step is the constant
     place = int(np.argmax(gain))
