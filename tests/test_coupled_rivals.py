@@ -69,8 +69,9 @@ def test_differences_of_all_readings_undo_the_coupling(rng) -> None:
     force, felt, _ = shaken(rng, EXACT, pitching=False)
     recording = recording_of(felt + 1e-3 * NOISE * rng.normal(size=felt.shape))
     with warnings.catch_warnings():
-        # so little noise lets errors of the simulation be seen, and doubted as a faint floor
+        # so little noise lets errors of the simulation be seen: doubted as a faint floor, or as what is not explained
         warnings.filterwarnings("ignore", message=".*so faint that", category=DataQualityWarning)
+        warnings.filterwarnings("ignore", message=".*depart from what the model", category=DataQualityWarning)
         found = estimates_of_coupled(recording, EXACT, components=("NF",))["NF"]
     values = {row.name: row.values for row in found if row.ran}
     inner = slice(100, -100)
