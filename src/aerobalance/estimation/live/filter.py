@@ -405,12 +405,6 @@ class LiveFilter:
         """Estimated sizes of the known shapes, the constant first, shape (p,) [1]."""
         return self._fit.sizes[: len(self.shapes)].copy()
 
-    def size_uncertainty(self, place: int) -> float:
-        """Return the standard uncertainty of the size of a known shape [1]."""
-        count = len(self.shapes)
-        direction, work = np.eye(count)[place], np.empty(count)
-        return float(np.sqrt(kernels.variance_along(self._fit.root, direction, count, work)))
-
     def whitened(self, first: int, place: int) -> Array:
         """Return the whitened observations (place -1) or known shape, from `first` to the last sample taken [1]."""
         part = slice(first - self.first, self.taken - self.first)
