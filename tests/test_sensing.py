@@ -148,7 +148,7 @@ def test_cross_axis_sensitivity_is_taken_off_and_its_uncertainty_flows_on(rng):
         pitch=np.zeros(TIME.size),
     )
     motion = GroundMotion.of(given, "AF")
-    np.testing.assert_allclose(motion.acceleration, along, atol=1e-12)
+    np.testing.assert_allclose(motion.specific_force, along, atol=1e-12)
     estimate = estimate_force(given, T128, method="paper").only
     found = {item.name: item for item in estimate.contributions}["cross-axis sensitivity to ground_acceleration_z"]
     assert found.source == "ground_acceleration"
@@ -182,7 +182,7 @@ def test_the_corner_of_an_ac_sensor_is_undone():
     with pytest.warns(DataQualityWarning, match="ac-coupled: ground motion below its corner of 20 Hz"):
         motion = GroundMotion.of(given, "AF")
     expected = sine(1.0, 3.0, phase=-np.angle(response))
-    np.testing.assert_allclose(motion.acceleration[INNER], expected[INNER], atol=3 * CLOSE)
+    np.testing.assert_allclose(motion.specific_force[INNER], expected[INNER], atol=3 * CLOSE)
 
 
 @pytest.mark.parametrize("method", ["paper", "smoother"])

@@ -248,7 +248,7 @@ def test_ground_load_is_that_of_the_whole_record(delay, rng):
     acceleration = np.fft.irfft(np.where(band, rng.normal(size=band.size) + 1j * rng.normal(size=band.size), 0), n)
     acceleration = 1 + acceleration / acceleration.std()
     dynamics = Dynamics("AF", 177.87, 3.093e7, 828.21, delay=delay, further_modes=TWO_MODES.further_modes)
-    motion = GroundMotion(acceleration, 0.0, acceleration, 0.0, 0.0, ())
+    motion = GroundMotion(acceleration)
     expected = load_from_ground(motion, dynamics, rate=RATE)
     channels = decoupled(dynamics, noise=np.eye(1))
     ground = Decoupler(channels, interval=1 / RATE, moves=True, delay=delay)
@@ -265,7 +265,7 @@ def test_ground_motion_is_taken_out(rng):
     time = np.arange(6000) / RATE
     acceleration, pitch = 2 * np.sin(2 * np.pi * 31 * time), 0.05 * np.sin(2 * np.pi * 0.3 * time)
     specific = acceleration - 9.80665 * np.sin(pitch)
-    readings = readings + load_from_ground(GroundMotion(specific, 0.0, specific, 0.0, 0.0, ()), T128, rate=RATE)
+    readings = readings + load_from_ground(GroundMotion(specific), T128, rate=RATE)
     live = Axial(T128, learned=learned, channels=["ground_acceleration", "pitch"])
     force, uncertainty = streamed(live, readings, [77] * 40, ground_acceleration=acceleration, pitch=pitch)
     inner = slice(3000, -20)  # the start of the motion rings as exp(-2.3 t)

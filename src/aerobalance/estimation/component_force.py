@@ -20,7 +20,7 @@ from aerobalance.estimation.spectra.line_noise import Hum, Line
 from aerobalance.estimation.spectra.noise_floor import departure_of
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, NoiseSpectrum
-from aerobalance.motion.single_axis import SystematicParameter
+from aerobalance.motion.platform import SystematicParameter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.errors import FitError, argument, warn_quality

@@ -17,8 +17,7 @@ from aerobalance.dynamics.coupled import MASS_PARAMETERS, CoupledDynamics, Rigid
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.record import ComponentRecord, Through
-from aerobalance.motion.platform import PlatformMotion
-from aerobalance.motion.single_axis import SystematicParameter
+from aerobalance.motion.platform import PlatformMotion, SystematicParameter
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.linalg import covariance_root

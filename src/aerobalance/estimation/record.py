@@ -17,7 +17,8 @@ from aerobalance.estimation.error_sources import Contribution, Systematic, total
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
-from aerobalance.motion.single_axis import GroundMotion, SystematicParameter, load_from_ground
+from aerobalance.motion.platform import SystematicParameter
+from aerobalance.motion.single_axis import GroundMotion, load_from_ground
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, acceleration_name
 from aerobalance.recording.errors import FitError

@@ -98,9 +98,8 @@ def check_agreement(name: str, fit: GroundFit, readings: Array, motion: Array, e
     left = fit.residual(readings)[inner]
     allowed = np.zeros(checked.size)
     for effect in effects:
-        if effect.uncertainty:
-            change = fit.residual(effect.readings(readings))[inner]
-            allowed += np.mean(change**2, axis=0) * effect.uncertainty**2
+        change = fit.residual(effect.readings(readings))[inner]
+        allowed += np.mean(change**2, axis=0) * effect.uncertainty**2
     found = _Faults(fit, left, motion[inner] @ fit.rows.T, covariance, allowed)
     for scores, words in (found.spread, found.gain, found.offset):
         worst = int(np.argmax(np.where(checked, scores, 0.0)))

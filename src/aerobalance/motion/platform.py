@@ -7,15 +7,26 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import RigidMass
+from aerobalance.motion.at_rest import AT_REST, tones
 from aerobalance.motion.consistency import Effect, check_agreement
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.rotation import Turning
-from aerobalance.motion.sensors import ground_sensors, motion_name, unseen
-from aerobalance.motion.single_axis import AT_REST, SystematicParameter, tones, without_gaps
+from aerobalance.motion.sensors import driving_sensors, ground_sensors, motion_name, unseen, without_gaps
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import AXES, COMPONENTS, DIRECTIONS, IS_FORCE, MOMENT_ROWS, STANDARD_GRAVITY
+from aerobalance.recording.components import (
+    AXES,
+    COMPONENTS,
+    DIRECTIONS,
+    FORCE_ROWS,
+    IS_FORCE,
+    MOMENT_ROWS,
+    STANDARD_GRAVITY,
+    acceleration_name,
+    driving_axis,
+)
 from aerobalance.recording.gravity import Gravity
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
@@ -29,6 +40,28 @@ TURNING: Final = "w x (w x r) by integrated turns"
 
 TOLD: Final = 0.01
 """Part of an accelerometer's noise from which the size of w x (w x r) in it is told."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SystematicParameter:
+    """A number behind the ground's motion that holds along the record and is not known exactly.
+
+    Attributes
+    ----------
+    name
+        What it is.
+    source
+        Channel, or setting, that it comes from.
+    slope
+        Change of the specific force with it, of its shape [m/s^2 per its unit; rad/s^2 in turns].
+    uncertainty
+        Its standard uncertainty.
+    """
+
+    name: str
+    source: str
+    slope: Array
+    uncertainty: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +107,7 @@ class PlatformMotion:
         cls,
         recording: Recording,
         *,
+        along: str | None = None,
         gravity: float = STANDARD_GRAVITY,
         gravity_uncertainty: float = 0.0,
     ) -> PlatformMotion:
@@ -87,6 +121,8 @@ class PlatformMotion:
         ----------
         recording
             What was recorded.
+        along
+            A component that is not coupled with others: only the accelerometer along it is used. None for all.
         gravity, gravity_uncertainty
             Local acceleration of gravity and its standard uncertainty [m/s^2].
 
@@ -96,10 +132,10 @@ class PlatformMotion:
             An accelerometer has no axis, or a channel no reading.
         """
         recording = corrected(recording)
-        sensors = ground_sensors(recording)
+        sensors = ground_sensors(recording) if along is None else driving_sensors(recording, along)
         pull = _Gravity.of(recording, gravity)
         fit = GroundFit.of(sensors, rate=recording.rate)
-        found = _MotionRecord(recording, fit, pull, _kinematic(fit, pull, recording.samples))
+        found = _MotionRecord(recording, fit, pull, _kinematic(fit, pull, recording.samples), along)
         return found.solved(gravity_uncertainty)
 
     def moved(self, changes: Array) -> PlatformMotion:
@@ -121,6 +157,11 @@ class PlatformMotion:
             Shape (n, 6) [N, N*m].
         """
         return -self.specific_force @ mass.matrix.T - mass.turning_load(self.turn_rate)
+
+
+def driven_column(component: str) -> int:
+    """Return the place among the components of the motion that drives a component taken alone."""
+    return FORCE_ROWS[AXES.index(driving_axis(component))]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,6 +207,7 @@ class _MotionRecord:
     first: GroundFit
     pull: _Gravity
     readings: Array
+    along: str | None
 
     def solved(self, gravity_uncertainty: float) -> PlatformMotion:
         fit, known, variance, said = self._at_rest()
@@ -179,7 +221,7 @@ class _MotionRecord:
             specific_force=found.motion - self.pull.acceleration,
             turn_rate=found.rate,
             delay=fit.sensors[0].channel.delay if fit.sensors else 0.0,
-            assumptions=(*said, *_told(self.first, found), *self.pull.assumptions),
+            assumptions=(*said, *self._told(found)),
             unknowns=tuple(self._unknowns(fit, effects, known)),
             gravity_on_zero=self.recording.gravity_on_zero.acceleration,
         )
@@ -196,8 +238,10 @@ class _MotionRecord:
         plain &= np.array([s.kind != "rate" for s in fit.sensors], dtype=bool)
         while True:
             motion, spread = fit.motion(self.readings - known @ fit.rows.T), np.diag(fit.covariance)
+            if self._missing.any():
+                motion = np.where(self._missing[:, None], np.nan, motion)  # a line across a gap is no motion
             ratios = {
-                column: float(np.var(motion[:, column]) / spread[column])
+                column: float(np.nanvar(motion[:, column]) / spread[column])
                 for column in fit.columns
                 if spread[column] > 0 and not any(band.gains[column, ~plain].any() for band in fit.bands)
             }
@@ -207,11 +251,30 @@ class _MotionRecord:
             # adding a sensor's noise to the force would only spoil it; tones that stand out of it are motion
             known[:, least], share = tones(motion[:, least])
             variance[least] = share**2 * spread[least]
-            rest = "only its tones are taken" if share else "it is taken as zero"
+            rest = "only its tones are taken" if share else "the ground end is taken to be at rest in it"
             said.append(
                 f"the ground's {motion_name(least)} shows {'little' if share else 'nothing'} beyond its noise; {rest}"
             )
             fit = fit.only(set(fit.columns) - {least})
+
+    @property
+    def _missing(self) -> NDArray[np.bool_]:
+        """Whether a sensor has no reading, shape (n,)."""
+        lost = [sensor.channel.missing for sensor in self.first.sensors]
+        return np.any(lost, axis=0) if lost else np.zeros(self.readings.shape[0], dtype=bool)
+
+    def _told(self, found: Turning) -> Iterator[str]:
+        """What is taken as zero or approximately because of what is not recorded."""
+        reads_gravity = False
+        if self.along is None:
+            yield from _told(self.first, found)
+        elif not self.first.sensors:
+            name = acceleration_name("ground", self.along)
+            yield f"{name} is not recorded; the ground end is taken to be at rest along {self.along}"
+        else:
+            reads_gravity = self.first.sensors[0].reads_gravity
+        if not reads_gravity:
+            yield from self.pull.assumptions
 
     def _covariance(self, fit: GroundFit, variance: Array) -> Array:
         """Noise of one sample: of the sensors, of what is taken as known, and of the angles."""
@@ -227,22 +290,23 @@ class _MotionRecord:
         return total
 
     def _effects(self, found: Turning, gravity_uncertainty: float) -> Iterator[Effect]:
-        """What holds along the record and is not known exactly, as changes of readings and of gravity."""
+        """What holds along the record and has an uncertainty, as changes of readings and of gravity."""
         fit, samples = self.first, self.readings.shape[0]
-        turn, w = (part @ DIRECTIONS[list(MOMENT_ROWS)] for part in (found.motion[:, MOMENT_ROWS], found.rate))
         for index, sensor in enumerate(fit.sensors):
             channel, straight = sensor.channel, sensor.kind == "acceleration"
-            raw = self.readings[:, index] - _felt(fit, self.pull.acceleration)[:, index]
-            yield Effect(GAINS[0 if straight else 1], channel.name, channel.relative_uncertainty, {index: raw})
-            if sensor.kind != "rate":  # whose zero has no derivative
+            if channel.relative_uncertainty:
+                raw = self.readings[:, index] - _felt(fit, self.pull.acceleration)[:, index]
+                yield Effect(GAINS[0 if straight else 1], channel.name, channel.relative_uncertainty, {index: raw})
+            if sensor.kind != "rate" and channel.zero_uncertainty:  # a rate's zero has no derivative
                 yield Effect(
                     "accelerometer zero" if straight else "turn sensor zero",
                     channel.name,
                     channel.zero_uncertainty,
                     {index: np.ones(samples)},
                 )
-            for axis, name in enumerate(AXES):
-                by = np.eye(3)[axis]
+            for axis, name in enumerate(AXES) if channel.place_uncertainty else ():
+                by, turns = np.eye(3)[axis], DIRECTIONS[list(MOMENT_ROWS)]
+                turn, w = found.motion[:, MOMENT_ROWS] @ turns, found.rate @ turns
                 moved = (np.cross(turn, by) + np.cross(w, np.cross(w, by))) @ sensor.axis
                 yield Effect(f"place {name}", channel.name, channel.place_uncertainty, {index: moved})
             for part in channel.cross_axis:
@@ -252,16 +316,16 @@ class _MotionRecord:
         on_zero = self.recording.gravity_on_zero
         for name, slope in self.pull.slopes.items():
             channel = self.recording.channel(name)
-            for word, by, u in (
-                ("zero", slope, channel.zero_uncertainty),
-                ("gain", slope * self.pull.angles[name][:, None], channel.relative_uncertainty),
-            ):
-                what = f"{name} {word}"
-                yield Effect(what, name, u, self._felt_by(by), on_zero.slope(what) - by)
-        yield Effect(TURNING, "rate of turn", found.uncertainty, dict(enumerate(found.felt.T)))
-        by = self.pull.acceleration / self.pull.gravity
-        on_zero_by = on_zero.acceleration / self.pull.gravity
-        yield Effect("gravity", "gravity", gravity_uncertainty, self._felt_by(by), on_zero_by - by)
+            for word, u in (("zero", channel.zero_uncertainty), ("gain", channel.relative_uncertainty)):
+                if u:
+                    what, by = f"{name} {word}", slope if word == "zero" else slope * self.pull.angles[name][:, None]
+                    yield Effect(what, name, u, self._felt_by(by), on_zero.slope(what) - by)
+        if found.uncertainty:
+            yield Effect(TURNING, "rate of turn", found.uncertainty, dict(enumerate(found.felt.T)))
+        if gravity_uncertainty:
+            by = self.pull.acceleration / self.pull.gravity
+            on_zero_by = on_zero.acceleration / self.pull.gravity
+            yield Effect("gravity", "gravity", gravity_uncertainty, self._felt_by(by), on_zero_by - by)
 
     def _felt_by(self, pull: Array) -> dict[int, Array]:
         felt = _felt(self.first, pull)
@@ -269,8 +333,6 @@ class _MotionRecord:
 
     def _unknowns(self, fit: GroundFit, effects: list[Effect], known: Array) -> Iterator[SystematicParameter]:
         for effect in effects:
-            if effect.uncertainty <= 0:
-                continue
             slope = fit.motion(effect.readings(self.readings))
             if effect.pull is not None:
                 slope = slope + effect.pull
@@ -286,7 +348,7 @@ class _MotionRecord:
 
 
 def _told(first: GroundFit, found: Turning) -> Iterator[str]:
-    """What is taken as zero or approximately because of what the sensors do not see."""
+    """What is taken as zero or approximately because of what the sensors of six motions do not see."""
     names = [sensor.channel.name for sensor in first.sensors]
     if not names:
         yield "no ground acceleration is recorded; the ground end is taken to be at rest"

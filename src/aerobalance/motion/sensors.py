@@ -13,12 +13,21 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.motion.single_axis import without_gaps
 from aerobalance.recording.channel import AXES_BY_NAME, Array, Channel, is_ground_acceleration
-from aerobalance.recording.components import COMPONENTS, DIRECTIONS, FORCE_AXES, IS_FORCE, MOMENTS
+from aerobalance.recording.components import (
+    AXIS_VECTORS,
+    COMPONENTS,
+    DIRECTIONS,
+    FORCE_AXES,
+    IS_FORCE,
+    MOMENTS,
+    acceleration_name,
+    driving_axis,
+)
 from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import interpolate_gaps_linearly
 from aerobalance.recording.sensors import divided, filtered, high_pass
 
 Kind = Literal["acceleration", "turn", "rate"]
@@ -84,14 +93,39 @@ def ground_sensors(recording: Recording) -> tuple[GroundSensor, ...]:
         kind = sensor_kind(name)
         if kind is None:
             continue
-        if channel.missing.all():
-            raise FitError(f"{recording.name}: {name} has no reading; leave the channel out, or record it again")
+        _check_read(channel, recording)
         axis, place = np.zeros(3), np.zeros(3)
         if kind == "acceleration":
             axis, place = _mounting(channel, recording)
         values = _on_clock(recording, channel, found[0].channel.delay if found else channel.delay)
         found.append(GroundSensor(channel, kind, axis, place, values, channel_noise(channel)))
     return tuple(found)
+
+
+def driving_sensors(recording: Recording, component: str) -> tuple[GroundSensor, ...]:
+    """The accelerometer that sees what drives a component taken alone: of its axis, or else ``ground_acceleration``.
+
+    It is taken to look along the component, at the balance's centre. Nothing where none is recorded.
+
+    Raises
+    ------
+    FitError
+        The channel has no reading.
+    """
+    names = (acceleration_name("ground", component), "ground_acceleration")
+    name = next((name for name in names if name in recording), None)
+    if name is None:
+        return ()
+    channel = recording.channel(name)
+    _check_read(channel, recording)
+    axis = np.array(AXIS_VECTORS[driving_axis(component)], dtype=np.float64)
+    values = _on_clock(recording, channel, channel.delay)
+    return (GroundSensor(channel, "acceleration", axis, np.zeros(3), values, channel_noise(channel)),)
+
+
+def _check_read(channel: Channel, recording: Recording) -> None:
+    if channel.missing.all():
+        raise FitError(f"{recording.name}: {channel.name} has no reading; leave the channel out, or record it again")
 
 
 def row_of(name: str, axis: Array, place: Array) -> Array:
@@ -231,3 +265,15 @@ def least_squares(rows: Array, noise: Array, columns: tuple[int, ...], used: NDA
     inverse = np.linalg.pinv(weighted / scale, rcond=1e-12) / scale[:, None]
     gains[np.ix_(motions, sensors)] = inverse / noise[sensors]
     return gains
+
+
+def without_gaps(channel: Channel) -> Array:
+    """Return the values of a channel with straight lines across gaps, shape (n,) [its unit], and warn of them."""
+    missing = channel.missing
+    if not missing.any():
+        return channel.values
+    warn_quality(
+        f"{channel.name}: {int(missing.sum())} missing sample(s) are filled by straight lines; the ground motion "
+        "within them stays in the force"
+    )
+    return interpolate_gaps_linearly(channel.values)

@@ -65,12 +65,17 @@ class Gravity(NamedTuple):
     @classmethod
     def of(cls, pitch: Array, roll: Array, *, gravity: float) -> Gravity:
         """Return it for angles of shape (n,) [rad] and the local acceleration of gravity [m/s^2]."""
-        by_pitch, by_roll = np.zeros((2, pitch.size, len(COMPONENTS)))
-        sine, cosine, zero = np.sin(pitch), np.cos(pitch), np.zeros_like(pitch)
-        by_pitch[:, FORCE_ROWS] = np.column_stack([cosine, -sine * np.sin(roll), sine * np.cos(roll)])
-        by_roll[:, FORCE_ROWS] = np.column_stack([zero, cosine * np.cos(roll), cosine * np.sin(roll)])
-        slopes = {"pitch": gravity * by_pitch, "roll": gravity * by_roll}
-        return cls(gravity_components(pitch, roll, gravity=gravity), slopes)
+        pull, by_pitch, by_roll = np.zeros((3, pitch.size, len(COMPONENTS)))
+        sine, cosine, across, down = gravity * np.sin(pitch), gravity * np.cos(pitch), np.sin(roll), np.cos(roll)
+        parts = (
+            (pull, (sine, cosine * across, -cosine * down)),
+            (by_pitch, (cosine, -sine * across, sine * down)),
+            (by_roll, (np.zeros_like(sine), cosine * down, cosine * across)),
+        )
+        for whole, columns in parts:
+            for row, column in zip(FORCE_ROWS, columns, strict=True):
+                whole[:, row] = column
+        return cls(pull, {"pitch": by_pitch, "roll": by_roll})
 
 
 def _no_gravity() -> Array:

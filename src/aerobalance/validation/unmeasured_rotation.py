@@ -18,8 +18,7 @@ import numpy as np
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.motion.least_squares import GroundFit
-from aerobalance.motion.sensors import ground_sensors
-from aerobalance.motion.single_axis import without_gaps
+from aerobalance.motion.sensors import ground_sensors, without_gaps
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS, si_unit
 from aerobalance.recording.noise import channel_noise

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aerobalance.motion.single_axis import AT_REST
+from aerobalance.motion.at_rest import AT_REST
 from aerobalance.recording.channel import Array
 from aerobalance.recording.noise import white_noise
 
