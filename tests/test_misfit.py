@@ -16,8 +16,10 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
+from aerobalance.validation import release
 from aerobalance.validation.local_modes import SETTINGS, Averaged, missing_mode, own_resonance, smeared
 from aerobalance.validation.model_check import Misfit, misfit_of
+from aerobalance.validation.release import least_left
 
 RATE = 1600.0
 BARE = CableCut().dynamics
@@ -151,3 +153,68 @@ def test_smearing_is_that_of_the_window(rng):
 
 def test_short_records_are_left_alone():
     assert Averaged.of(np.zeros(100), interval=1 / RATE, noise=1.0) is None
+
+
+@pytest.mark.parametrize("n", [70, 500, 5000])
+def test_no_sum_of_waves_leaves_less_than_is_said(n, rng):
+    time = np.linspace(0, 1, n)
+    frequency, decay = rng.uniform(2, 40, 3), rng.uniform(0, 5, 3)
+    waves = np.exp(-decay * time[:, None]) * np.cos(2 * np.pi * frequency * time[:, None] + rng.uniform(0, 6, 3))
+    left = rng.normal(0, 0.3, n)
+    values = 10 * waves.sum(axis=1) + 3 + 2 * time + left
+    # the waves that made them are one such sum
+    assert least_left(values, waves=4) <= left @ left
+    assert least_left(10 * waves.sum(axis=1) + 3 + 2 * time, waves=4) < 1e-20 * n
+    # fewer waves leave most of the one that is missing
+    assert n < 100 or least_left(values, waves=1) > 10 * left @ left
+
+
+def test_the_least_that_waves_leave_is_as_large_as_what_they_leave_of_a_step(rng):
+    values = np.repeat([0.0, 1.0], 400) + rng.normal(0, 1e-3, 800)
+    frequency = np.arange(1, 5) / 800
+    phase = 2 * np.pi * np.arange(800)[:, None] * frequency
+    columns = np.column_stack([np.ones(800), np.arange(800), np.sin(phase), np.cos(phase)])
+    left = values - columns @ np.linalg.lstsq(columns, values)[0]
+    assert 1e-3 * left @ left < least_left(values, waves=5) <= left @ left
+
+
+def kinks(time: Array) -> Array:
+    """A force that rises and falls along straight lines [N]."""
+    return 500 * np.clip((time - 0.7) / 0.3, 0, 1) - 300 * np.clip((time - 1.5) / 0.2, 0, 1)
+
+
+def test_what_is_no_release_is_not_fitted_as_one(rng, monkeypatch):
+    def fitted(*_: object, **__: object) -> None:
+        raise AssertionError("fitted")
+
+    monkeypatch.setattr(release, "identify_decay", fitted)
+    fine = np.arange(40 * 4800) / (40 * RATE)
+    load = BARE.load_felt(kinks(fine), interval=1 / (40 * RATE))[::40]
+    turbulence = shaken(BARE, rng, seconds=3.0).channel("AF").values
+    instants, heights = np.arange(0.2, 3, 0.4), 300 * np.array([1, -2, 1.5, -1, 1, -1.2, 0.7])
+    steps = np.sum([h * BARE.step_response(fine[::40] - t) for t, h in zip(instants, heights, strict=True)], axis=0)
+    noise = rng.normal(0, 2.0, 4800)
+    for name, values in {
+        "kinks": load + noise,
+        "turbulence": turbulence,
+        "kinks and turbulence": load + turbulence,
+        "steps": steps + noise,
+        "noise": noise,
+        "none": np.zeros(4800),
+    }.items():
+        run = Recording.from_columns(fine[::40], {"AF": Channel("AF", values, "N")}, name=name)
+        looked_at(run, BARE)
+
+
+def test_a_release_is_read_up_to_the_next_event(rng):
+    dynamics = identified(BARE, rng)
+    stiffer = replace(BARE, stiffness=1.002 * BARE.stiffness)
+    run = released(stiffer, rng)
+    later = 40 * (run.time > run.time[-1] - 0.6) * np.sin(300 * run.time)
+    disturbed = Recording.from_columns(
+        run.time, {"AF": Channel("AF", run.channel("AF").values + later, "N")}, name="release, then shaken"
+    )
+    found = looked_at(disturbed, dynamics)
+    assert found.released
+    assert found.frequency is not None
+    assert found.frequency[0] == pytest.approx(0.001, abs=1e-4)

@@ -6,7 +6,6 @@ are looked at. Neither needs the force.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -21,16 +20,14 @@ from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord, SingleRecord
 from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
 from aerobalance.estimation.steps import Step, columns_of
-from aerobalance.identification.free_decay.event import first_look
-from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
-from aerobalance.identification.free_decay.waveform import fit_ring
+from aerobalance.identification.free_decay.fit import DecayFit
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.errors import DataQualityWarning, FitError, argument
-from aerobalance.recording.recording import Recording
+from aerobalance.recording.errors import argument
 from aerobalance.recording.wording import frequency_text, share_text
 from aerobalance.validation.local_modes import Averaged, missing_mode, own_resonance
 from aerobalance.validation.peaks import Peak, peak_sentences
+from aerobalance.validation.release import release_in
 from aerobalance.validation.unmeasured_rotation import turning_by_angles
 
 
@@ -51,12 +48,6 @@ class ModelCheckSettings:
         million. The curvature at the optimum alone says too much of a resonance that the load hardly excites.
     least_damping
         Part of a known damping ratio below which only that it is smaller is said: so narrow a line is rather hum.
-    explained
-        Residuals of a release over the noise of the readings up to which it is explained.
-    near
-        Periods either side of a release over which it is looked whether it is one.
-    released
-        Share of a record's variance that a release of one mode leaves over at most.
     """
 
     drift: float = 5.0
@@ -64,9 +55,6 @@ class ModelCheckSettings:
     longest: int = 1 << 17
     changed: float = 30.0
     least_damping: float = 0.05
-    explained: float = 1.2
-    near: float = 40.0
-    released: float = 0.1
 
 
 SETTINGS: Final = ModelCheckSettings()
@@ -178,7 +166,7 @@ def misfit_of(record: SingleRecord, *, noise: float, steps: Sequence[Step] = (),
     if seen is None:
         return Misfit(record.dynamics.component)
     reading, within = seen
-    release = _release(record, reading.values, noise=noise)
+    release = release_in(record, reading.values, noise=noise)
     known = record.load
     if release is not None:
         return _possible(_after_release(release, record.dynamics), most=float(np.nanmax(known) - np.nanmin(known)))
@@ -228,27 +216,6 @@ def _without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
 def _possible(found: Misfit, *, most: float) -> Misfit:
     """The same without a size of the ringing that is more than the balance load has."""
     return found if found.size is None or found.size <= most else replace(found, size=None)
-
-
-def _release(record: SingleRecord, values: Array, *, noise: float) -> DecayFit | None:
-    """The record as a free decay, where that explains it down to its noise."""
-    recording, name = record.recording, record.dynamics.component
-    channel = replace(recording.channel(name), values=values)
-    alone = Recording.from_columns(np.arange(values.size) / recording.rate, {name: channel}, name=recording.name)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataQualityWarning)
-        try:
-            look = first_look(values, rate=recording.rate, name=recording.name)
-            if look.shape != "release":
-                return None
-            time = np.arange(values.size) / recording.rate
-            near = np.abs(time - look.start) < SETTINGS.near / look.frequency
-            if fit_ring(time[near], values[near], look).variance > SETTINGS.released * float(np.var(values[near])):
-                return None
-            fit = identify_decay(alone, component=name, mass=record.dynamics.mass, modes="auto")
-        except FitError:
-            return None
-    return fit if fit.release is not None and fit.residual_deviation < SETTINGS.explained * noise else None
 
 
 def _after_release(fit: DecayFit, dynamics: Dynamics) -> Misfit:
