@@ -1,9 +1,8 @@
-"""What all tests share: random numbers, processes that begin at once, and one run of the demo."""
+"""What all tests share: random numbers, and one run of the demo."""
 
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import pickle
 from collections.abc import Iterator
@@ -12,35 +11,10 @@ from typing import Any
 
 import pytest
 
+import aerobalance.app.monitor.workers  # noqa: F401 - names what its processes need before any process is started
+
 pytest_plugins = ["seeds"]
 pytest.register_assert_rewrite("helpers")
-
-STARTERS = ("aerobalance.acquisition.session", "aerobalance.app.monitor.workers")
-LOADED = [
-    "aerobalance.acquisition.simulated",
-    "aerobalance.acquisition.recorder",
-    "aerobalance.app.monitor.engine",
-    "aerobalance.app.monitor.learner",
-    "aerobalance.app.monitor.jobs",
-]
-
-
-@pytest.fixture(scope="session", autouse=True)
-def quick_starts() -> Iterator[None]:
-    """Let sources, recorders and engines begin from a process that has their libraries loaded, where there is fork.
-
-    Each is a process of its own as it is in use, and may be killed; but some two hundred of them do not each take
-    seconds to load the same. Programs that a test runs start theirs as in use.
-    """
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        yield
-        return
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(LOADED)
-    with pytest.MonkeyPatch.context() as patch:
-        for starter in STARTERS:
-            patch.setattr(f"{starter}._SPAWN", context)
-        yield
 
 
 @pytest.fixture(scope="session")

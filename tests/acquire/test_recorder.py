@@ -30,6 +30,7 @@ from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.io.hdf5_layout import Provenance, StoredChannel
 from aerobalance.recording.errors import DataQualityWarning, FitError
+from helpers.monitor_program import children
 from seeds import trials
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N"))
@@ -462,32 +463,28 @@ def gone(pids):
         time.sleep(0.05)
 
 
-def children_of(pid):
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
 @pytest.mark.parametrize("delay", [0.8, 1.4, 2.0])
 def test_signal_while_the_command_starts_leaves_nothing_running(delay, tmp_path) -> None:
     process = record_command(tmp_path)
     time.sleep(delay)
-    children = children_of(process.pid)
+    started = children(process.pid)
     process.send_signal(signal.SIGTERM)
     _, err = process.communicate(timeout=60)
     # before the record: said so; before the program takes signals: ended by it; after: a record as any
     assert process.returncode in (0, 1, 128 + signal.SIGTERM, -signal.SIGTERM), err
     assert process.returncode != 1 or "before the record began" in err
     assert "Traceback" not in err
-    gone(children)
+    gone(started)
 
 
 def test_kill_of_the_command_ends_the_record_and_leaves_no_process(tmp_path) -> None:
     process = record_command(tmp_path)
     wait_for_blocks(tmp_path / "run.h5", 2)
-    children = children_of(process.pid)
-    assert len(children) >= 2
+    started = children(process.pid)
+    assert len(started) >= 2
     process.kill()
     process.communicate()
-    gone(children)
+    gone(started)
     reason = contents(tmp_path / "run.h5").reason
     # the recorder finds it out itself, or hears it from the source, which has found it out first
     assert "the program that started the record is gone" in reason or "started the source is gone" in reason

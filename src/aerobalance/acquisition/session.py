@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import secrets
 import shutil
-import threading
 import time
 from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any, Final
 
 from aerobalance.acquisition.feed import Address, Feed, Order, SourceInfo, SourceMessage, run_source
 from aerobalance.acquisition.planned import plan_of
+from aerobalance.acquisition.processes import pipe, start_worker
 from aerobalance.acquisition.recorder import Progress, RecorderCommand, RecordJob, run_recorder
 from aerobalance.acquisition.scratch import make_folder, remove
 from aerobalance.acquisition.setup import Setup, setup_text, stored_channels
@@ -28,25 +26,6 @@ _STARTING: Final = 60.0
 _ENDING: Final = 1.5
 _CLOSING: Final = 10.0
 _KILLED: Final = 0.2
-_SPAWN: Final = multiprocessing.get_context("spawn")
-_THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-_LOCK: Final = threading.Lock()
-
-
-def start_on_one_thread(process: SpawnProcess) -> None:
-    """Start a process beside a clock; its linear algebra has one thread, unless the environment says otherwise.
-
-    It would have one for every core. Those wait in a busy loop for the next product, whatever priority the process has
-    given itself, and take from source and recorder what these need on time.
-    """
-    with _LOCK:  # a process is given the environment of the moment
-        made = [name for name in _THREADS if name not in os.environ]
-        os.environ.update(dict.fromkeys(made, "1"))
-        try:
-            process.start()
-        finally:
-            for name in made:
-                del os.environ[name]
 
 
 class Recorder:
@@ -61,9 +40,8 @@ class Recorder:
     """
 
     def __init__(self, job: RecordJob, address: Address) -> None:
-        self._control, other = _SPAWN.Pipe()
-        self.process: SpawnProcess = _SPAWN.Process(target=run_recorder, args=(job, address, other), daemon=True)
-        start_on_one_thread(self.process)
+        self._control, other = pipe()
+        self.process = start_worker(run_recorder, job, address, other)
         other.close()
         self.progress = Progress("starting", "the recorder is starting", job.path)
         self.heard = False
@@ -148,10 +126,8 @@ class Session:
         self._folder = make_folder()
         self.address = Address(str(self._folder / "source"), secrets.token_bytes(32))
         self._control: Connection[Any, Any]
-        self._control, other = _SPAWN.Pipe()
-        arguments = (setup_text(setup), str(folder), self.address, other)
-        self.process: SpawnProcess = _SPAWN.Process(target=run_source, args=arguments, daemon=True)
-        start_on_one_thread(self.process)
+        self._control, other = pipe()
+        self.process = start_worker(run_source, setup_text(setup), str(folder), self.address, other)
         other.close()
         self.said: list[SourceMessage] = []
         self._alive = True

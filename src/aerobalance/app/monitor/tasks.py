@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping
-from multiprocessing.context import SpawnProcess
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,7 +45,7 @@ class Tasks:
         self._jobs = Jobs(self._heard)
 
     @property
-    def process(self) -> SpawnProcess | None:
+    def process(self) -> BaseProcess | None:
         """The process that does them."""
         return self._jobs.process
 

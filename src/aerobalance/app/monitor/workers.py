@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import multiprocessing
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from multiprocessing.context import SpawnProcess
+from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import send_handle
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
-from aerobalance.acquisition.session import start_on_one_thread
+from aerobalance.acquisition.processes import load_beforehand, pipe, start_worker
 from aerobalance.app.monitor.jobs import Task, TaskOutcome
 from aerobalance.app.monitor.messages import Answer, Learner, LearnerWanted, Trouble
 
@@ -21,7 +20,8 @@ if TYPE_CHECKING:
 
     Pipe = Connection[Any, Any]
 
-_SPAWN: Final = multiprocessing.get_context("spawn")
+
+load_beforehand(*(f"aerobalance.app.monitor.{name}" for name in ("engine", "learner", "jobs")))
 
 
 def _engine(control: Pipe) -> None:
@@ -56,13 +56,12 @@ class Engine:
         self._closed = False
         self._last: Any = None
         self._sending = threading.Lock()
-        self.learner: SpawnProcess | None = None
+        self.learner: BaseProcess | None = None
         self._start()
 
     def _start(self) -> None:
-        self._control, other = _SPAWN.Pipe()
-        self.process: SpawnProcess = _SPAWN.Process(target=_engine, args=(other,), daemon=True)
-        start_on_one_thread(self.process)
+        self._control, other = pipe()
+        self.process = start_worker(_engine, other)
         other.close()
         threading.Thread(target=self._listen, args=(self._control,), daemon=True).start()
 
@@ -87,15 +86,13 @@ class Engine:
         if wanted.gone:
             text = "the process that learns what the force is taken for is gone (killed, or crashed)"
             self._heard(Trouble(-1, f"{text}; it is started again, and the force goes on meanwhile"))
-        pipe, taught = _SPAWN.Pipe()
-        learner = _SPAWN.Process(target=_learner, args=(taught,), daemon=True)
-        start_on_one_thread(learner)
-        self.learner = learner
+        lessons, taught = pipe()
+        self.learner = start_worker(_learner, taught)
         taught.close()
         with self._sending, contextlib.suppress(OSError):
             self._control.send(Learner())
-            send_handle(self._control, pipe.fileno(), self.process.pid)
-        pipe.close()
+            send_handle(self._control, lessons.fileno(), self.process.pid)
+        lessons.close()
 
     def order(self, order: object) -> None:
         """Tell the engine what to do."""
@@ -107,7 +104,7 @@ class Engine:
         self._last = order
 
     @property
-    def processes(self) -> tuple[SpawnProcess, ...]:
+    def processes(self) -> tuple[BaseProcess, ...]:
         """The engine and the learner."""
         return (self.process,) if self.learner is None else (self.process, self.learner)
 
@@ -133,7 +130,7 @@ class Jobs:
         self._waiting: deque[Task] = deque()
         self._changed = threading.Condition()
         self._closed = False
-        self.process: SpawnProcess | None = None
+        self.process: BaseProcess | None = None
         self._pipe: Pipe | None = None
         threading.Thread(target=self._run, daemon=True).start()
 
@@ -181,9 +178,8 @@ class Jobs:
 
     def _ready(self) -> Pipe:
         if self._pipe is None or self.process is None or not self.process.is_alive():
-            self._pipe, other = _SPAWN.Pipe()
-            self.process = _SPAWN.Process(target=_jobs, args=(other,), daemon=True)
-            start_on_one_thread(self.process)
+            self._pipe, other = pipe()
+            self.process = start_worker(_jobs, other)
             other.close()
         return self._pipe
 

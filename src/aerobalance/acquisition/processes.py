@@ -1,0 +1,64 @@
+"""How the processes beside a clock begin: source, recorder, and those behind the page.
+
+Loading the libraries takes each of them one to three seconds of processor. Where the system can fork safely, they are
+forked from one process that has loaded them; elsewhere each loads them itself. Either way each is a process of its
+own, which may be killed and keeps no thread, lock or file of the program that started it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import sys
+import threading
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from multiprocessing.context import ForkServerContext, SpawnContext
+
+_LOADED: Final = ["aerobalance.acquisition.simulated", "aerobalance.acquisition.recorder"]
+_THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_LOCK: Final = threading.Lock()
+
+
+def _context() -> SpawnContext | ForkServerContext:
+    if sys.platform == "linux":
+        return multiprocessing.get_context("forkserver")
+    return multiprocessing.get_context("spawn")  # the libraries of macOS do not bear a fork, and Windows has none
+
+
+_CONTEXT: Final = _context()
+
+
+def load_beforehand(*modules: str) -> None:
+    """Name modules that processes need which are started later; once one has been started, it is too late."""
+    _LOADED.extend(name for name in modules if name not in _LOADED)
+
+
+def pipe() -> tuple[Connection[Any, Any], Connection[Any, Any]]:
+    """Return both ends of a pipe between this process and one that it starts."""
+    return _CONTEXT.Pipe()
+
+
+def start_worker(target: Callable[..., None], *arguments: object) -> BaseProcess:
+    """Return a process that runs a function with these arguments, started.
+
+    Its linear algebra has one thread, unless the environment says otherwise. It would have one for every core. Those
+    wait in a busy loop for the next product, whatever priority the process has given itself, and take from source and
+    recorder what these need on time.
+    """
+    if sys.platform == "linux":
+        _CONTEXT.set_forkserver_preload(_LOADED)
+    process = _CONTEXT.Process(target=target, args=arguments, daemon=True)
+    with _LOCK:  # a process is given the environment of the moment
+        made = [name for name in _THREADS if name not in os.environ]
+        os.environ.update(dict.fromkeys(made, "1"))
+        try:
+            process.start()
+        finally:
+            for name in made:
+                del os.environ[name]
+    return process
