@@ -163,6 +163,8 @@ class GroundFit:
 
     def motion(self, readings: Array) -> Array:
         """The six motions, shape (n, 6) [m/s^2, rad/s^2], from `readings` of shape (n, m)."""
+        if not self.sensors:
+            return np.broadcast_to(0.0, (readings.shape[0], 6))
         found = [part @ band.gains.T for band, part in self._parts(readings)]
         return found[0] if len(found) == 1 else np.sum(found, axis=0)
 

@@ -180,7 +180,7 @@ class _Gravity:
         nothing = np.zeros(recording.samples)
         if "pitch" not in recording:
             said = "pitch is not recorded and taken as constant; a constant weight is left out"
-            return cls(np.zeros((recording.samples, 6)), gravity, {}, {}, {}, (said,))
+            return cls(np.broadcast_to(0.0, (recording.samples, 6)), gravity, {}, {}, {}, (said,))
         names = [name for name in ("pitch", "roll") if name in recording]
         angles = {name: without_gaps(recording.channel(name)) for name in names}
         pull = Gravity.of(angles["pitch"], angles.get("roll", nothing), gravity=gravity)
@@ -213,12 +213,13 @@ class _MotionRecord:
         fit, known, variance, said = self._at_rest()
         found = Turning.of(fit, self.readings, known)
         effects = list(self._effects(found, gravity_uncertainty))
-        readings = self.readings - known @ fit.rows.T - (found.felt if found.removed else 0.0)
-        check_agreement(self.recording.name, fit, readings, found.motion, effects)
+        if len(fit.sensors) > 1:
+            readings = self.readings - known @ fit.rows.T - (found.felt if found.removed else 0.0)
+            check_agreement(self.recording.name, fit, readings, found.motion, effects)
         return PlatformMotion(
             acceleration=found.motion,
             covariance=self._covariance(fit, variance),
-            specific_force=found.motion - self.pull.acceleration,
+            specific_force=found.motion - self.pull.acceleration if self.pull.angles else found.motion,
             turn_rate=found.rate,
             delay=fit.sensors[0].channel.delay if fit.sensors else 0.0,
             assumptions=(*said, *self._told(found)),
@@ -233,11 +234,14 @@ class _MotionRecord:
         """
         fit = self.first
         said: list[str] = []
-        known, variance = np.zeros((self.readings.shape[0], 6)), np.zeros(6)
+        known, variance = np.broadcast_to(0.0, (self.readings.shape[0], 6)), np.zeros(6)
+        if not fit.sensors:
+            return fit, known, variance, said
         plain = np.array([s.kind == "turn" or s.channel.coupling == "kinematic" for s in fit.sensors], dtype=bool)
         plain &= np.array([s.kind != "rate" for s in fit.sensors], dtype=bool)
         while True:
-            motion, spread = fit.motion(self.readings - known @ fit.rows.T), np.diag(fit.covariance)
+            left = self.readings - known @ fit.rows.T if said else self.readings
+            motion, spread = fit.motion(left), np.diag(fit.covariance)
             if self._missing.any():
                 motion = np.where(self._missing[:, None], np.nan, motion)  # a line across a gap is no motion
             ratios = {
@@ -248,6 +252,7 @@ class _MotionRecord:
             least = min(ratios, key=ratios.__getitem__, default=-1)
             if least < 0 or ratios[least] >= AT_REST:
                 return fit, known, variance, said
+            known = known if said else np.zeros_like(known)
             # adding a sensor's noise to the force would only spoil it; tones that stand out of it are motion
             known[:, least], share = tones(motion[:, least])
             variance[least] = share**2 * spread[least]

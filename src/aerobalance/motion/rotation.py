@@ -87,11 +87,11 @@ class Turning:
         known
             Motions that are known beforehand, shape (n, 6).
         """
-        readings = readings - known @ fit.rows.T
-        start = motion = fit.motion(readings) + known
-        felt, rate = np.zeros_like(readings), np.zeros((known.shape[0], 3))
+        start = motion = fit.motion(readings - known @ fit.rows.T) + known if fit.sensors else known
+        felt, rate = np.zeros_like(readings), np.broadcast_to(0.0, (known.shape[0], 3))
         if not start[:, MOMENT_ROWS].any():
             return cls(start, rate, felt, True, 0.0, ())
+        readings = readings - known @ fit.rows.T
         walk = SETTINGS.walk * np.sqrt(np.diag(fit.covariance)[list(MOMENT_ROWS)] * known.shape[0]) / fit.rate
         settled, noise = False, np.zeros(3)
         for _ in range(SETTINGS.rounds):
