@@ -116,18 +116,22 @@ def test_response_is_that_of_mass_damper_and_spring(rng):
         assert np.abs((found - expected) / scale).max() < 1e-9 * np.abs(expected / scale).max()
 
 
-def test_load_felt_is_the_exact_integral(rng):
+@pytest.mark.parametrize("damped", [1, 150], ids=["as it is", "some poles real"])
+def test_load_felt_is_the_exact_integral(rng, damped):
     """Against the matrix exponential of scipy in the coordinates of motion, for loads linear between samples."""
     balance = random_balance(rng)
     n, interval = 400, 1 / 10_000
     net = np.cumsum(rng.normal(0, 0.05, (n, 6)), axis=0) * balance.half_range + 0.3 * balance.half_range
-    M, C, K = balance.mass.matrix, balance.damping, balance.stiffness
+    M, C, K = balance.mass.matrix, damped * balance.damping, balance.stiffness
+    dynamics = replace(balance.dynamics, damping=damped * balance.dynamics.damping)
+    assert (dynamics.poles.imag == 0).any() == (damped > 1)
     state = np.block([[np.zeros((6, 6)), np.eye(6)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
     drive = np.vstack([np.zeros((6, 6)), np.linalg.inv(M)])
     start = np.concatenate([np.linalg.solve(K, net[0]), np.zeros(6)])
     output = np.hstack([K, np.zeros((6, 6))])
     _, expected, _ = lsim((state, drive, output, np.zeros((6, 6))), net, np.arange(n) * interval, start)
-    found = balance.dynamics.load_felt(net, interval=interval)
+    found = dynamics.load_felt(net, interval=interval)
+    np.testing.assert_array_equal(dynamics.load_felt(net, interval=interval, every=3), found[::3])
     # 400 steps of an exponential whose state is scaled by 1e7: about 1e-16 x 1e4 x 400
     assert np.abs((found - expected) / balance.half_range).max() < 1e-8
 

@@ -38,6 +38,13 @@ def test_windows_lines_and_filters_are_those_of_scipy(rng) -> None:
     np.testing.assert_allclose(convolve(x.T, weights), expected, atol=ROUNDING * 100)
 
 
+@pytest.mark.parametrize(("count", "reach"), [(40_000, 900), (40_000, 6000), (16_384, 1), (100, 30_000)])
+def test_convolution_in_blocks_is_that_of_scipy(rng, count, reach) -> None:
+    x, weights = rng.normal(size=(count, 2)), rng.normal(size=(reach, 2))
+    expected = signal.oaconvolve(x, weights, axes=0)
+    np.testing.assert_allclose(convolve(x, weights), expected, atol=ROUNDING * np.abs(expected).max())
+
+
 @pytest.mark.parametrize("count", [30, 400])
 def test_samples_between_samples_are_those_of_scipy(rng, count) -> None:
     x = rng.normal(size=(count, 2)).cumsum(axis=0)

@@ -355,16 +355,31 @@ class CoupledDynamics:
         whole = self.equation(2j * np.pi * np.asarray(frequency, dtype=np.float64))
         return np.asarray(np.linalg.inv(whole)[:, :n, :n])
 
-    def load_felt(self, net: Array, *, interval: float) -> Array:
-        """Loads felt under loads that are linear between samples and were held before the first; both (samples, n)."""
-        n = len(self.components)
+    def load_felt(self, net: Array, *, interval: float, every: int = 1) -> Array:
+        """Loads felt under loads that are linear between samples and were held before the first; both (samples, n).
+
+        Parameters
+        ----------
+        net
+            Loads on the moving mass, shape (samples, n) [N, N*m].
+        interval
+            Time between them [s].
+        every
+            Of how many samples one is returned: the loads felt are smoother than what they are worked out from.
+        """
         poles, shapes, weights = self.modal_form
         change = net - net[0]
-        before = np.vstack([np.zeros((1, n)), change[:-1]])
-        felt = np.zeros(net.shape, dtype=np.complex128)
+        felt = np.tile(net[0], (-(-net.shape[0] // every), 1))
         for pole, shape, weight in zip(poles, shapes.T, weights, strict=True):
-            growth = np.exp(pole * interval)
+            if pole.imag < 0:  # its part is the conjugate of that of its twin
+                continue
+            growth = complex(np.exp(pole * interval))
             late = (np.expm1(pole * interval) - pole * interval) / (pole**2 * interval)
             early = np.expm1(pole * interval) / pole - late
-            felt += first_order(growth, (early * before + late * change) @ weight)[:, None] * shape
-        return np.asarray(net[0] + np.real(felt))
+            push = change @ weight.real + 1j * (change @ weight.imag)
+            drive = late * push
+            drive[1:] += early * push[:-1]
+            motion = (1 if pole.imag == 0 else 2) * first_order(growth, drive)[::every]
+            for column, part in enumerate(shape):
+                felt[:, column] += part.real * motion.real - part.imag * motion.imag
+        return felt

@@ -7,7 +7,7 @@ others (`aerobalance.dynamics.decoupling`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,7 @@ class CoupledRecord:
     from_ground: Array
     on_zero: Array
     decoupled: tuple[DecoupledChannel, ...]
+    _readings: dict[object, Array] = field(init=False, default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -196,12 +197,21 @@ class CoupledRecord:
         model
             Another model in the place of the component's own.
         """
-        channel = self.channels[on_clock_of]
+        decoupled = self.decoupled[place]
+        changed = model is not None and model is not decoupled.dynamics
+        # every component asks for the readings of the others again
+        if not changed and self._readings.get("filled") is not filled:
+            self._readings.clear()
+            self._readings["filled"] = filled
+        key, channel = (place, self.channels[on_clock_of].delay), self.channels[on_clock_of]
+        if not changed and key in self._readings:
+            return self._readings[key]
         own = align_channels(filled, self.channels, to=channel, interval=self.interval)
         ground = fractional_delay(self.from_ground, delay=channel.delay, interval=self.interval)
-        decoupled = self.decoupled[place]
-        decoupled = decoupled if model is None else replace(decoupled, dynamics=model)
-        return decoupled.reading(own - ground, interval=self.interval)
+        if model is not None and changed:
+            return replace(decoupled, dynamics=model).reading(own - ground, interval=self.interval)
+        self._readings[key] = decoupled.reading(own - ground, interval=self.interval)
+        return self._readings[key]
 
     def filled_by(self, forces: Mapping[str, Array], *, filled: Array) -> Array:
         """Readings with their gaps filled by what forces make the balance read, shape (samples, n).

@@ -178,7 +178,7 @@ def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Arra
     """Loads felt under loads on the moving mass that are band-limited, both (samples, n)."""
     if not net.any():
         return np.zeros_like(net)
-    return dynamics.load_felt(upsample_compensated(net), interval=interval / FINE)[::FINE]
+    return dynamics.load_felt(upsample_compensated(net), interval=interval / FINE, every=FINE)
 
 
 def mass_slopes(mass: RigidMass) -> list[Array]:
