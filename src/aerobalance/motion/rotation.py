@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
-from aerobalance.motion.least_squares import GroundFit
+from aerobalance.motion.least_squares import GroundFit, integral
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import DIRECTIONS, MOMENT_ROWS, MOMENTS
 
@@ -135,7 +134,7 @@ def _rate(fit: GroundFit, motion: Array, walk: Array) -> tuple[Array, Array]:
 
 def _integrated(values: Array, rate: float) -> Array:
     """Integral less its straight line, fitted under a Hann window, which keeps slow swings out of it, shape (n,)."""
-    whole = cumulative_trapezoid(values, initial=0) / rate
+    whole = integral(values, rate=rate)
     place = np.linspace(-1, 1, values.size)
     weight = np.hanning(values.size + 2)[1:-1]
     line = np.polynomial.polynomial.polyfit(place, whole, 1, w=np.sqrt(weight))

@@ -14,7 +14,7 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.weighing import Weighing
 from aerobalance.balance.zeros import CarriedWeight, Zero
-from aerobalance.identification.identify import identification_loads
+from aerobalance.identification.from_outputs import identification_loads
 from aerobalance.io.balance_file import read_matrix
 from aerobalance.io.mass_file import read_weighing
 from aerobalance.recording.components import STANDARD_GRAVITY
