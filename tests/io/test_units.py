@@ -1,8 +1,12 @@
 """Units at the edge, against their definitions."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
+from aerobalance.recording import units
 from aerobalance.recording.units import (
     ALLOWED,
     Conversion,
@@ -141,6 +145,22 @@ def test_gauge_outputs_are_over_excitation_or_in_volts(name):
         conversion_for(name, "N")
     with pytest.raises(ValueError, match="is a ratio"):
         conversion_for(name, "1")
+
+
+@pytest.mark.parametrize("spelled", sorted(units._USUAL))
+def test_usual_units_are_those_of_the_library(spelled, monkeypatch):
+    kind, _ = units._USUAL[spelled]
+    short = conversion(spelled, expected=kind)
+    monkeypatch.setattr(units, "_USUAL", {})
+    assert conversion(spelled, expected=kind) == short
+
+
+def test_usual_units_do_not_wait_for_the_library():
+    program = (
+        "import sys; from aerobalance.recording.units import conversion_for as c; c('AF', 'N'), c('pitch', 'deg')"
+    )
+    code = f"{program}; assert 'pint' not in sys.modules"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_milliseconds_stay_the_decimal_they_were():

@@ -119,6 +119,31 @@ _IMPLIED: Final = {
 }
 """Units that name a mass in the SI but a force or an acceleration in a test hall."""
 
+_USUAL: Final = {
+    "N": ("N", 1.0),
+    "kN": ("N", 1e3),
+    "lbf": ("N", 4.4482216152605005),
+    "N*m": ("N*m", 1.0),
+    "kN*m": ("N*m", 1e3),
+    "m/s**2": ("m/s^2", 1.0),
+    "standard_gravity": ("m/s^2", 9.80665),
+    "rad/s**2": ("rad/s^2", 1.0),
+    "rad": ("rad", 1.0),
+    "deg": ("rad", 0.017453292519943295),
+    "rad/s": ("rad/s", 1.0),
+    "mV/V": ("mV/V", 1.0),
+    "s": ("s", 1.0),
+    "ms": ("s", 1e-3),
+    "Hz": ("Hz", 1.0),
+    "dimensionless": ("1", 1.0),
+    "V": ("V", 1.0),
+    "mV": ("V", 1e-3),
+    "kg": ("kg", 1.0),
+    "m": ("m", 1.0),
+    "degC": ("degC", 1.0),
+}
+"""Kind and factor of units that most files hold, as the unit library has them, which takes a third of a second."""
+
 _READABLE: Final = re.compile(r"[A-Za-z_%0-9*/^(). -]{1,40}")
 _WILD_POWER: Final = re.compile(r"\*\*(?!-?[1-4](?![0-9.*(]))|\d{4}")
 """Powers that no unit has, and that a parser could take for ever over."""
@@ -202,19 +227,18 @@ def conversion(text: str, *, expected: str | None = None) -> Conversion:
     given = text.strip()
     spelled = _spelled(given)
     spelled = _IMPLIED.get((spelled, expected or ""), spelled)
-    unit = _parsed(spelled)
     hint = f"; allowed: {ALLOWED[expected]}" if expected else "; examples: N, N*m, m/s^2, deg, mV/V, s, Hz, 1"
-    if unit is None:
+    if not _is_unit(spelled):
         raise ValueError(f"unknown unit [{given}]{hint}")
     if expected is None:
         return Conversion(given, 1.0)
-    kind = _kind(unit, spelled)
+    kind = _kind(spelled)
     if kind != expected:
         found = f"is {_MEASURES[kind]}" if kind else f"is not {_MEASURES[expected]}"
         raise ValueError(f"unit [{given}] {found}, but {_MEASURES[expected]} is expected{hint}")
-    if expected == "degC":
-        return _of_temperature(unit)
-    return Conversion(expected, _factor(unit, expected))
+    if spelled in _USUAL:
+        return Conversion(*_USUAL[spelled])
+    return _of_temperature(spelled) if expected == "degC" else Conversion(expected, _factor(spelled, expected))
 
 
 def conversion_for(name: str, text: str) -> Conversion:
@@ -248,7 +272,7 @@ def conversion_for(name: str, text: str) -> Conversion:
 
 def readable(text: str) -> bool:
     """Return whether a text is a unit."""
-    return _parsed(_spelled(text.strip())) is not None
+    return _is_unit(_spelled(text.strip()))
 
 
 @cache
@@ -272,6 +296,10 @@ def _spelled(text: str) -> str:
     text = text.replace("**", "^").replace("^", "**").replace(" ", "")
     text = _SPELLINGS.get(text, text)
     return text.replace("Nm/", "N*m/")
+
+
+def _is_unit(spelled: str) -> bool:
+    return spelled in _USUAL or _parsed(spelled) is not None
 
 
 @cache
@@ -306,8 +334,11 @@ _ROOTS: Final = {
 }
 
 
-def _kind(unit: pint.Unit, spelled: str) -> str | None:
+def _kind(spelled: str) -> str | None:
     """Return which of the units inside a unit belongs to; None if to none."""
+    if spelled in _USUAL:
+        return _USUAL[spelled][0]
+    unit = _registry().parse_units(spelled)
     if re.fullmatch(r"\(?[a-zA-Z]*(V|volt)\)?/\(?(V|volt)\)?", spelled):
         return "mV/V"
     if "decibel" in str(unit) or "neper" in str(unit):
@@ -319,9 +350,10 @@ def _kind(unit: pint.Unit, spelled: str) -> str | None:
     return None
 
 
-def _factor(unit: pint.Unit, kind: str) -> float:
+def _factor(spelled: str, kind: str) -> float:
     """Value of one unit in the unit inside."""
     registry = _registry()
+    unit = registry.parse_units(spelled)
     if kind == "mV/V":
         return _root(unit) * 1e3
     inside = registry.parse_units({"m/s^2": "m/s**2", "rad/s^2": "rad/s**2", "1": "dimensionless"}.get(kind, kind))
@@ -331,8 +363,9 @@ def _factor(unit: pint.Unit, kind: str) -> float:
     return short if abs(short - factor) < 4e-16 * factor else factor
 
 
-def _of_temperature(unit: pint.Unit) -> Conversion:
+def _of_temperature(spelled: str) -> Conversion:
     """Find factor and offset between a scale of temperature and degC."""
+    unit = _registry().parse_units(spelled)
     zero, one = (float(str(_registry().Quantity(value, "degC").to(unit).magnitude)) for value in (0.0, 1.0))
     # The scales are defined by short decimals; the library returns them with rounding errors.
     return Conversion("degC", 1 / float(f"{one - zero:.10g}"), float(f"{zero:.10g}"))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
@@ -18,6 +19,9 @@ CANDIDATES: Final = 3
 
 SIDELOBES: Final = 0.2
 """Distance, in the logarithm of frequency, within which a peak is taken for a sidelobe of a stronger one."""
+
+APART: Final = 8
+"""Distance of two peaks of the spectrum, at least [ordinates of a record padded to twice its length]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +61,7 @@ def _peaks(values: Array, rate: float, name: str) -> list[float]:
     flat = spectrum / np.maximum(np.sin(np.pi * frequency / rate), 1e-6) ** 2
     flat[: max(lowest, 2)] = 0.0
     floor = float(np.median(flat[max(lowest, 2) :]))
-    from scipy.signal import find_peaks  # noqa: PLC0415 - takes a second, and few commands look at a release
-
-    peaks, _ = find_peaks(flat, distance=8)
-    peaks = peaks[flat[peaks] > 30 * max(floor, np.finfo(float).tiny)]
+    peaks = _maxima(flat, above=30 * max(floor, np.finfo(float).tiny))
     if peaks.size == 0:
         raise FitError(
             f"{name}: nothing rings: no line of the spectrum stands out of the noise; is the release in the record?"
@@ -72,6 +73,19 @@ def _peaks(values: Array, rate: float, name: str) -> list[float]:
         if len(chosen) == CANDIDATES:
             break
     return chosen
+
+
+def _maxima(values: Array, *, above: float) -> NDArray[np.intp]:
+    """Places of the local maxima above a level, ascending; of those closer than `APART` only the highest."""
+    inner = values[1:-1]
+    places = 1 + np.flatnonzero((inner > values[:-2]) & (inner >= values[2:]) & (inner > above))
+    free = np.ones(values.size, dtype=bool)
+    kept = []
+    for place in places[np.argsort(values[places], kind="stable")[::-1]]:
+        if free[place]:
+            kept.append(place)
+            free[max(place - APART + 1, 0) : place + APART] = False
+    return np.sort(np.array(kept, dtype=np.intp))
 
 
 def _onset(values: Array, frequency: float, rate: float) -> tuple[Look, float]:
