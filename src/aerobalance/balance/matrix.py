@@ -22,14 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.balance import _term_kernels as kernels
+from aerobalance.balance.inversion import inverted
 from aerobalance.balance.load_formats import BalanceType, Geometry, to_direct
 from aerobalance.balance.terms import KINDS, MODELS, Term, codes
 from aerobalance.recording.channel import Array
 
 Way = Literal["iterative", "non-iterative"]
-
-TOLERANCE: Final = 1e-12
-"""Last step of the iteration for the loads, over capacity."""
 
 CHUNK: Final = 1 << 15
 """Samples worked on at a time where whole design matrices are needed."""
@@ -202,21 +200,21 @@ class BalanceMatrix:
 
     def outputs(self, loads: Array) -> Array:
         """Gauge outputs less zero [mV/V] at loads [N, N*m], both of shape (n, c)."""
-        x = np.ascontiguousarray(loads / self.load_scale)
-        y = self._evaluate(x) if self.way == "iterative" else self._invert(x)[0]
-        return np.asarray(y * self.output_scale)
+        if self.way == "non-iterative":
+            return inverted(*self._active, self.linear, loads, unit=self.load_scale, scale=self.output_scale)[0]
+        return np.asarray(self._evaluate(np.ascontiguousarray(loads / self.load_scale)) * self.output_scale)
 
     def loads(self, outputs: Array) -> Solution:
         """Loads [N, N*m] at gauge outputs less zero [mV/V], both of shape (n, c).
 
-        In the iterative way the iteration ends where its last step is below `TOLERANCE` of capacity.
+        In the iterative way the iteration leaves an error of `inversion.TOLERANCE` of capacity at most.
         """
-        y = np.ascontiguousarray(outputs / self.output_scale)
         if self.way == "iterative":
-            x, steps = self._invert(y)
-        else:
-            x, steps = self._evaluate(y), np.array(np.isfinite(y).all(axis=1), dtype=np.int64)
-        return Solution(x * self.load_scale, steps)
+            return Solution(
+                *inverted(*self._active, self.linear, outputs, unit=self.output_scale, scale=self.load_scale)
+            )
+        y = np.ascontiguousarray(outputs / self.output_scale)
+        return Solution(self._evaluate(y) * self.load_scale, np.array(np.isfinite(y).all(axis=1), dtype=np.int64))
 
     def _evaluate(self, x: Array) -> Array:
         terms, coefficients = self._active
@@ -224,12 +222,6 @@ class BalanceMatrix:
             kernels.design(*terms, x[start : start + CHUNK]) @ coefficients for start in range(0, x.shape[0], CHUNK)
         ]
         return np.concatenate(parts) if parts else np.zeros_like(x)
-
-    def _invert(self, y: Array) -> tuple[Array, NDArray[np.int64]]:
-        inverse = np.linalg.inv(self.linear).astype(np.float64)
-        terms, coefficients = self._active
-        solved: tuple[Array, NDArray[np.int64]] = kernels.solve(*terms, coefficients, inverse, y, TOLERANCE)
-        return solved
 
     def contraction(self, loads: Array) -> Array:
         """Factor by which the iteration of [R091]_ shrinks an error at these loads, shape (n,).

@@ -10,9 +10,9 @@ import numpy as np
 from aerobalance.app.commands.answers import rounded, short
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.shared import Result, check_out, collected_warnings, recording_of, table_text
+from aerobalance.balance.inversion import TOLERANCE
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import Loads
-from aerobalance.balance.matrix import TOLERANCE
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.io import check_output, write_loads

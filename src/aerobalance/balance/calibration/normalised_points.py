@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from aerobalance.balance import _term_kernels as kernels
 from aerobalance.balance.calibration.regression import Choice, Regression, regress
+from aerobalance.balance.inversion import inverted
 from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect, Way
 from aerobalance.balance.schedule import Schedule
 from aerobalance.balance.terms import Term, codes
@@ -352,8 +353,7 @@ def _linear(terms: tuple[Term, ...], C: Array) -> Array:
 
 def _solve(terms: tuple[Term, ...], C: Array, outputs: Array) -> Array:
     """Loads over capacity that give these outputs over the output at capacity, shape (n, c)."""
-    inverse = np.ascontiguousarray(np.linalg.inv(_linear(terms, C)))
-    return np.asarray(kernels.solve(*codes(terms), C, inverse, np.ascontiguousarray(outputs), 1e-12)[0])
+    return inverted(codes(terms), C, _linear(terms, C), outputs)[0]
 
 
 def _correlation(residuals: Array) -> Array:
