@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.coupled import RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force import estimate_force, force_record, noise_spectra
 from aerobalance.recording.channel import Array
@@ -15,7 +15,7 @@ from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.gravity import Attitudes, GravityOnZero
 from aerobalance.uncertainty.monte_carlo import monte_carlo
-from aerobalance.uncertainty.sampling import drawn_coupled
+from aerobalance.uncertainty.sampling import UncertainCoupled, standard_normals
 from helpers.coupled_pair import COUNT, NOISE, RATE, SIZE, band, colored, pair, recording_of, shaken
 
 
@@ -84,12 +84,17 @@ def test_gaps_are_filled_in_the_draws_as_in_the_force(rng, seed) -> None:
         assert row.ratio == pytest.approx(np.sqrt(11 / 12), rel=0.03), name
 
 
+def draws(dynamics: CoupledDynamics, rows: np.ndarray, number: int) -> list[CoupledDynamics]:
+    unsure = UncertainCoupled.of(dynamics, rows)
+    return [unsure.at(numbers) for numbers in standard_normals(np.random.default_rng(3), unsure.count, number)]
+
+
 def test_drawn_matrices_have_exactly_the_covariance_of_the_row() -> None:
     dynamics = pair()
     root = np.random.default_rng(5).normal(size=(8, 8)) * np.sqrt(np.diag(dynamics.covariance))
     tied = replace(dynamics, covariance=root.T @ root / 8)
     rows = np.array([0, 1, 4, 5])  # NF of both matrices
-    drawn = drawn_coupled(np.random.default_rng(3), tied, rows, 40)
+    drawn = draws(tied, rows, 40)
     numbers = np.array([np.concatenate([item.inertia.ravel(), item.damping.ravel()]) for item in drawn])
     size = np.sqrt(np.diag(tied.covariance))
     scaled = (numbers - numbers.mean(axis=0)) / size
@@ -102,7 +107,7 @@ def test_drawn_matrices_have_exactly_the_covariance_of_the_row() -> None:
 
 def test_more_numbers_than_draws_are_drawn_all_the_same() -> None:
     dynamics = pair()
-    drawn = drawn_coupled(np.random.default_rng(3), dynamics, np.arange(8), 10)
+    drawn = draws(dynamics, np.arange(8), 10)
     assert len(drawn) == 10
 
 
@@ -110,7 +115,7 @@ def test_matrices_that_are_hardly_known_are_refused() -> None:
     dynamics = pair()
     wild = replace(dynamics, covariance=dynamics.covariance * 1e8)
     with pytest.raises(FitError, match="not physical"):
-        drawn_coupled(np.random.default_rng(3), wild, np.array([0, 1, 4, 5]), 40)
+        draws(wild, np.array([0, 1, 4, 5]), 40)
 
 
 def test_noise_of_a_component_taken_apart_is_what_its_balance_makes_of_all_channels(rng) -> None:

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.fft import irfft
 
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.prior import Observation, fit_prior
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
+from aerobalance.estimation.statespace.model_draws import FORGOTTEN, ModelDraws
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.estimation.statespace.steady_state import root_of
 from helpers.butterworth import butterworth
@@ -180,3 +182,48 @@ def test_no_reading_at_all(rng):
     assert filter_.smoothed_variance == pytest.approx(slow.smoothed_variance, rel=1e-9)
     assert (filter_.smooth(np.zeros((300, 1))) == 0).all()
     assert filter_.log_determinant == 0
+
+
+@pytest.mark.parametrize("kind", ["none", "gaps", "a long gap"])
+def test_products_of_what_is_shown_are_those_of_whitened_series(kind: str, rng) -> None:
+    n = 2000
+    system, present = MODELS["colored noise"](), gaps(n, kind)
+    series = np.column_stack([np.where(present, simulated(rng, system, n), 0.0), present, present * np.arange(n) / n])
+    filter_ = KalmanFilter.of(system, present)
+    shown = np.empty((3, filter_.shown))
+    filter_.smooth(series, [FORCE], shown=shown)
+    white = filter_.whiten(series)
+    expected = white.T @ white
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(shown @ shown.T / np.outer(size, size), expected / np.outer(size, size), atol=1e-8)
+
+
+def test_drawn_forces_and_readings_have_the_covariance_of_the_model() -> None:
+    for name in ("learned, T-128, 0-120 Hz", "decoupled: a mode that shows its rate", "colored noise"):
+        system = MODELS[name]()
+        draws = ModelDraws.of(system, np.ones(4000, dtype=bool))
+        weight = np.full(draws.reading.size, np.sqrt(draws.length / 2))
+        weight[0] *= np.sqrt(2)
+        weight[-1] *= np.sqrt(2) if draws.length % 2 == 0 else 1
+        y, shared, own = (part / weight for part in (draws.reading, draws.shared, draws.own))
+        stationary = settled(system)
+        for lag in (0, 1, 7, 60, 300):
+            A = np.linalg.matrix_power(system.transition, lag)
+            h, f = system.observation, np.eye(len(A))[FORCE]
+            pairs = (
+                (y**2, h @ A @ stationary @ h + (lag == 0) * system.noise_variance, h, h),
+                (np.abs(shared) ** 2 + own**2, f @ A @ stationary @ f, f, f),
+                (shared * y, f @ A @ stationary @ h, f, h),
+            )
+            for spectrum, expected, one, other in pairs:
+                size = np.sqrt((one @ stationary @ one) * (other @ stationary @ other))
+                # of a draw that repeats itself the end hangs together with the start by so much
+                assert abs(irfft(spectrum, draws.length)[lag] - expected) < 2 * FORGOTTEN * size
+
+
+def settled(system: StateSpace) -> np.ndarray:
+    """Covariance of a state long after the start: what each sample's noise still makes of it, one after the other."""
+    whole, part = np.zeros_like(system.process_noise), system.process_noise
+    while np.trace(part) > 1e-9 * np.trace(whole):
+        whole, part = whole + part, system.transition @ part @ system.transition.T
+    return whole

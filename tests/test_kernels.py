@@ -19,7 +19,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force_smoother import LinearSmoother
 from aerobalance.estimation.live import _live_kernels
 from aerobalance.estimation.live.filter import KnownShape, LiveFilter
-from aerobalance.estimation.statespace import _kernels, blocks, kalman, steady_state
+from aerobalance.estimation.statespace import _kernels, blocks, kalman, model_draws, steady_state
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE, KalmanFilter, StateSpace
 from helpers.butterworth import butterworth
 
@@ -61,7 +61,7 @@ def whole_record(readings: np.ndarray) -> list[np.ndarray]:
     estimator = LinearSmoother(
         kalman_filter.system, kalman_filter, np.ones((present.size, 1)), np.ones((present.size, 1))
     )
-    force, simulated = estimator.simulate(np.random.default_rng(1))
+    force, simulated = (drawn[0] for drawn in estimator.draws().draw(np.random.default_rng(1), 1))
     return [
         *states.T,
         kalman_filter.smoothed_variance,
@@ -150,9 +150,8 @@ def test_compiled_and_plain_kernels_agree(rng, plain, monkeypatch):
     readings, live_readings = record(rng), stepped(rng)
     compiled = [whole_record(readings), live(live_readings)]
     lines = Lines(*plain)
-    for module in (kalman, blocks, steady_state):
+    for module in (kalman, blocks, steady_state, model_draws):
         monkeypatch.setattr(module, "_kernels", plain[0])
-    monkeypatch.setattr("aerobalance.estimation.force_smoother._kernels", plain[0])
     monkeypatch.setattr("aerobalance.estimation.live.filter.kernels", plain[1])
     before = sys.gettrace()
     sys.settrace(lines.trace)

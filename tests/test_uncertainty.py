@@ -19,7 +19,8 @@ from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import advice, component_budget, scalars, spectrum
 from aerobalance.uncertainty.monte_carlo import monte_carlo
-from aerobalance.uncertainty.sampling import drawn_dynamics, drawn_numbers
+from aerobalance.uncertainty.parameter_draws import CLOSE, Change, parameter_errors
+from aerobalance.uncertainty.sampling import UncertainDynamics, drawn_numbers, standard_normals
 from helpers.cable_cut import T128
 
 RATE = 1600.0
@@ -248,7 +249,9 @@ def test_drawn_numbers_have_exactly_their_covariance():
 
 
 def test_drawn_dynamics_have_the_covariance_of_the_dynamics():
-    drawn = np.array([item.values for item in drawn_dynamics(np.random.default_rng(3), UNSURE, 30)])
+    unsure = UncertainDynamics.of(UNSURE)
+    normals = standard_normals(np.random.default_rng(3), unsure.count, 30)
+    drawn = np.array([unsure.at(numbers).values for numbers in normals])
     unit = np.where(np.diag(UNSURE.covariance) > 0, np.sqrt(np.diag(UNSURE.covariance)), 1.0)
     # numbers of 1e7 are drawn: their last digit is 1e-9 of u(k) = 6e3 or better
     assert np.cov((drawn / unit).T) == pytest.approx(UNSURE.covariance / np.outer(unit, unit), abs=1e-6)
@@ -257,7 +260,7 @@ def test_drawn_dynamics_have_the_covariance_of_the_dynamics():
 def test_dynamics_that_are_hardly_known_are_refused():
     wild = replace(T128, covariance=np.diag([(3 * T128.mass) ** 2, 0, 0, 0]))
     with pytest.raises(FitError, match="not physical"):
-        drawn_dynamics(np.random.default_rng(3), wild, 50)
+        Change(UncertainDynamics.of(wild), lambda _: None).records(np.random.default_rng(3), 50)
 
 
 def test_the_fast_estimator_is_the_obvious_one(rng):
@@ -283,8 +286,8 @@ def test_simulated_readings_are_those_of_the_model(rng):
     estimate = estimate_force(given, T128).only
     reading = SingleRecord.of(given, T128, GroundMotion.of(given, "AF")).reading()
     estimator = LinearSmoother.of(reading, learned=estimate.learned, steps=())
-    _, simulated = estimator.simulate(rng)
-    white = estimator.filter.whiten(simulated[:, None])[:, 0]
+    _, simulated = estimator.draws().draw(rng, 1)
+    white = estimator.filter.whiten(simulated.T)[:, 0]
     # innovations over their standard deviation: 4000 of variance 1; 5 standard deviations
     assert np.mean(white**2) == pytest.approx(1, abs=5 * np.sqrt(2 / 4000))
     assert abs(np.mean(white[1:] * white[:-1])) < 5 / np.sqrt(4000)
@@ -316,6 +319,27 @@ def test_monte_carlo_sees_what_is_not_linear(rng):
     given = record(AF=load)
     found = monte_carlo(estimate_force(given, unsure), draws=60, seed=1)["AF"]
     assert any("not linear" in text for text in found.doubts)
+
+
+def test_draws_of_parameters_by_a_polynomial_are_those_one_by_one():
+    estimate = estimate_force(run(np.random.default_rng(5), count=1200), UNSURE)
+    record = estimate.record.component_record("AF", estimate.filled)
+    reading = record.reading()
+    given = {"learned": estimate.only.learned, "steps": estimate.only.steps}
+    found = LinearSmoother.of(reading, **given).run(reading.filled[:, None])[:, 0]
+    asked = []
+
+    def moved(other):
+        asked.append(other)
+        drawn = other.reading()
+        return LinearSmoother.of(drawn, **given).run(drawn.filled[:, None])[:, 0] - found
+
+    change = Change(UncertainDynamics.of(UNSURE), record.with_dynamics)
+    errors = np.array(list(parameter_errors(change, moved, draws=60, generator=np.random.default_rng(3))))
+    assert len(asked) < 30
+    expected = np.array([moved(other) for other in change.records(np.random.default_rng(3), 60)])
+    # of what the polynomial is let miss, rms over all draws
+    assert rms(errors - expected) < CLOSE * rms(expected)
 
 
 def test_a_seed_gives_the_same_draws():

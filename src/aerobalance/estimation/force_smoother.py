@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -13,11 +14,10 @@ from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
 from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
 from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_lines, hum_lines
 from aerobalance.estimation.spectra.noise_floor import Floor, floor_of
-from aerobalance.estimation.statespace import _kernels
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
+from aerobalance.estimation.statespace.model_draws import ModelDraws
 from aerobalance.estimation.steps import Step, columns_of, find_steps, response_to, shape_of
 from aerobalance.recording.channel import Array
-from aerobalance.recording.linalg import symmetric_root
 
 FREQUENCIES: Final = 1 << 14
 """Steps from zero to half the sampling rate in the spectrum of the error: finer than the resonance is wide."""
@@ -234,7 +234,7 @@ class SmootherResult:
         ]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class LinearSmoother:
     """The smoother with prior and steps given, run on several series at once.
 
@@ -258,50 +258,38 @@ class LinearSmoother:
         columns, forms = instant_columns(reading, steps, heights=[step.height for step in steps])
         return cls(system, KalmanFilter.of(system, reading.present), columns, forms)
 
-    def sizes(self, series: Array) -> Array:
-        """Sizes of the known shapes in several series, shape (p, c)."""
-        count = series.shape[1]
-        white = self.filter.whiten(np.column_stack([series, self.columns]))
-        shapes = white[:, count:]
-        scale = np.sqrt(np.sum(shapes**2, axis=0))
+    @cached_property
+    def _shapes(self) -> tuple[Array, Array]:
+        """What the smoother makes of the known shapes, (n, p), and what turns what it shows into sizes, (p, any)."""
+        shown = np.empty((self.columns.shape[1], self.filter.shown))
+        smooth = self.filter.smooth(self.columns, [FORCE], shown=shown)[:, :, 0]
+        scale = np.sqrt(np.sum(shown**2, axis=1, keepdims=True))
         scale[scale == 0] = 1.0
-        found, *_ = np.linalg.lstsq(shapes / scale, white[:, :count], rcond=1e-10)
-        return np.asarray(found / scale[:, None])
+        return smooth, np.linalg.pinv((shown / scale).T, rcond=1e-10) / scale
+
+    @property
+    def size_errors(self) -> Array:
+        """Error of the force where the size of a known shape is wrong by 1, less the shape itself, shape (n, p)."""
+        return self._shapes[0] - self.forms
+
+    def run(self, series: Array) -> Array:
+        """The force that several series lead to, shape (n, c) [N]."""
+        force, sizes = self.apart(series)
+        return force - self.size_errors @ sizes
+
+    def apart(self, series: Array) -> tuple[Array, Array]:
+        """The force of several series (n, c) if they have no known shapes, (n, c) [N], and sizes of these, (p, c)."""
+        shown = np.empty((series.shape[1], self.filter.shown))
+        force = self.filter.smooth(series, [FORCE], shown=shown)[:, :, 0]
+        return force, self._shapes[1] @ shown.T
 
     def smooth(self, series: Array) -> Array:
         """Smoothed force of several series whose shapes are taken out, shape (n, c) [N]."""
         return self.filter.smooth(series, [FORCE])[:, :, 0]
 
-    def run(self, series: Array) -> Array:
-        """The force that several series lead to, shape (n, c) [N]."""
-        sizes = self.sizes(series)
-        return self.smooth(series - self.columns @ sizes) + self.forms @ sizes
-
-    def simulate(self, generator: np.random.Generator) -> tuple[Array, Array]:
-        """Draw a force, without constant and steps, and readings of it, shape (n,) each [N]."""
-        system = self.system
-        size = system.transition.shape[0]
-        count = self.filter.present.size
-        states = _kernels.simulate(
-            system.model.columns,
-            np.ascontiguousarray(_root(system.process_noise).T),
-            _root(system.initial) @ generator.normal(size=size),
-            generator.normal(size=(count, size)),
-            np.array([LOAD, FORCE, *system.colors]),
-        )
-        readings = states[:, 0] + np.sqrt(system.noise_variance) * generator.normal(size=count)
-        readings += np.sum(states[:, 2:], axis=1)
-        return states[:, 1], np.where(self.filter.present, readings, 0.0)
-
-
-def _root(covariance: Array) -> Array:
-    """Return B with B B^T = covariance, shape (d, d) [units of the states].
-
-    Most eigenvalues of these covariances are smaller than rounding: only a root that does not depend on the choice of
-    eigenvectors gives the same draws from numbers that differ by rounding.
-    """
-    unit = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    return np.asarray(unit[:, None] * symmetric_root(covariance / np.outer(unit, unit)))
+    def draws(self) -> ModelDraws:
+        """What draws forces, without constant and steps, and readings of them."""
+        return ModelDraws.of(self.system, self.filter.present)
 
 
 def instant_columns(

@@ -5,7 +5,8 @@ The draws are sets that have exactly the mean and covariance they stand for, so 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +21,10 @@ from aerobalance.recording.linalg import covariance_root
 def drawn_numbers(generator: np.random.Generator, covariance: Array, draws: int) -> Array:
     """Draws of normal numbers, shape (draws, p), whose mean is zero and whose covariance is exactly that given."""
     root = covariance_root(covariance)
-    return np.asarray(_normals(generator, root.shape[1], draws) @ root.T)
+    return np.asarray(standard_normals(generator, root.shape[1], draws) @ root.T)
 
 
-def _normals(generator: np.random.Generator, count: int, draws: int) -> Array:
+def standard_normals(generator: np.random.Generator, count: int, draws: int) -> Array:
     """Standard normal numbers, shape (draws, count), of which mean and covariance are exact where draws suffice."""
     normals = generator.normal(size=(draws, count))
     if not 0 < count < draws - 1:
@@ -32,70 +33,115 @@ def _normals(generator: np.random.Generator, count: int, draws: int) -> Array:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(normals.T @ normals / (draws - 1)), normals.T).T)
 
 
-def drawn_dynamics(generator: np.random.Generator, dynamics: Dynamics, draws: int) -> list[Dynamics]:
-    """Draws of the dynamics from the covariance of their parameters.
+class Uncertain(ABC):
+    """Dynamics whose parameters follow from some standard normal numbers."""
 
-    Raises
-    ------
-    FitError
-        A draw is not physical.
-    """
-    changes = drawn_numbers(generator, dynamics.covariance, draws)
-    try:
-        return [dynamics.with_parameters(dynamics.values + change) for change in changes]
-    except ValueError as error:
-        raise FitError(
-            f"the dynamics of {dynamics.component} are so uncertain that a draw is not physical ({error}); "
-            "identify them better"
-        ) from None
+    @property
+    @abstractmethod
+    def count(self) -> int:
+        """How many numbers there are."""
+
+    @abstractmethod
+    def at(self, numbers: Array) -> Dynamics | CoupledDynamics:
+        """Return the dynamics at these numbers, shape (count,).
+
+        Raises
+        ------
+        FitError
+            They are not physical.
+        """
 
 
-def drawn_coupled(
-    generator: np.random.Generator, dynamics: CoupledDynamics, rows: NDArray[np.intp], draws: int
-) -> list[CoupledDynamics]:
-    """Draws of coupled dynamics and of their mass from the covariance of the parameters.
+@dataclass(frozen=True, slots=True, eq=False)
+class UncertainDynamics(Uncertain):
+    """The dynamics of one component.
 
-    Parameters
+    Attributes
     ----------
-    generator
-        Source of randomness.
+    dynamics
+        The dynamics.
+    root
+        Root of the covariance of their parameters, shape (p, count).
+    """
+
+    dynamics: Dynamics
+    root: Array
+
+    @classmethod
+    def of(cls, dynamics: Dynamics) -> UncertainDynamics:
+        """Return those of dynamics with a covariance."""
+        return cls(dynamics, covariance_root(dynamics.covariance))
+
+    @property
+    def count(self) -> int:
+        """How many numbers there are."""
+        return int(self.root.shape[1])
+
+    def at(self, numbers: Array) -> Dynamics:
+        """Return the dynamics at these numbers, shape (count,)."""
+        try:
+            return self.dynamics.with_parameters(self.dynamics.values + self.root @ numbers)
+        except ValueError as error:
+            raise _not_physical(self.dynamics.component, error) from None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UncertainCoupled(Uncertain):
+    """Coupled dynamics and their mass, seen by one component.
+
+    Attributes
+    ----------
     dynamics
         The coupled components.
-    rows
-        Which of their parameters matter: these and the mass are drawn such that their covariance is exact; the others
-        follow as they hang together with them.
-    draws
-        How many.
-
-    Raises
-    ------
-    FitError
-        A draw is not physical.
+    matrices
+        What the first numbers change the elements of both matrices by, shape (2 n^2, any).
+    mass
+        What the others change the inertial parameters by, shape (10, any).
     """
-    size, mass = len(dynamics.inertia), dynamics.mass
-    own = covariance_root(dynamics.covariance[np.ix_(rows, rows)])
-    # pinv of the rows' root, in units in which their numbers are alike
-    unit = np.sqrt(np.sum(own**2, axis=1, keepdims=True))
-    unit[unit == 0] = 1.0
-    whole = (dynamics.covariance[:, rows] / unit.T) @ np.linalg.pinv(own / unit).T
-    of_mass = np.zeros((len(MASS_PARAMETERS), 0)) if mass is None else covariance_root(mass.covariance)
-    normals = _normals(generator, own.shape[1] + of_mass.shape[1], draws)
-    found = []
-    try:
-        for numbers in normals:
-            inertia, damping = (whole @ numbers[: own.shape[1]]).reshape(2, size, size)
-            change = of_mass @ numbers[own.shape[1] :]
-            drawn = replace(
+
+    dynamics: CoupledDynamics
+    matrices: Array
+    mass: Array
+
+    @classmethod
+    def of(cls, dynamics: CoupledDynamics, rows: NDArray[np.intp]) -> UncertainCoupled:
+        """Return those of dynamics with covariances.
+
+        These rows of their parameters and the mass are drawn such that their covariance is exact; the other
+        parameters follow as they hang together with them.
+        """
+        own = covariance_root(dynamics.covariance[np.ix_(rows, rows)])
+        # pinv of the rows' root, in units in which their numbers are alike
+        unit = np.sqrt(np.sum(own**2, axis=1, keepdims=True))
+        unit[unit == 0] = 1.0
+        whole = (dynamics.covariance[:, rows] / unit.T) @ np.linalg.pinv(own / unit).T
+        mass = dynamics.mass
+        of_mass = np.zeros((len(MASS_PARAMETERS), 0)) if mass is None else covariance_root(mass.covariance)
+        return cls(dynamics, whole, of_mass)
+
+    @property
+    def count(self) -> int:
+        """How many numbers there are."""
+        return int(self.matrices.shape[1] + self.mass.shape[1])
+
+    def at(self, numbers: Array) -> CoupledDynamics:
+        """Return the dynamics at these numbers, shape (count,)."""
+        dynamics, own = self.dynamics, self.matrices.shape[1]
+        size = len(dynamics.inertia)
+        inertia, damping = (self.matrices @ numbers[:own]).reshape(2, size, size)
+        try:
+            return replace(
                 dynamics,
                 inertia=dynamics.inertia + inertia,
                 damping=dynamics.damping + damping,
                 covariance=np.zeros_like(dynamics.covariance),
-                mass=None if mass is None else RigidMass.of_values(mass.values + change),
+                mass=dynamics.mass and RigidMass.of_values(dynamics.mass.values + self.mass @ numbers[own:]),
             )
-            found.append(drawn)
-    except ValueError as error:
-        raise FitError(
-            f"the dynamics of {', '.join(dynamics.components)} are so uncertain that a draw is not physical "
-            f"({error}); identify them better"
-        ) from None
-    return found
+        except ValueError as error:
+            raise _not_physical(", ".join(dynamics.components), error) from None
+
+
+def _not_physical(components: str, error: ValueError) -> FitError:
+    return FitError(
+        f"the dynamics of {components} are so uncertain that a draw is not physical ({error}); identify them better"
+    )

@@ -178,34 +178,11 @@ def chain(columns: Floats, states: Floats, forward: bool) -> None:
     """
     c, m, d = states.shape
     work = np.zeros(columns.shape[1])
-    for series in range(c):
-        for k in range(1, m):
-            place, before = (k, k - 1) if forward else (m - k - 1, m - k)
+    for k in range(1, m):
+        place, before = (k, k - 1) if forward else (m - k - 1, m - k)
+        for series in range(c):  # these do not wait for each other
             for i in range(d):
                 work[i] = states[series, place, i]
             add_product(columns, states[series, before], work)
             for i in range(d):
                 states[series, place, i] = work[i]
-
-
-@numba.njit(cache=True)
-def simulate(columns: Floats, root: Floats, first: Floats, normals: Floats, wanted: Integers) -> Floats:
-    """Run a state space from a first state (d,), driven by white noise; the wanted states, shape (n, w).
-
-    Transition and root of the process noise are given by their columns, (d, d) each; normals (n, d) drive it.
-    """
-    n, d = normals.shape
-    out = np.empty((n, wanted.size))
-    x, following = np.empty(d), np.empty(d)
-    for i in range(d):
-        x[i] = first[i]
-    for k in range(n):
-        for i in range(wanted.size):
-            out[k, i] = x[wanted[i]]
-        for i in range(d):
-            following[i] = 0.0
-        add_product(columns, x, following)
-        add_product(root, normals[k], following)
-        for i in range(d):
-            x[i] = following[i]
-    return out

@@ -259,14 +259,33 @@ class KalmanFilter:
         out /= np.sqrt(forms.steady.variance)
         return out.T
 
-    def smooth(self, series: Array, wanted: Sequence[int] = (LOAD, LOAD_RATE, FORCE)) -> Array:
-        """Return the wanted states of several series (n, c) given all observations, shape (n, c, w)."""
+    @property
+    def shown(self) -> int:
+        """How many numbers `smooth` shows of a series."""
+        return self.present.size + sum(one.seen.size for one in self.stretches)
+
+    def smooth(
+        self, series: Array, wanted: Sequence[int] = (LOAD, LOAD_RATE, FORCE), *, shown: Array | None = None
+    ) -> Array:
+        """Return the wanted states of several series (n, c) given all observations, shape (n, c, w).
+
+        Innovations over their standard deviation, and after them the numbers c, go to `shown`, where that is given,
+        shape (c, `self.shown`): products of two series, summed, are those of the whitened ones, at no cost.
+        """
         forms = self.forms
         rows = forms.steady.basis[list(wanted)]
         outputs = [forms.output(row) for row in rows]
         out = np.empty((len(wanted), *series.shape[::-1]))
         last = np.zeros((series.shape[1], forms.steady.entry.size))
-        for run in reversed(list(self._forward(series))):
+        runs = list(self._forward(series))
+        if shown is not None:
+            shown[:] = 0.0
+            place = self.present.size
+            for run in runs:
+                shown[:, run.stretch.first : run.stretch.stop] = run.innovations / np.sqrt(forms.steady.variance)
+                shown[:, place : place + run.numbers.shape[1]] = run.numbers
+                place += run.numbers.shape[1]
+        for run in reversed(runs):
             one = run.stretch
             if one.first < one.stop:
                 last = self._smoothed(run, last, outputs=outputs, out=out[:, :, one.first : one.stop])
