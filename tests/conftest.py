@@ -11,7 +11,10 @@ from typing import Any
 
 import pytest
 
-import aerobalance.app.monitor.workers  # noqa: F401 - names what its processes need before any process is started
+from aerobalance.acquisition.processes import load_beforehand
+
+# as the page does: what its processes need is named before a test starts the first process
+load_beforehand(*(f"aerobalance.app.monitor.{name}" for name in ("engine", "learner", "jobs")))
 
 pytest_plugins = ["seeds"]
 pytest.register_assert_rewrite("helpers")
