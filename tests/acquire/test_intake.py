@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerobalance.acquisition.continuity import Continuity, Event, Gap
+from aerobalance.acquisition.continuity import Continuity, Event, LostSamples
 from aerobalance.acquisition.guards import Limit
 from aerobalance.acquisition.intake import (
     AtLevel,
@@ -87,7 +87,9 @@ def test_any_cut_and_any_trigger_time_give_the_same_samples(cut, gaps, sizes):
     assert np.array_equal(samples, truth(wanted))
     assert all(0 < len(item.samples) <= rows for item in out if isinstance(item, RecordBlock))
     # the gaps noted are exactly the ticks that are missing between samples of the record
-    noted = sorted(tick for gap in out if isinstance(gap, Gap) for tick in range(gap.tick, gap.tick + gap.samples))
+    noted = sorted(
+        tick for gap in out if isinstance(gap, LostSamples) for tick in range(gap.tick, gap.tick + gap.samples)
+    )
     inner = [tick for tick in range(int(wanted[0]), int(wanted[-1])) if not present[tick]]
     assert [tick for tick in noted if wanted[0] <= tick <= wanted[-1]] == inner
     assert all(first <= tick < after[0] + length for tick in noted for first in [after[0] - before])
@@ -151,7 +153,9 @@ def test_gap_before_the_trigger_is_in_the_record() -> None:
         intake.feed(block)
     intake.call("")
     out = intake.feed(Block(300, truth(np.arange(300, 310)), 0.0)) + intake.flush()
-    assert [item for item in out if isinstance(item, Gap)] == [Gap(200, 30, "gap", "the tick of the source jumped")]
+    assert [item for item in out if isinstance(item, LostSamples)] == [
+        LostSamples(200, 30, "gap", "the tick of the source jumped")
+    ]
     assert np.array_equal(pieces(out)[0], np.r_[180:200, 230:310])
 
 
@@ -171,7 +175,7 @@ def test_gap_carries_the_reason_that_the_source_gave() -> None:
     watch = Continuity(100.0, clocked=False)
     watch.follow(Block(0, truth(np.arange(10)), 0.0))
     found = watch.follow(Block(35, truth(np.arange(5)), 0.4, remark="connected again"))
-    assert found.gap == Gap(10, 25, "remark", "connected again")
+    assert found.gap == LostSamples(10, 25, "remark", "connected again")
 
 
 def test_restarted_count_goes_on_by_the_clock_of_the_computer() -> None:

@@ -14,7 +14,7 @@ DRIFT_NOTED: Final = 0.05
 """Change of the least delay that is noted [s]; arrivals of buffered devices vary by less."""
 
 
-class Gap(NamedTuple):
+class LostSamples(NamedTuple):
     """Samples that are missing.
 
     Attributes
@@ -47,7 +47,7 @@ class Watched(NamedTuple):
     """A block with its place in the record, and what was found about it."""
 
     block: Block | None
-    gap: Gap | None
+    gap: LostSamples | None
     events: tuple[Event, ...]
 
 
@@ -100,7 +100,7 @@ class Continuity:
         elif tick > self.expected:
             missing = tick - self.expected
             kind = "remark" if block.remark else "gap"
-            gap = Gap(self.expected, missing, kind, block.remark or "the tick of the source jumped")
+            gap = LostSamples(self.expected, missing, kind, block.remark or "the tick of the source jumped")
         if block.remark and gap is None:
             events.append(Event(tick, "source", block.remark))
         block = replace(block, tick=tick)
@@ -111,7 +111,7 @@ class Continuity:
             events += self._drift(block)
         return Watched(block, gap, tuple(events))
 
-    def _restarted(self, block: Block, tick: int, expected: int) -> tuple[Gap | None, int]:
+    def _restarted(self, block: Block, tick: int, expected: int) -> tuple[LostSamples | None, int]:
         """Continue the count of a device that began anew: only the computer's clock tells how long it was away."""
         rows = block.samples.shape[0]
         away = round((block.received - self.last) * self.rate) - rows
@@ -119,7 +119,7 @@ class Continuity:
         place = expected + missing
         self.shift += place - tick
         text = f"{block.remark or 'the count of the source went back'}; length from the computer's clock"
-        return Gap(expected, missing, "restart", text), place
+        return LostSamples(expected, missing, "restart", text), place
 
     def _drift(self, block: Block) -> list[Event]:
         """Compare the least delays of arrival of two windows of time: delays vary, the least ones hardly do."""

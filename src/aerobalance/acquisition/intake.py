@@ -9,7 +9,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from aerobalance.acquisition.continuity import Continuity, Event, Gap
+from aerobalance.acquisition.continuity import Continuity, Event, LostSamples
 from aerobalance.acquisition.fouling import Contact, ContactFinder
 from aerobalance.acquisition.guards import Action, ContactCircuit, Guard, LoadColumns
 from aerobalance.acquisition.source import Block
@@ -41,7 +41,7 @@ class End(NamedTuple):
     reason: str
 
 
-Output = RecordBlock | Gap | Event | RecordStart | End
+Output = RecordBlock | LostSamples | Event | RecordStart | End
 
 
 class Trigger(Protocol):
@@ -198,7 +198,7 @@ class Intake:
         self.started: int | None = None
         self.ended = False
         self._stop: tuple[int, str] | None = None
-        self._held: deque[Block | Gap | Event] = deque()
+        self._held: deque[Block | LostSamples | Event] = deque()
         self._open: list[Array] = []
         self._open_tick = 0
         self._open_rows = 0
@@ -273,7 +273,7 @@ class Intake:
         if self.started is not None:
             return [item for item in found if not isinstance(item, Block)]
         for item in found:
-            if isinstance(item, Block | Gap | Event):
+            if isinstance(item, Block | LostSamples | Event):
                 self._held.append(item)
         oldest = (self.continuity.expected or 0) - self.plan.before
         while self._held and _end(self._held[0]) <= oldest:
@@ -295,13 +295,13 @@ class Intake:
             elif cut is not None:
                 made += [*self.flush(), cut]
         self._held.clear()
-        current = [_from(item, first) if isinstance(item, Block | Gap | Event) else item for item in found]
+        current = [_from(item, first) if isinstance(item, Block | LostSamples | Event) else item for item in found]
         return made + self._write([item for item in current if item is not None], values)
 
     def _write(self, found: Sequence[Output | Block], values: Array) -> list[Output]:
         made: list[Output] = []
         for item in found:
-            if isinstance(item, Gap):
+            if isinstance(item, LostSamples):
                 made += self._lost(item)
             elif isinstance(item, Block):
                 own = values[values.shape[0] - item.samples.shape[0] :]
@@ -313,7 +313,7 @@ class Intake:
                 break
         return made
 
-    def _lost(self, gap: Gap) -> list[Output]:
+    def _lost(self, gap: LostSamples) -> list[Output]:
         """A gap, as far as it lies within the record."""
         made = self.flush()
         if self._stop is not None:
@@ -394,21 +394,21 @@ def _values(channels: Sequence[StoredChannel], samples: Array) -> Array:
     return np.column_stack([item.values(samples[:, i]) for i, item in enumerate(channels)])
 
 
-def _end(item: Block | Gap | Event) -> int:
+def _end(item: Block | LostSamples | Event) -> int:
     """Tick after the last sample of an item."""
     if isinstance(item, Block):
         return item.end
-    return item.tick + (item.samples if isinstance(item, Gap) else 1)
+    return item.tick + (item.samples if isinstance(item, LostSamples) else 1)
 
 
-def _from(item: Block | Gap | Event, first: int) -> Block | Gap | Event | None:
+def _from(item: Block | LostSamples | Event, first: int) -> Block | LostSamples | Event | None:
     """The part of an item from a tick on."""
     if _end(item) <= first:
         return None
     cut = first - item.tick
     if cut <= 0 or isinstance(item, Event):
         return item
-    if isinstance(item, Gap):
+    if isinstance(item, LostSamples):
         return item._replace(tick=first, samples=item.samples - cut)
     return replace(item, tick=first, samples=item.samples[cut:])
 

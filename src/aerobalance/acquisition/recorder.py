@@ -13,7 +13,7 @@ from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
-from aerobalance.acquisition.continuity import Event, Gap
+from aerobalance.acquisition.continuity import Event, LostSamples
 from aerobalance.acquisition.feed import Address, Feed, Sender
 from aerobalance.acquisition.intake import AtOnce, End, Intake, Output, RecordBlock, RecordPlan, RecordStart
 from aerobalance.acquisition.source import Block
@@ -233,7 +233,7 @@ class RecordWriter:
     def _put(self, output: Output) -> None:
         if isinstance(output, RecordBlock):
             self._block(output)
-        elif isinstance(output, Gap):
+        elif isinstance(output, LostSamples):
             self.writer.gap(output.tick, output.samples, kind=output.kind, text=output.text)
             self._set(gaps=self.progress.gaps + 1, lost=self.progress.lost + output.samples)
         elif isinstance(output, Event):

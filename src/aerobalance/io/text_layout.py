@@ -118,7 +118,7 @@ class TextLayout:
 
 
 @dataclass(frozen=True, slots=True)
-class _Grid:
+class _TextGrid:
     """Rows of numbers as one separator shows them."""
 
     separator: str
@@ -183,7 +183,7 @@ def _plain(lines: Sequence[str], given: Layout) -> TextLayout | None:
     rows = _rows(lines, at + 1, separator)
     ended = all(len(row) == len(labels) + 1 and not row[-1] for row in rows)  # by a separator, which the header is not
     width = len(labels) + ended
-    grid = _Grid(separator, width, at + 1, _kinds(rows, width), 1.0, at, tuple(rows))
+    grid = _TextGrid(separator, width, at + 1, _kinds(rows, width), 1.0, at, tuple(rows))
     return _finished(lines, grid, given)
 
 
@@ -215,7 +215,7 @@ def _kinds(rows: Sequence[Sequence[str]], width: int) -> tuple[Kind, ...]:
     return tuple(kinds)
 
 
-def _grid(lines: Sequence[str], separator: str, given: Layout) -> _Grid | None:
+def _grid(lines: Sequence[str], separator: str, given: Layout) -> _TextGrid | None:
     """Find the rows of numbers as one separator shows them; None where it shows none."""
     least = 0 if given.header_line is None else given.header_line + (given.skip_lines or 0)
     tail: list[list[str]] = []
@@ -239,8 +239,8 @@ def _grid(lines: Sequence[str], separator: str, given: Layout) -> _Grid | None:
     sample = _rows(lines, start, separator)
     cells = [kind_of(cell) for row in sample for cell in row]
     held = max(1, len(cells) - cells.count("missing"))
-    header = _header(lines, separator, _Grid(separator, width, start, kinds, 0.0))
-    return _Grid(separator, width, start, kinds, cells.count("number") / held, header, tuple(sample))
+    header = _header(lines, separator, _TextGrid(separator, width, start, kinds, 0.0))
+    return _TextGrid(separator, width, start, kinds, cells.count("number") / held, header, tuple(sample))
 
 
 def _start(lines: Sequence[str], separator: str, kinds: Sequence[Kind], least: int) -> int | None:
@@ -281,7 +281,7 @@ def _compatible(cells: Sequence[str], kinds: Sequence[Kind]) -> bool:
     return width <= found <= width + 2 and all(not cell or _COMMENT.fullmatch(cell) for cell in cells[width:])
 
 
-def _block(lines: Sequence[str], separator: str, grid: _Grid) -> list[int]:
+def _block(lines: Sequence[str], separator: str, grid: _TextGrid) -> list[int]:
     """Lines right above the rows that have a cell for each of their columns, nearest first."""
     block: list[int] = []
     for i in range(grid.start - 1, -1, -1):
@@ -297,7 +297,7 @@ def _block(lines: Sequence[str], separator: str, grid: _Grid) -> list[int]:
     return block
 
 
-def _header(lines: Sequence[str], separator: str, grid: _Grid) -> int | None:
+def _header(lines: Sequence[str], separator: str, grid: _TextGrid) -> int | None:
     """Find the line of names among those right above the rows; None where there is none."""
     texts = []
     for i in _block(lines, separator, grid):
@@ -315,7 +315,7 @@ def _header(lines: Sequence[str], separator: str, grid: _Grid) -> int | None:
     return max(above) if above else alike[0]
 
 
-def _units_line(lines: Sequence[str], separator: str, grid: _Grid, texts: Sequence[int]) -> int | None:
+def _units_line(lines: Sequence[str], separator: str, grid: _TextGrid, texts: Sequence[int]) -> int | None:
     """Find the row of units among the lines above the rows; it needs a line of names beside it."""
     if len(texts) < 2:
         return None
@@ -342,7 +342,7 @@ def _score(cells: Sequence[str], kinds: Sequence[Kind]) -> float:
     return score - 2.0 * (len(said) - len(set(said)))
 
 
-def _finished(lines: Sequence[str], grid: _Grid, given: Layout) -> TextLayout:
+def _finished(lines: Sequence[str], grid: _TextGrid, given: Layout) -> TextLayout:
     """Put together what was found and what somebody says."""
     sign, width = grid.separator, grid.width
     header = grid.header if given.header_line is None else given.header_line - 1
@@ -379,7 +379,7 @@ def _finished(lines: Sequence[str], grid: _Grid, given: Layout) -> TextLayout:
     )
 
 
-def _misfit(lines: Sequence[str], grid: _Grid) -> int | None:
+def _misfit(lines: Sequence[str], grid: _TextGrid) -> int | None:
     """A line right above the rows that seems to be their header though its cells are not as many."""
     above = next((i for i in range(grid.start - 1, -1, -1) if lines[i].strip()), None)
     if above is None:
@@ -392,7 +392,7 @@ def _misfit(lines: Sequence[str], grid: _Grid) -> int | None:
     return above
 
 
-def _units(lines: Sequence[str], grid: _Grid, labels: Sequence[str], between: range) -> tuple[str, ...]:
+def _units(lines: Sequence[str], grid: _TextGrid, labels: Sequence[str], between: range) -> tuple[str, ...]:
     """Unit of each column: from its header cell, else from a row of units between the header and the rows."""
     own = [split_label(label)[1] for label in labels]
     best: list[str] = []

@@ -11,7 +11,7 @@ The flow of a block of readings::
                                        v
                                   answer, and go on
 
-What the force is taken for (`State.process`): ``"start-up"`` -> learned -> ``"learned"`` -> residuals that are not
+What the force is taken for (`StreamState.process`): ``"start-up"`` -> learned -> ``"learned"`` -> residuals that are not
 explained -> ``"fallback"`` -> learned again. Marks are counted from the first reading, so that nothing hangs on how
 the readings come cut. There is no clock, no file and no thread.
 """
@@ -105,7 +105,7 @@ class FinalSamples(NamedTuple):
 
 
 @dataclass(slots=True, eq=False)
-class State:
+class StreamState:
     """Where a stream stands; numbers of samples count from its first reading.
 
     Attributes
@@ -169,7 +169,7 @@ class ComponentSmoother:
                 f"the force would be made from {settings.lag} samples after each; at least {SHORTEST} are needed: "
                 "make the lag longer"
             )
-        self.state = State(
+        self.state = StreamState(
             process="start-up" if learned is None else "learned",
             learning=None if learned is None else Learning(learned, (), 0, 0),
             learn_at=settings.first_learning if learned is None else None,

@@ -187,7 +187,7 @@ class Periodogram:
         color
             Mean density of the colored noise about frequencies [Hz], over a width [Hz], [N^2/Hz].
         """
-        grid = _Grid.of(dynamics, min(values.size, LONGEST), interval)
+        grid = _Ordinates.of(dynamics, min(values.size, LONGEST), interval)
         parts = _parts(values)
         density = np.zeros(grid.frequency.size)
         # what was taken away as a constant is missing in the first ordinates; the last is real, not complex
@@ -253,7 +253,7 @@ class Periodogram:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Grid:
+class _Ordinates:
     """What periodograms of records of one length and balance have in common.
 
     Attributes
@@ -277,7 +277,7 @@ class _Grid:
 
     @staticmethod
     @lru_cache(maxsize=8)  # it is asked for with every step that is found in a record
-    def of(dynamics: ModalModel, length: int, interval: float) -> _Grid:
+    def of(dynamics: ModalModel, length: int, interval: float) -> _Ordinates:
         """Lay it out for periodograms of so many samples."""
         frequency = np.arange(length // 2 + 1) / (length * interval)
         gain = _smeared_gain(dynamics, frequency)[2:-1]
@@ -286,7 +286,7 @@ class _Grid:
         count = np.diff(np.append(edges, gain.size))
         middle = np.add.reduceat(frequency, edges) / count
         folded = np.abs(dynamics.response(1 / interval - middle)) ** 2
-        return _Grid(np.hanning(length + 2)[1:-1], frequency, gain, edges, count, folded)
+        return _Ordinates(np.hanning(length + 2)[1:-1], frequency, gain, edges, count, folded)
 
     @property
     def step(self) -> float:
