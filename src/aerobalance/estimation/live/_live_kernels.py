@@ -47,10 +47,10 @@ MARKS: Final = np.dtype(
     ],
     align=True,
 )
-"""Numbers that change while samples are taken: one record, `FilterState.marks`."""
+"""Numbers that change while samples are taken: one record, `State.marks`."""
 
 
-class FilterState(NamedTuple):
+class State(NamedTuple):
     """The filter after the last sample taken.
 
     Attributes
@@ -260,7 +260,7 @@ def _weighted_sum(weight: Floats, v: Floats, series: int, k: int, count: int) ->
 
 
 @numba.njit(cache=True)
-def emit(k: int, end: int, model: Model, state: FilterState, history: History, fit: ShapeFit, fixed: FixedLag) -> None:
+def emit(k: int, end: int, model: Model, state: State, history: History, fit: ShapeFit, fixed: FixedLag) -> None:
     """Compute the force at sample k, and its variance, from the observations up to sample end."""
     marks = state.marks[0]
     count = end - k + 1
@@ -297,7 +297,7 @@ def _expect_step(model: Model, K: Floats, S: float, scan: Scan) -> None:
 
 
 @numba.njit(cache=True, inline="always")
-def _take_gain(n: int, model: Model, state: FilterState, history: History, fixed: FixedLag, scan: Scan) -> None:
+def _take_gain(n: int, model: Model, state: State, history: History, fixed: FixedLag, scan: Scan) -> None:
     """Find gain and innovation variance of sample n, and predict the covariance of the next."""
     marks, K = state.marks[0], state.K
     here = history.present[n]
@@ -349,7 +349,7 @@ def advance(
     stop: int,
     final: int,
     model: Model,
-    state: FilterState,
+    state: State,
     history: History,
     fit: ShapeFit,
     fixed: FixedLag,
@@ -403,7 +403,7 @@ def _squares(residual: Floats, begin: int, stop: int) -> tuple[float, float]:
 
 
 @numba.njit(cache=True, inline="always")
-def _look(n: int, state: FilterState, history: History, scan: Scan) -> int:
+def _look(n: int, state: State, history: History, scan: Scan) -> int:
     """Look for a step and for observations that are not explained, now that sample n is there."""
     marks, residual = state.marks[0], history.residual
     length = scan.response.size
@@ -423,7 +423,7 @@ def _look(n: int, state: FilterState, history: History, scan: Scan) -> int:
 
 @numba.njit(cache=True)
 def rebuild(
-    first: int, stop: int, place: int, model: Model, state: FilterState, history: History, fit: ShapeFit, wanted: int
+    first: int, stop: int, place: int, model: Model, state: State, history: History, fit: ShapeFit, wanted: int
 ) -> None:
     """Run one known shape, zero before sample first, through the gains of the samples taken and into the equations."""
     v, shapes = history.v, state.marks[0].series - 1

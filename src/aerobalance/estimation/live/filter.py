@@ -128,7 +128,7 @@ class LiveFilter:
         series = MOST_SHAPES + 1  # series 0 is the observations, series 1 + p the known shape p
         self._model = system.model
         self._marks = np.zeros(1, dtype=kernels.MARKS).view(np.recarray)
-        self._state = kernels.FilterState(
+        self._state = kernels.State(
             marks=self._marks,
             x=np.zeros((series, size)),
             P=system.initial.copy(),
