@@ -12,8 +12,8 @@ The flow of a block of readings::
                                   answer, and go on
 
 What the force is taken for (`StreamState.process`): ``"start-up"`` -> learned -> ``"learned"`` -> residuals that are
-not explained -> ``"fallback"`` -> learned again. Marks are counted from the first reading, so that nothing hangs on how
-the readings come cut. There is no clock, no file and no thread.
+not explained -> ``"fallback"`` -> learned again. Marks are counted from the first reading, so that nothing hangs on
+how the readings come cut. There is no clock, no file and no thread.
 """
 
 from __future__ import annotations
