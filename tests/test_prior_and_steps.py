@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 from scipy.stats import multivariate_normal
 
-from aerobalance.estimation import steps as steps_module
+from aerobalance.estimation import step_search
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import (
     Observation,
@@ -21,7 +21,8 @@ from aerobalance.estimation.prior import (
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
-from aerobalance.estimation.steps import Step, find_steps, shape_of
+from aerobalance.estimation.step_search import find_steps
+from aerobalance.estimation.steps import Step, shape_of
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
@@ -323,7 +324,7 @@ def test_shape_of_a_step():
 
 
 def test_the_search_for_steps_ends_with_a_warning(rng, monkeypatch):
-    monkeypatch.setattr(steps_module, "SETTINGS", replace(steps_module.SETTINGS, most_steps=1))
+    monkeypatch.setattr(step_search, "SETTINGS", replace(step_search.SETTINGS, fewest_steps=1, most_steps=1))
     time = np.arange(3200) / RATE
     load = STEP * (T128.step_response(time - 0.5) - T128.step_response(time - 1.2))
     with pytest.warns(DataQualityWarning, match="more than 1 steps"):

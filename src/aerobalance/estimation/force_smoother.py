@@ -16,7 +16,8 @@ from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_line
 from aerobalance.estimation.spectra.noise_floor import Floor, floor_of
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.model_draws import ModelDraws
-from aerobalance.estimation.steps import Step, columns_of, find_steps, response_to, shape_of
+from aerobalance.estimation.step_search import find_steps
+from aerobalance.estimation.steps import Step, columns_of, response_to, shape_of
 from aerobalance.recording.channel import Array
 
 FREQUENCIES: Final = 1 << 14

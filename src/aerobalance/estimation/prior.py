@@ -130,7 +130,9 @@ class Observation:
         )
 
 
-def fit_prior(reading: Observation, *, columns: Array, before: SpectralPrior | None = None) -> SpectralPrior:
+def fit_prior(
+    reading: Observation, *, columns: Array, before: SpectralPrior | None = None, smooth: bool = False
+) -> SpectralPrior:
     """Find the spectrum of the force and the noise that make the readings most likely.
 
     Known shapes are taken out first by plain, then by generalised least squares; missing readings are bridged first by
@@ -144,22 +146,28 @@ def fit_prior(reading: Observation, *, columns: Array, before: SpectralPrior | N
         Known shapes whose sizes are free, shape (n, p): the constant, and the response to every step found so far.
     before
         What was learned before with nearly the same shapes: they are then taken out with it to begin with.
+    smooth
+        Whether the spectrum of the force rolls off smoothly, which says nothing of when a force may return.
     """
     present = reading.present
     if before is not None:
-        return _learned_beside(reading, before, columns)
+        return _learned_beside(reading, before, columns, smooth=smooth)
     shown = columns if present.all() else columns * present[:, None]
     sizes, *_ = _least_squares(reading.filled, shown)
     left = np.where(present, reading.values - columns @ sizes, np.nan)
     left = interpolate_gaps_linearly(left, beside=BESIDE_A_GAP)
-    learned = _learn(reading, left)
+    learned = _learn(reading, left, smooth=smooth)
     if not present.all():
         # what a straight line leaves in a gap is noise to this first answer, and to the bridge that follows from it
-        return _learned_beside(reading, _learned_beside(reading, learned, columns), columns)
-    return learned if columns.shape[1] == 1 else _learned_beside(reading, learned, columns)
+        learned = _learned_beside(reading, learned, columns, smooth=smooth)
+    elif columns.shape[1] == 1:
+        return learned
+    return _learned_beside(reading, learned, columns, smooth=smooth)
 
 
-def _learned_beside(reading: Observation, learned: SpectralPrior, columns: Array) -> SpectralPrior:
+def _learned_beside(
+    reading: Observation, learned: SpectralPrior, columns: Array, *, smooth: bool = False
+) -> SpectralPrior:
     """What is learned when the known shapes are taken out under a prior, and gaps bridged by its smoother."""
     present = reading.present
     filter_ = KalmanFilter.of(reading.system(learned), present)
@@ -167,7 +175,7 @@ def _learned_beside(reading: Observation, learned: SpectralPrior, columns: Array
     left = np.where(present, reading.values - columns @ sizes, 0.0)
     if not present.all():
         left = np.where(present, left, filter_.smooth(left[:, None], [LOAD])[:, 0, 0])
-    return _learn(reading, left)
+    return _learn(reading, left, smooth=smooth)
 
 
 def refine_edges(reading: Observation, learned: SpectralPrior, *, columns: Array) -> SpectralPrior:
@@ -213,7 +221,7 @@ def _widened(reading: Observation, learned: SpectralPrior, *, place: int, width:
     return replace(learned, spectrum=spectrum, shaping=_shaped(reading, spectrum, learned.noise**2 * reading.interval))
 
 
-def _learn(reading: Observation, values: Array) -> SpectralPrior:
+def _learn(reading: Observation, values: Array, *, smooth: bool = False) -> SpectralPrior:
     """The answer from readings without gaps and known shapes; what bridges a gap has no noise."""
     interval, share = reading.interval, share_seen(reading.present)
     color = reading.color
@@ -228,6 +236,7 @@ def _learn(reading: Observation, values: Array) -> SpectralPrior:
         periodogram,
         noise_density=None if reading.noise is None else share * reading.noise**2 * interval,
         floor=reading.least_noise**2 * interval,
+        smooth=smooth,
     )
     density = fit.noise_density / share
     shaping = _shaped(reading, fit.spectrum, density)

@@ -15,7 +15,8 @@ from aerobalance.estimation.live.filter import strange_square
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
-from aerobalance.estimation.steps import Step, find_steps
+from aerobalance.estimation.step_search import find_steps
+from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
 from aerobalance.recording.noise import white_noise
 

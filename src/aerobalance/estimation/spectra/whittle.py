@@ -62,7 +62,9 @@ class SpectrumFit:
     evidence: float
 
 
-def fit_spectrum(periodogram: Periodogram, *, noise_density: float | None = None, floor: float = 0.0) -> SpectrumFit:
+def fit_spectrum(
+    periodogram: Periodogram, *, noise_density: float | None = None, floor: float = 0.0, smooth: bool = False
+) -> SpectrumFit:
     """Find the spectrum of the force and the noise of the reading.
 
     Parameters
@@ -73,14 +75,16 @@ def fit_spectrum(periodogram: Periodogram, *, noise_density: float | None = None
         Density of the noise of the reading [N^2/Hz]; None when it is to be found.
     floor
         Least density of that noise [N^2/Hz].
+    smooth
+        Whether only a spectrum that rolls off is looked for.
     """
     starts = _quiet_levels(periodogram) if noise_density is None else [noise_density]
     noises = [max(start, floor) for start in starts]
     least = floor if noise_density is None else None
     nothing = Spectrum(np.zeros(0), np.zeros(0))
     fits = [
-        *(_with_noise(nothing, periodogram, noise, floor=least) for noise in noises),
-        *(_segmented(periodogram, noise, floor=least) for noise in noises),
+        *(_with_noise(nothing, periodogram, noise, floor=least) for noise in noises if not smooth),
+        *(_segmented(periodogram, noise, floor=least) for noise in noises if not smooth),
         *(
             _with_noise(spectrum, periodogram, noise, floor=None)
             for spectrum, noise in fit_roll_offs(periodogram, noises, floor=least)

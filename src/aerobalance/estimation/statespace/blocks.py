@@ -49,6 +49,8 @@ class BlockForms:
         Innovations of a block by its readings, shape (BLOCK, BLOCK).
     entries
         State after a block by its readings, shape (BLOCK, d).
+    over, back
+        What a block makes of the state before it, and its transpose, by their columns, as `_kernels.chain` takes them.
     """
 
     steady: SteadyState
@@ -56,6 +58,8 @@ class BlockForms:
     rows: Array
     own: Array
     entries: Array
+    over: Array
+    back: Array
 
     @classmethod
     def of(cls, steady: SteadyState) -> BlockForms:
@@ -64,12 +68,13 @@ class BlockForms:
         rows = observation @ powers[:BLOCK]
         entries = powers[:BLOCK] @ steady.entry
         own = np.eye(BLOCK) - _toeplitz_below(entries @ observation)
-        return cls(steady, powers, rows, own, np.ascontiguousarray(entries[::-1]))
+        whole = powers[BLOCK]
+        over, back = (np.pad(matrix, ((0, 0), (0, -matrix.shape[0] % WIDTH))) for matrix in (whole.T, whole))
+        return cls(steady, powers, rows, own, np.ascontiguousarray(entries[::-1]), over, back)
 
     def chain(self, states: Array, *, forward: bool = True) -> None:
         """Add to each state at the edges, shape (c, any, d), what becomes of the one before it; or back in time."""
-        matrix = self.powers[BLOCK].T if forward else self.powers[BLOCK]
-        _kernels.chain(np.pad(matrix, ((0, 0), (0, -matrix.shape[0] % WIDTH))), states, forward)
+        _kernels.chain(self.over if forward else self.back, states, forward)
 
     def states(self, series: Array, first: Array) -> tuple[Array, Array]:
         """Return predicted states at the edges and after the last sample (c, d), from first ones of shape (c, d)."""

@@ -234,6 +234,10 @@ class KalmanFilter:
         planner = Planner(self.forms.steady, self.forms.steady.covariance)
         return replace(self, present=present, planner=planner, stretches=planner.stretches(present))
 
+    def over(self, present: NDArray[np.bool_]) -> KalmanFilter:
+        """Return the same filter for other samples, such as a part of the record, from the same initial state."""
+        return replace(self, present=present, stretches=self.planner.stretches(present))
+
     @property
     def log_determinant(self) -> float:
         """Sum over the present samples of the logarithm of the innovation variance."""

@@ -1,0 +1,172 @@
+"""All instants of a record at once as candidates of a step, and those of them that can be taken up together.
+
+With the prior known, the gain in likelihood of a step at each sample follows from one correlation of the innovations
+with the whitened response [deJong1998]_. The likeliest instant is taken, then the likeliest of what a step there
+leaves, and so on, as long as none can be what the search to a sample has left of a larger one.
+
+References
+----------
+.. [deJong1998] P. de Jong, J. Penzer, "Diagnosing shocks in time series", J. Amer. Statist. Assoc. 93 (1998) 796.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.statespace.kalman import KalmanFilter
+from aerobalance.estimation.steps import Step, ringing_time
+from aerobalance.recording.channel import Array
+from aerobalance.recording.fourier import convolve
+
+APART: Final = 2.0
+"""Periods of the natural frequency by which steps that are taken up together are apart at least."""
+
+SHARE: Final = 0.1
+"""Gain over that of a larger step whose response has not ended, below which a step waits until that one is known."""
+
+ALIKE: Final = 1e-9
+"""Singular value over the largest below which responses at neighbouring samples are one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """What a step at each sample would bring, beside known shapes of free size.
+
+    Attributes
+    ----------
+    reading
+        The record.
+    score
+        Product of the whitened response to a step of 1 N with what the known shapes leave, shape (n,) [1/N].
+    information
+        Square of what the known shapes leave of that response, shape (n,) [1/N^2].
+    response
+        The whitened response itself, shape (n,) [1/N].
+    shown
+        Product of each of them with the known shapes, whitened and made orthogonal, shape (n, p) [1/N].
+    inverse
+        What makes the sizes of the known shapes out of those of the orthogonal ones, shape (p, p).
+    sizes
+        Sizes of the known shapes, shape (p,).
+    """
+
+    reading: Observation
+    score: Array
+    information: Array
+    response: Array
+    shown: Array
+    inverse: Array
+    sizes: Array
+
+    @classmethod
+    def of(cls, reading: Observation, filter_: KalmanFilter, columns: Array) -> Scan:
+        """Look at a reading with known shapes (n, p)."""
+        series = filter_.whiten(np.column_stack([reading.filled, columns]))
+        basis, triangle = np.linalg.qr(series[:, 1:])
+        scale = np.maximum(np.linalg.norm(triangle, axis=0), 1e-300)
+        inverse = np.linalg.pinv(triangle / scale, rcond=ALIKE) / scale[:, None]
+        told = basis.T @ series[:, 0]
+        left = series[:, 0] - basis @ told
+        # the settled filter does not change with time: the whitened response to a later step is the first one, shifted
+        count = reading.values.size
+        late = reading.interval * (np.arange(count) + 1)
+        response = filter_.settled.whiten(reading.dynamics.step_response(late)[:, None])[:, 0]
+        products = convolve(np.column_stack([left, basis]), response[::-1, None])[count - 1 :]
+        score, shown = products[:, 0], products[:, 1:]
+        information = np.cumsum(response**2)[::-1] - np.einsum("np,np->n", shown, shown)
+        return cls(reading, score, information, response, shown, inverse, inverse @ told)
+
+    def without(self, place: int) -> Scan:
+        """Return the same with one of the known shapes taken for unknown; what it shows is no more looked up."""
+        row = self.inverse[place]
+        length = max(float(np.linalg.norm(row)), 1e-300)
+        own = self.shown @ row / length
+        score = self.score + self.sizes[place] / length * own
+        return replace(self, score=score, information=self.information + own**2)
+
+    def gain(self, score: Array) -> Array:
+        """Gain in twice the log-likelihood at each sample that goes with a score, shape (n,) [1]."""
+        known = self.information > 1e-6 * self.information.max()
+        gain = np.where(known, score**2 / np.maximum(self.information, 1e-300), 0.0)
+        gain[0] = 0.0  # before the first interval a step is the constant
+        return gain
+
+    @property
+    def promise(self) -> float:
+        """Gain of the likeliest step [1]."""
+        return float(np.max(self.gain(self.score)))
+
+    def likeliest_near(self, step: Step, *, periods: float) -> Step:
+        """Return the likeliest step, to a sample, within some periods before the begin or after the end of another."""
+        near = self._near(step, periods)
+        place = near.start + int(np.argmax(self.gain(self.score)[near]))
+        return Step(instant=(place - 1) * self.reading.interval, duration=0.0)
+
+    def promise_near(self, step: Step, *, periods: float) -> float:
+        """Gain of that step [1]."""
+        return float(np.max(self.gain(self.score)[self._near(step, periods)]))
+
+    def _near(self, step: Step, periods: float) -> slice:
+        interval = self.reading.interval
+        reach = periods / self.reading.dynamics.natural_frequency
+        begin = int(np.clip((step.instant - reach) / interval + 1, 0, self.score.size - 1))
+        end = int(np.clip((step.instant + step.duration + reach) / interval + 2, begin + 1, self.score.size))
+        return slice(begin, end)
+
+    def likeliest(self, *, threshold: float, most: int, known: Sequence[Step], fresh: int | None = None) -> list[Step]:
+        """Return the likeliest further steps, to a sample, the likeliest of all first.
+
+        Parameters
+        ----------
+        threshold
+            Gain that each promises at least [1].
+        most
+            Number of them at most.
+        known
+            Steps among the known shapes, after the constant: beside them, and at the end of the record, only the
+            first one may be.
+        fresh
+            From which of these on they may still be in a wrong place; None if none is.
+        """
+        interval, count = self.reading.interval, self.score.size
+        apart = int(np.ceil(APART / (self.reading.dynamics.natural_frequency * interval)))
+        reach = max(int(min(ringing_time(self.reading) / interval, count)), apart)
+        score, least = self.score.copy(), np.full(count, float(threshold))
+        taken = [int(np.clip(round(step.instant / interval), 0, count)) for step in known]
+        waits: list[tuple[int, float]] = []
+        if fresh is not None:
+            of_steps = slice(1 + fresh, 1 + len(known))
+            power = np.sum(self.inverse[of_steps] ** 2, axis=1)
+            waits += zip(taken[fresh:], (self.sizes[of_steps] ** 2 / np.maximum(power, 1e-300)).tolist(), strict=True)
+        found: list[Step] = []
+        while len(found) < most:
+            for at, gain in waits:
+                near = slice(max(at - reach, 0), at + reach + 1)
+                least[near] = np.maximum(least[near], SHARE * gain)
+            if waits:
+                for at in (*taken, count):
+                    least[max(at - apart, 0) : at + apart + 1] = np.inf
+            gains = self.gain(score)
+            place = int(np.argmax(np.where(gains >= least, gains, 0.0)))
+            if gains[place] < least[place]:
+                break
+            found.append(Step(instant=(place - 1) * interval, duration=0.0))
+            if len(found) < most:
+                taken, waits = [*taken, place], [(place, float(gains[place]))]
+                score -= self._made_by(score, place)
+        return found
+
+    def _made_by(self, score: Array, place: int) -> Array:
+        """Return the part of a score that steps at a sample and beside it make, and so one between, shape (n,)."""
+        count = score.size
+        places = np.clip(place + np.arange(-1, 2), 0, count - 1)
+        columns = np.zeros((count, places.size))
+        for column, at in zip(columns.T, places, strict=True):
+            column[at:] = self.response[: count - at]
+        made = convolve(columns, self.response[::-1, None])[count - 1 :] - self.shown @ self.shown[places].T
+        return np.asarray(made @ np.linalg.lstsq(made[places], score[places], rcond=ALIKE)[0])

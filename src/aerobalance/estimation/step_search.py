@@ -1,0 +1,366 @@
+"""The search for steps of the force, several at a time, each with the spectral prior of what else the force does.
+
+Instants that promise most are proposed together where they cannot be taken for each other (`step_scan`), located
+between samples, and the prior is learned again without them, because the first one was polluted by them. They are
+taken up if the likelihood grows enough. So a record takes some turns of learning, not one for every step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from aerobalance.estimation.prior import (
+    Observation,
+    SpectralPrior,
+    fit_prior,
+    generalised_least_squares,
+    log_likelihood,
+    refine_edges,
+)
+from aerobalance.estimation.spectra.periodogram import Spectrum
+from aerobalance.estimation.statespace.kalman import KalmanFilter
+from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
+from aerobalance.estimation.step_fit import fit_together, gains_of_ramps, refine_step
+from aerobalance.estimation.step_scan import Scan
+from aerobalance.estimation.steps import SETTINGS, Step, columns_of, ringing_time
+from aerobalance.recording.errors import warn_quality
+
+TURNS: Final = 5
+"""Times at most that new steps are located and the prior is learned without them."""
+
+STILL: Final = 0.01
+"""Change of an instant, in sampling intervals, at which that ends."""
+
+SLIPS: Final = 2.5
+"""Periods of the natural frequency by which a step may have been taken for one at another place."""
+
+LINES: Final = 6
+"""Segments of a spectrum above which it may be that of a force that returns."""
+
+LESS: Final = 20.0
+"""Gain that steps of such a force promise less than they bring at last: each hides in the spectrum of the others."""
+
+KEPT: Final = 4
+"""Priors whose filters are kept."""
+
+Found = tuple[list[Step], SpectralPrior]
+"""Steps, and the prior without them."""
+
+
+def find_steps(reading: Observation) -> Found:
+    """Return the steps of a record in the order of time, and the spectral prior of the force without them."""
+    return _Search(reading).run()
+
+
+@dataclass(slots=True, eq=False)
+class _Search:
+    """A search in one record.
+
+    Attributes
+    ----------
+    reading
+        The record.
+    filters
+        Priors that were asked for last, with their filters.
+    """
+
+    reading: Observation
+    filters: list[tuple[SpectralPrior, KalmanFilter]] = field(default_factory=list)
+
+    def run(self) -> Found:
+        """Search."""
+        reading, steps, rounds = self.reading, list[Step](), 0
+        columns = columns_of(steps, reading)
+        learned = refine_edges(reading, fit_prior(reading, columns=columns), columns=columns)
+        faint, tested = 0, list[Step]()
+        if np.count_nonzero(learned.spectrum.levels) > LINES:
+            # what returns, such as a square wave, is expected by such a prior, and no change shows
+            smooth = fit_prior(reading, columns=columns, before=learned, smooth=True)
+            steps, learned = self._proposed(learned, steps, prior=smooth, less=LESS) or (steps, learned)
+        while max(len(steps), rounds) < self.most:
+            rounds += 1
+            found = self._proposed(learned, steps, prior=learned)
+            if found is None and steps and tested != steps and learned.spectrum.levels.any():
+                # what is taken for a fluctuating force may be what a ramp leaves that was fitted as a sudden step
+                found = self._with_ramps(learned, steps)
+                tested = found[0]
+                found = None if tested == steps else found
+            if (
+                found is None
+                and steps
+                and faint < SETTINGS.faint_steps
+                and self._is_faint(learned, beside=SETTINGS.faint * reading.swing)
+            ):
+                found = self._proposed(learned, steps, prior=_without_force(learned))
+                faint += 1
+            if found is None:
+                break
+            steps, learned = found
+            sound = _without_model_errors(steps, reading)
+            if len(sound) < len(steps):
+                warn_quality(
+                    f"{reading.dynamics.component} rings after a step as its dynamics do not: what they leave over is "
+                    "no steps and stays in the force, and smaller steps of the record are not looked for any more; "
+                    "identify the dynamics again"
+                )
+                return sound, fit_prior(reading, columns=columns_of(sound, reading))
+        if len(steps) >= self.most and self._scan(learned, steps).promise >= self.threshold:
+            warn_quality(
+                f"{reading.dynamics.component} has more than {self.most} steps: no more of them are looked "
+                "for, and the others are taken for a force that fluctuates; divide the record"
+            )
+        return sorted(steps, key=lambda step: step.instant), learned
+
+    @property
+    def most(self) -> int:
+        """Number of steps that are searched at most."""
+        numbers = SETTINGS.most_numbers // self.reading.values.size
+        return int(np.clip(numbers, SETTINGS.fewest_steps, SETTINGS.most_steps))
+
+    @property
+    def threshold(self) -> float:
+        """Gain in twice the log-likelihood for which a step is accepted: the largest of n grows as 2 log n."""
+        return SETTINGS.evidence + 2 * float(np.log(max(self.reading.values.size / SETTINGS.instants, 1.0)))
+
+    def filter(self, learned: SpectralPrior) -> KalmanFilter:
+        """Return the filter of a prior."""
+        for prior, known in self.filters:
+            if prior is learned:
+                return known
+        made = KalmanFilter.of(self.reading.system(learned), self.reading.present)
+        self.filters = [*self.filters[1 - KEPT :], (learned, made)]
+        return made
+
+    def _scan(self, learned: SpectralPrior, steps: Sequence[Step]) -> Scan:
+        return Scan.of(self.reading, self.filter(learned), columns_of(steps, self.reading))
+
+    def _proposed(
+        self, learned: SpectralPrior, steps: list[Step], *, prior: SpectralPrior, less: float = 0.0
+    ) -> Found | None:
+        """Return the steps with the likeliest further ones under a prior, and the new prior; None if there are none.
+
+        Where several are not taken up together, the likeliest is tried alone.
+
+        Parameters
+        ----------
+        learned
+            What was learned with the steps.
+        steps
+            Those that are known.
+        prior
+            The prior under which others are proposed.
+        less
+            How much less than the evidence, at which a step is taken up, it may promise.
+        """
+        room = self.most - len(steps)
+        candidates = self._scan(prior, steps).likeliest(threshold=self.threshold - less, most=room, known=steps)
+        for most in [room, 1][len(candidates) < 2 :] if candidates else []:
+            found = self._accepted(learned, *self._settled(prior, steps, candidates[:most], most=most))
+            if found is not None:
+                return found
+        return None
+
+    def _settled(
+        self, learned: SpectralPrior, older: list[Step], fresh: list[Step], *, most: int
+    ) -> tuple[int, Found]:
+        """Locate new steps with the prior, learn the prior without them, and so on until neither changes.
+
+        Returns
+        -------
+        number
+            Number of older steps, which come first.
+        found
+            Steps and prior.
+        """
+        reading, number = self.reading, len(older)
+        steps = [*older, *fresh]
+        for turn in range(TURNS):
+            placed = [step.instant for step in steps]
+            if turn:
+                steps = [*steps[:number], *self._located_again(learned, steps, number, most=most)]
+            whitening = self.filter(learned)
+            new = range(number, len(steps))
+            slow = [*_neighbours(steps, number), *new] if turn == 1 else new
+            for place in self._to_be_refined(learned, steps, slow) if turn else new:
+                others = steps[:place] + steps[place + 1 :]
+                # the first prior was learned with these steps in the record, and would show ramps where there are none
+                refined = refine_step(reading, whitening, others, steps[place], ramps=turn > 0)
+                steps[place] = replace(refined, evidence=steps[place].evidence)
+            if turn > 0:
+                steps = fit_together(reading, whitening, steps)
+            # the same prior would leave a part of the steps in the next one
+            before = learned if turn > 0 else None
+            learned = fit_prior(reading, columns=columns_of(steps, reading), before=before)
+            if turn > 0 and len(placed) == len(steps):
+                moved = max(abs(step.instant - instant) for step, instant in zip(steps, placed, strict=True))
+                if moved < STILL * reading.interval:  # an earlier one may still be displaced by these
+                    break
+        # what is left of other steps would be taken for that of a ramp
+        known = most == 1 or self._is_faint(learned, beside=SETTINGS.faint * reading.swing)
+        return number, self._with_ramps(learned, steps) if known else (steps, learned)
+
+    def _located_again(self, learned: SpectralPrior, steps: list[Step], number: int, *, most: int) -> list[Step]:
+        """Return the new steps, to a sample where another place is likelier, and those that show beside them now."""
+        scan, found = self._scan(learned, steps), []
+        periods = np.inf if most == 1 else SLIPS
+        for place in range(number, len(steps)):
+            step = steps[place]
+            near = scan.without(1 + place).likeliest_near(step, periods=periods)
+            found.append(step if abs(near.instant - step.instant) < 2 * self.reading.interval else near)
+        room = min(most, self.most - number) - len(found)
+        return [*found, *scan.likeliest(threshold=self.threshold, most=room, known=steps, fresh=number)]
+
+    def _to_be_refined(self, learned: SpectralPrior, steps: list[Step], slow: Iterable[int]) -> list[int]:
+        """Return the places of steps that are known to a sample only or may have a duration, and of some that have.
+
+        The others are fitted all together.
+        """
+        gains = gains_of_ramps(self.reading, self.filter(learned), steps)
+        rough = {place for place, step in enumerate(steps) if step.height == 0}
+        ramps = set(np.flatnonzero(gains > SETTINGS.ramp_evidence / 2).tolist())
+        return sorted(rough | ramps | {place for place in slow if steps[place].duration > 0})
+
+    def _with_ramps(self, learned: SpectralPrior, steps: list[Step]) -> Found:
+        """Return the same or, if that is more likely, steps and prior with durations for sudden steps.
+
+        If a ramp was fitted as a sudden step, the prior explains the remainder as a fluctuating force, and nothing is
+        left that shows a ramp. So ramps are tested with a prior without such a force.
+        """
+        strict, ramps = self.filter(_without_force(learned)), {}
+        gains = gains_of_ramps(self.reading, strict, steps)
+        for place in range(len(steps)):
+            if gains[place] > SETTINGS.ramp_evidence / 2:
+                others = steps[:place] + steps[place + 1 :]
+                ramp = refine_step(self.reading, strict, others, steps[place], ramps=True)
+                if ramp.duration > 0:
+                    ramps[place] = replace(ramp, evidence=steps[place].evidence)
+        tried = len(ramps)
+        while ramps:
+            found, ramps = self._ramps_tested(steps, learned, ramps)
+            if found is not None:
+                return found
+            if len(ramps) == tried:
+                break
+            tried = len(ramps)
+        for place in ramps if len(ramps) > 1 else ():
+            steps, learned = self._ramps_tested(steps, learned, {place: ramps[place]})[0] or (steps, learned)
+        return steps, learned
+
+    def _ramps_tested(
+        self, steps: list[Step], learned: SpectralPrior, ramps: dict[int, Step]
+    ) -> tuple[Found | None, dict[int, Step]]:
+        """Return steps and prior with some steps replaced by ramps, None if that is not more likely.
+
+        The second answer are the ramps that leave no more steps beside them.
+        """
+        reading = self.reading
+        trial = [ramps.get(place, step) for place, step in enumerate(steps)]
+        relearned = fit_prior(reading, columns=columns_of(trial, reading))
+        trial = fit_together(reading, self.filter(relearned), trial)
+        relearned = fit_prior(reading, columns=columns_of(trial, reading), before=relearned)
+        (sudden, _), (slow, better) = self._most_likely_priors((learned, relearned), steps, trial)
+        if 2 * (slow - sudden) < SETTINGS.ramp_evidence * len(ramps):
+            return None, ramps
+        # of two steps close to each other a ramp explains much, but not all
+        scan = self._scan(_without_force(better) if self._is_faint(better) else better, trial)
+        good = {
+            place: ramp
+            for place, ramp in ramps.items()
+            if scan.promise_near(trial[place], periods=SLIPS) < self.threshold
+        }
+        return (trial, better) if len(good) == len(ramps) else None, good
+
+    def _accepted(self, learned: SpectralPrior, number: int, settled: Found) -> Found | None:
+        """Return the older steps with those located last that bring the evidence, and the prior; None if none does."""
+        reading, (trial, relearned) = self.reading, settled
+        while True:
+            if max(abs(step.height) for step in trial) > SETTINGS.highest * reading.swing:
+                return None
+            columns = columns_of(trial, reading)
+            relearned = refine_edges(reading, relearned, columns=columns)
+            # each prior was learned from a periodogram, which hardly sees what happens near the ends of the record
+            (without, _), (with_it, better) = self._most_likely_priors((learned, relearned), trial[:number], trial)
+            sizes, covariance, _ = generalised_least_squares(self.filter(better), reading.filled, columns)
+            places = np.arange(1 + number, 1 + len(trial))
+            alone = sizes[places] ** 2 / np.maximum(np.diag(covariance)[places], 1e-300)
+            # each in proportion to what it brings while the prior stays
+            evidence = 2 * (with_it - without) * alone / max(float(np.sum(alone)), 1e-300)
+            fresh = [replace(step, evidence=float(gain)) for step, gain in zip(trial[number:], evidence, strict=True)]
+            clear = [step for step in fresh if step.evidence >= self.threshold]
+            if len(clear) == len(fresh):
+                found = self._still_clear([*trial[:number], *fresh], better)
+                # of several the first were located with a prior that knew little of the last
+                return (fit_together(reading, self.filter(found[1]), found[0]), found[1]) if len(fresh) > 1 else found
+            if not clear:
+                return None
+            trial = [*trial[:number], *clear]
+            relearned = fit_prior(reading, columns=columns_of(trial, reading), before=relearned)
+            trial = fit_together(reading, self.filter(relearned), trial)
+
+    def _still_clear(self, steps: list[Step], learned: SpectralPrior) -> Found:
+        """Return steps and prior, without steps that only another prior showed."""
+        sizes, covariance, _ = generalised_least_squares(
+            self.filter(learned), self.reading.filled, columns_of(steps, self.reading)
+        )
+        gains = (sizes**2 / np.maximum(np.diag(covariance), 1e-300))[1 : 1 + len(steps)]
+        clear = [step for step, gain in zip(steps, gains, strict=True) if gain >= self.threshold]
+        if len(clear) == len(steps):
+            return steps, learned
+        learned = fit_prior(self.reading, columns=columns_of(clear, self.reading), before=learned)
+        return fit_together(self.reading, self.filter(learned), clear), learned
+
+    def _most_likely_priors(
+        self, priors: tuple[SpectralPrior, ...], *readings: list[Step]
+    ) -> list[tuple[float, SpectralPrior]]:
+        """Return the largest log-likelihood of each set of steps, and the prior under which it is reached."""
+        found = []
+        for steps in readings:
+            columns = columns_of(steps, self.reading)
+            likelihoods = [log_likelihood(self.reading, self.filter(prior), columns=columns) for prior in priors]
+            best = int(np.argmax(likelihoods))
+            found.append((likelihoods[best], priors[best]))
+        return found
+
+    def _is_faint(self, learned: SpectralPrior, *, beside: float = 0.0) -> bool:
+        """Return whether the force of a prior has a smaller rms in the observations than noise, or than a size [N].
+
+        It may be the remainder of a step that was fitted wrongly: a ramp for two steps, or a step for a ramp.
+        """
+        interval = self.reading.interval
+        frequency = np.linspace(0, 0.5 / interval, 4097)[1:]
+        load = np.abs(self.reading.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
+        return bool(0 < float(np.mean(load)) < max(learned.noise, beside) ** 2 * interval)
+
+
+def _neighbours(steps: Sequence[Step], number: int) -> list[int]:
+    """Places of the older steps that are nearest to new ones: they were located while these were not yet known."""
+    fresh = np.array([step.instant for step in steps[number:]])
+    away = [float(np.min(np.abs(fresh - step.instant))) for step in steps[:number]]
+    return [int(place) for place in np.argsort(away)[: SETTINGS.neighbours]]
+
+
+def _without_force(learned: SpectralPrior) -> SpectralPrior:
+    """Return a prior with the same noise and a force that does not fluctuate."""
+    return replace(learned, spectrum=Spectrum(np.zeros(0), np.zeros(0)), shaping=ShapingFilter.silent())
+
+
+def _without_model_errors(steps: list[Step], reading: Observation) -> list[Step]:
+    """Return the steps without those that only correct a wrong model in the response to a larger one, if many do.
+
+    Otherwise the search would go on for as long as the response lasts.
+    """
+    ordered = sorted(steps, key=lambda step: step.instant)
+    reach = max(ringing_time(reading), SETTINGS.echo_periods / reading.dynamics.natural_frequency)
+    for step in sorted(ordered, key=lambda step: -abs(step.height)):
+        echoes = [
+            other
+            for other in ordered
+            if 0 < other.instant - step.instant < reach and abs(other.height) < SETTINGS.echo * abs(step.height)
+        ]
+        if len(echoes) > SETTINGS.echoes:
+            return [other for other in ordered if other not in echoes]
+    return ordered
