@@ -82,27 +82,27 @@ class Mode:
     def free_decay(self, time: ArrayLike) -> Array:
         """Release from rest at time 0, over the load held before [1]."""
         p, q = self.poles
-        fall = _exponentials(p, time)
+        fall = exponentials(p, time)
         if p.imag:  # q is the conjugate of p
             return np.asarray((p * fall.conj()).imag / p.imag)
-        return np.asarray(np.real((p * _exponentials(q, time) - q * fall) / (p - q)))
+        return np.asarray(np.real((p * exponentials(q, time) - q * fall) / (p - q)))
 
     def free_decay_rate(self, time: ArrayLike) -> Array:
         """Rate of `free_decay` [1/s]."""
         p, q = self.poles
-        fall = _exponentials(p, time)
+        fall = exponentials(p, time)
         if p.imag:
             return np.asarray(-(abs(p) ** 2) / p.imag * fall.imag)
-        return np.asarray(np.real(p * q * (_exponentials(q, time) - fall) / (p - q)))
+        return np.asarray(np.real(p * q * (exponentials(q, time) - fall) / (p - q)))
 
     def integrated_step(self, time: Array) -> Array:
         """Integral of the response to a step of 1 at time 0, from 0 to time [s]."""
         p, q = self.poles
-        fall = _exponentials(p, time)
+        fall = exponentials(p, time)
         if p.imag:
             swing = (q / p * (fall - 1)).imag / p.imag
         else:
-            swing = np.real((q / p * (fall - 1) - p / q * (_exponentials(q, time) - 1)) / (p - q))
+            swing = np.real((q / p * (fall - 1) - p / q * (exponentials(q, time) - 1)) / (p - q))
         return np.asarray(np.maximum(time, 0.0) + swing)
 
     def released(self, time: ArrayLike) -> Array:
@@ -132,8 +132,8 @@ class Mode:
         return np.asarray(net[0] + np.real(response * size)), np.asarray(np.real(rate * size))
 
 
-def _exponentials(pole: complex, time: ArrayLike) -> NDArray[np.complex128]:
-    """Return exp(pole t) of times [s], 1 before time 0.
+def exponentials(pole: complex, time: ArrayLike) -> NDArray[np.complex128]:
+    """Return exp(pole t) of times [s], shape (n,) [1]; 1 before time 0.
 
     Of evenly spaced times they are products of some 2 sqrt(n) exponentials, which takes a tenth of the time.
     """

@@ -47,22 +47,24 @@ class AmplitudeDependence:
         return abs(self.frequency) > SIGNIFICANT * self.u_frequency
 
 
-def bent_where_plain(ring: Ring) -> Ring:
-    """The ring, or a bent one in its place where that takes away much of what is left over.
+def bent_where_plain(ring: Ring) -> tuple[Ring, Ring]:
+    """The ring, or a bent one in its place where that takes away much of what is left over, and the bent one.
 
     Done before anything else is looked for: what a bent ringing leaves over looks like lines beside the ringing.
     """
-    bent = fit_ring(ring.time, ring.values, ring, lines=ring.lines, bent=True)
-    return bent if bent.squares < (1 - PLAIN) * ring.squares else ring
+    bent = _again(ring, bent=True)
+    return (bent if bent.squares < (1 - PLAIN) * ring.squares else ring), bent
 
 
-def amplitude_dependence(ring: Ring) -> tuple[AmplitudeDependence | None, Ring]:
+def amplitude_dependence(ring: Ring, *, bent: Ring | None = None) -> tuple[AmplitudeDependence | None, Ring]:
     """Test a fitted ringing for a decay rate and a frequency that change in proportion to the envelope.
 
     Parameters
     ----------
     ring
         The fit.
+    bent
+        The same with a decay rate and a frequency that may change, where that is fitted already.
 
     Returns
     -------
@@ -72,10 +74,9 @@ def amplitude_dependence(ring: Ring) -> tuple[AmplitudeDependence | None, Ring]:
         The fit itself, bent where one of the two is significant and else not.
     """
     fallen = np.exp(-ring.decay * (float(ring.time[-1]) - ring.start))
-    straight, bent = (
-        ring if ring.bent == wanted else fit_ring(ring.time, ring.values, ring, lines=ring.lines, bent=wanted)
-        for wanted in (False, True)
-    )
+    straight = _again(ring, bent=False) if ring.bent else ring
+    if bent is None:
+        bent = ring if ring.bent else _again(ring, bent=True)
     if ring.variance < (1e-9 * ring.amplitude) ** 2 or fallen > FALLEN:
         return None, straight
     height = bent.height if bent.shape != "free" else bent.amplitude
@@ -83,3 +84,8 @@ def amplitude_dependence(ring: Ring) -> tuple[AmplitudeDependence | None, Ring]:
     change = bent.sizes[-2:] / height
     found = AmplitudeDependence(float(change[0]), float(u[0]), float(change[1]), float(u[1]))
     return found, bent if found.damping_depends or found.frequency_depends else straight
+
+
+def _again(ring: Ring, *, bent: bool) -> Ring:
+    """Fit the same ringing again, bent or not."""
+    return fit_ring(ring.time, ring.values, ring, lines=ring.lines, bent=bent)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,14 +88,19 @@ def _maxima(values: Array, *, above: float) -> NDArray[np.intp]:
     return np.sort(np.array(kept, dtype=np.intp))
 
 
+def _moving_mean(values: NDArray[Any], width: int) -> NDArray[Any]:
+    """Mean of each `width` values in a row, shape (n - width + 1,)."""
+    sums = np.concatenate((values[:1] * 0, np.cumsum(values)))
+    return np.asarray((sums[width:] - sums[:-width]) / width)
+
+
 def _onset(values: Array, frequency: float, rate: float) -> tuple[Look, float]:
     """Where the ringing at a frequency begins, how it decays, and how much its envelope rises there."""
     width = max(round(2 * rate / frequency), 4)
     carrier = np.exp(-2j * np.pi * frequency * np.arange(values.size) / rate)
-    centred = values - np.convolve(
-        np.pad(values, width, mode="edge"), np.ones(2 * width + 1) / (2 * width + 1), "valid"
-    )
-    envelope = 2 * np.abs(np.convolve(centred * carrier, np.ones(width) / width, "same"))
+    centred = values - _moving_mean(np.pad(values, width, mode="edge"), 2 * width + 1)
+    late = (width - 1) // 2
+    envelope = 2 * np.abs(_moving_mean(np.pad(centred * carrier, (width - 1 - late, late)), width))
     mean = np.cumsum(np.concatenate(([0.0], envelope)))
     span = min(3 * width, values.size // 3)
     places = np.arange(span, values.size - span)

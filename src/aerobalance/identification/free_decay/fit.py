@@ -160,9 +160,9 @@ def identify_decay(
     time = np.arange(recording.samples) / recording.rate
     look = first_look(channel.values, rate=recording.rate, name=f"{recording.name}, {component}")
     ring = fit_ring(time[present], channel.values[present], look)
-    ring = bent_where_plain(ring)
-    ring = freed(_widened(_shortened(_complete(_shortened(ring))), ring))
-    dependence, ring = amplitude_dependence(ring)
+    first, bent = bent_where_plain(ring)
+    ring = freed(_widened(_shortened(_complete(_shortened(first))), first))
+    dependence, ring = amplitude_dependence(ring, bent=bent if ring is first and not ring.bent else None)
     _check(ring, recording.name, component)
     kept = _kept_modes(ring, modes, f"{recording.name}, {component}")
     dynamics = _dynamics(ring, component, value, uncertainty, kept=kept)

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, lstsq
 from scipy.optimize import least_squares
 
+from aerobalance.dynamics.modal import exponentials
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.free_decay.event import Look, Shape
 from aerobalance.recording.channel import Array
@@ -41,6 +42,10 @@ ALIKE: Final = 1e-4
 
 EVIDENCE: Final = 20.0
 """Drop in the sum of squares over the noise variance that a richer shape must bring."""
+
+
+SIGN: Final = 4.0
+"""Such a drop to first order, for which a duration of the release is fitted: chance gives as much one time in 20."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,8 +187,29 @@ def fit_ring(
         part = time >= begun.start
         return _search(time[part], values[part], "free", start=begun, lines=lines, bent=bent)
     sharp = _search(time, values, "release", start=begun, lines=lines, bent=bent)
+    if _gain_of_a_duration(sharp) < SIGN * sharp.variance:
+        return sharp
     ramp = _search(time, values, "ramp", start=sharp, lines=lines, bent=bent)
     return ramp if sharp.squares - ramp.squares > EVIDENCE * ramp.variance else sharp
+
+
+def _gain_of_a_duration(ring: Ring) -> float:
+    """By how much the squares of a release at once fall, to first order, if it may take a short time [N^2].
+
+    Over a duration d the ringing is as that from its middle on, but weaker by (w d)^2 / 24: the square of the duration
+    acts as a linear parameter. However long it is, the ringing is weaker, so that this shows.
+    """
+    duration = 1 / ring.rate
+    middle = np.concatenate([ring.vector[:2], [ring.start - duration / 2, duration], ring.vector[3:]])
+    begin, scale = float(ring.time[0]), _scale(ring, "release", ring.vector.size)
+    J = _jacobian(
+        ring.time, "release", ring.vector, ring.lines, begin=begin, scale=scale, sizes=ring.sizes, bent=ring.bent
+    )
+    slower = _columns(ring.time, "ramp", middle, ring.lines, begin=begin, bent=ring.bent) @ ring.sizes
+    change = slower - ring.values + ring.residuals
+    change = projected(J, change)[1]
+    square = float(change @ change)
+    return float(change @ ring.residuals) ** 2 / square if square > 0 else 0.0
 
 
 def _approach(time: Array, values: Array, look: Look) -> Ring:
@@ -260,8 +286,7 @@ def _columns(
     rest = 2
     instant, duration = begin, 0.0
     if shape == "free":
-        fall = np.exp(np.minimum(-decay * (time - begin), STEEPEST_RISE))
-        columns += [fall * np.cos(w * (time - begin)), fall * np.sin(w * (time - begin))]
+        columns += _ringing(time - begin, decay, w)
     else:
         instant, rest = vector[2], 3
         duration = abs(vector[3]) if shape == "ramp" else 0.0
@@ -271,14 +296,11 @@ def _columns(
     for line in lines:
         frequency, rest = vector[rest], rest + 1
         if line.decay == 0:
-            columns += [np.cos(frequency * (time - time[0])), np.sin(frequency * (time - time[0]))]
+            columns += _ringing(time - time[0], 0.0, frequency)
             continue
         fall, rest = abs(vector[rest]), rest + 1
         if shape == "free":
-            columns += [
-                np.exp(-fall * since) * np.cos(frequency * since),
-                np.exp(-fall * since) * np.sin(frequency * since),
-            ]
+            columns += _ringing(since, fall, frequency)
         else:  # a mode of its own, released together with the first
             mode = Dynamics("AF", 1.0, frequency**2 + fall**2, 2 * fall)
             columns.append(_released(mode, time - instant, duration))
@@ -298,11 +320,20 @@ def _bending(since: Array, decay: float, w: float) -> list[Array]:
     With a(t) = a (1 + e A(t)), A the envelope over its first value, the amplitude falls as exp(-a t - e (1 - A)) and,
     likewise, the phase runs ahead by d (w / a) (1 - A); both to first order.
     """
-    time = np.maximum(since, 0.0)
     decay = max(decay, 1e-6 * abs(w))  # what does not fall does not bend
-    envelope = np.exp(-decay * time)
-    fallen = (1 - envelope) * envelope
-    return [-fallen * np.cos(w * time), -w / decay * fallen * np.sin(w * time)]
+    ringing = exponentials(complex(-decay, w), since)
+    ringing *= 1 - exponentials(complex(-decay, 0), since).real
+    return [-ringing.real, -w / decay * ringing.imag]
+
+
+def _ringing(since: Array, decay: float, w: float) -> list[Array]:
+    """Cosine and sine of an oscillation that begins with amplitude 1 and falls, shape (n,) each [1]."""
+    rise = STEEPEST_RISE / max(float(since[-1]), 1e-300)
+    if -decay > rise:
+        fall = np.exp(np.minimum(-decay * since, STEEPEST_RISE))
+        return [fall * np.cos(w * since), fall * np.sin(w * since)]
+    ringing = exponentials(complex(-decay, w), since)
+    return [ringing.real, ringing.imag]
 
 
 def projected(columns: Array, values: Array) -> tuple[Array, Array]:
