@@ -9,6 +9,7 @@ TEST_READY := $(VENV)/.ready-test
 DOCS_READY := $(VENV)/.ready-docs
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 ROUNDS ?= 3
+BENCH := OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks -o addopts="" --benchmark-disable -q
 TEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 .PHONY: demo test soak check bench docs pins clean
@@ -35,8 +36,14 @@ check: $(TEST_READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# What measures time comes last, with nothing beside it.
 bench: $(TEST_READY)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks -o addopts="" --benchmark-disable -q
+	rm -f build/benchmarks.json
+	@failed=0; \
+	$(BENCH) -n auto --dist worksteal -m "not alone" || failed=1; \
+	$(BENCH) -m alone || failed=1; \
+	$(BIN)/python docs/benchmarks.py; \
+	exit $$failed
 
 docs: $(DOCS_READY)
 	$(BIN)/sphinx-build -W --keep-going -b html docs build/docs

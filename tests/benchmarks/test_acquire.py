@@ -25,6 +25,7 @@ def processor_time(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+@pytest.mark.alone
 def test_twelve_channels_at_25_khz_in_real_time(tmp_path, record) -> None:
     if not Path("/proc/self/stat").exists():
         pytest.skip("the processor time of other processes is read from /proc")

@@ -146,6 +146,7 @@ def test_waveform_beside_the_extrema(record, rng) -> None:
     assert ratio > 3
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("what", ["step", "broadband load"])
 def test_a_hundred_thousand_samples_beside_the_clock(what: str, record, rng) -> None:
     if what == "step":

@@ -43,6 +43,7 @@ def spent(work: Callable[[], object], *, times: int = 3) -> float:
     return min(found)
 
 
+@pytest.mark.alone
 def test_learning_beside_the_transform(record, rng) -> None:
     learning, hum, transform = [], [], []
     for count in LENGTHS:
@@ -62,6 +63,7 @@ def test_learning_beside_the_transform(record, rng) -> None:
     assert beside < 4
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("count", LENGTHS[:2])
 def test_learning_with_a_given_noise_costs_no_more(count: int, record, rng) -> None:
     values, constant = smooth(rng, count), np.ones((count, 1))

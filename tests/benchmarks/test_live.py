@@ -152,6 +152,7 @@ def test_no_false_step_live(record, rng) -> None:
     assert found <= 1
 
 
+@pytest.mark.alone
 def test_six_components_at_25_khz_on_one_core(record, rng) -> None:
     run, _ = smooth_run(rng, WIDE["0-900 Hz"], dynamics=RIG, rate=25_000.0, rms=100.0, noise=0.05, seconds=8.0)
     process, readings, _ = learned_first(run.channel("AF").values, RIG, rate=25_000.0)
@@ -172,6 +173,7 @@ def test_six_components_at_25_khz_on_one_core(record, rng) -> None:
     assert cores < 2
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("rate", [12_500.0, 25_000.0])
 def test_six_coupled_components_on_one_core(rate: float, record, rng) -> None:
     """A balance with modes up to 600 Hz; the page thins 25 kHz to 12.5 kHz for it."""

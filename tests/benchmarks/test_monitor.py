@@ -98,6 +98,7 @@ async def viewer(base: str, until: float) -> tuple[int, list[float], list[float]
     return updates, newest, oldest
 
 
+@pytest.mark.alone
 def test_twelve_channels_two_viewers(tmp_path, record) -> None:
     setup = tmp_path / "six.toml"
     setup.write_text(SETUP, encoding="utf-8")
@@ -159,6 +160,7 @@ def assert_whole(file: Path) -> None:
         expected, due = expected[len(samples) :], due + len(samples)
 
 
+@pytest.mark.alone
 def test_live_force_within_ten_seconds(tmp_path, record) -> None:
     with program(tmp_path, None) as (base, _, begin):
         while not state_of(base)["numbers"].get("estimates"):
@@ -169,6 +171,7 @@ def test_live_force_within_ten_seconds(tmp_path, record) -> None:
     assert took <= 10
 
 
+@pytest.mark.alone
 def test_told_to_end_with_viewers_and_a_record(tmp_path, record) -> None:
     """Median and longest of several: a viewer may be in the middle of a message."""
     times = []

@@ -7,6 +7,7 @@ from statistics import median
 from time import perf_counter
 
 import numpy as np
+import pytest
 
 from aerobalance.io import read, write_recording
 from aerobalance.recording.channel import Channel
@@ -27,6 +28,7 @@ def seconds(task):
     return perf_counter() - begin
 
 
+@pytest.mark.alone
 def test_csv_beside_a_plain_parser(tmp_path, record, seed) -> None:
     path = tmp_path / "long.csv"
     values = np.random.default_rng(seed).normal(size=150_000)

@@ -25,6 +25,7 @@ def seconds(work: Callable[[], object]) -> float:
     return min(times)
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize(("n", "most"), [(100_000, 30.0), (1_000_000, 4.0)])
 @pytest.mark.parametrize("place", ["T-128", "rig"])
 def test_smoothing_pass_with_variance(place: str, n: int, most: float, record, rng) -> None:

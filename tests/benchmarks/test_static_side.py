@@ -90,6 +90,7 @@ def by_students_t(schedule: Schedule, tares: Array, matrix: BalanceMatrix) -> Ar
     return C
 
 
+@pytest.mark.alone
 def test_calibration_beside_the_clock(record, rng) -> None:
     run = CalibrationStand(random_balance(seed_from(rng))).run(seed_from(rng))
     calibrate(run.schedule, model="96")  # compiles the kernels
@@ -100,6 +101,7 @@ def test_calibration_beside_the_clock(record, rng) -> None:
     assert spent < 5
 
 
+@pytest.mark.alone
 def test_loads_beside_numpy_and_a_copy(record, rng) -> None:
     """Eq. (2) to 1e-10 of capacity: the iteration as numpy does it, and the copying of as many frames."""
     balance = random_balance(seed_from(rng), model="quadratic")
@@ -141,6 +143,7 @@ def spent(work: Callable[[], object]) -> float:
     return min(found)
 
 
+@pytest.mark.alone
 def test_loads_beside_the_clock(record, rng) -> None:
     balance = random_balance(seed_from(rng))
     rate, count = 25_000.0, 100_000

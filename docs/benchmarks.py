@@ -1,0 +1,65 @@
+"""Writes docs/benchmarks.md from the rows that `make bench` leaves in build/benchmarks.json.
+
+    python docs/benchmarks.py [--rows build/benchmarks.json] [--before earlier.json] [--page docs/benchmarks.md]
+
+A file of earlier rows adds a column with what each ratio was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from itertools import groupby
+from pathlib import Path
+
+HERE = Path(__file__).parent
+
+HEAD = """# Benchmarks
+
+What `make bench` measures on simulated records whose truth is known. Every row is a ratio of two numbers of one run.
+Times are processor times, mostly over that of a yardstick on the same arrays, such as `scipy.fft.rfft` and `irfft`
+there and back, so that they are nearly the same on every machine. A ratio holds where it is at least its target; a
+target of 0 is no more than a row to be read. This page is written by `python docs/benchmarks.py`.
+"""
+
+
+def table(rows: list[dict[str, object]], before: dict[str, float]) -> str:
+    """Return the rows of one subject as a table in Markdown."""
+    heads = ["what", *(["before"] if before else []), "ratio", "target", "holds"]
+    lines = [heads, ["---"] * len(heads)]
+    for row in rows:
+        ratio, target = float(str(row["ratio"])), float(str(row["target"]))
+        earlier = [number(before.get(str(row["name"])))] if before else []
+        holds = ("yes" if ratio >= target else "**no**") if target > 0 else ""
+        lines.append([str(row["name"]).replace("|", "\\|"), *earlier, number(ratio), number(target), holds])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def number(value: float | None) -> str:
+    """Return a ratio with three digits; nothing for none."""
+    return "" if value is None else f"{value:.3g}"
+
+
+def page(rows: list[dict[str, object]], before: dict[str, float]) -> str:
+    """Return the page: a table for each subject, in the order of their names."""
+    ordered = sorted(rows, key=lambda row: str(row.get("subject", "")))  # rows of a subject stay in their order
+    parts = [HEAD]
+    for subject, group in groupby(ordered, key=lambda row: str(row.get("subject", ""))):
+        parts += [f"## {subject.rstrip('.')}\n", table(list(group), before) + "\n"]
+    return "\n".join(parts)
+
+
+def main() -> None:
+    """Write the page."""
+    parser = argparse.ArgumentParser(description="Write the page of benchmarks.")
+    parser.add_argument("--rows", type=Path, default=HERE.parent / "build" / "benchmarks.json")
+    parser.add_argument("--before", type=Path)
+    parser.add_argument("--page", type=Path, default=HERE / "benchmarks.md")
+    given = parser.parse_args()
+    earlier = json.loads(given.before.read_text(encoding="utf-8")) if given.before else []
+    rows = json.loads(given.rows.read_text(encoding="utf-8"))
+    given.page.write_text(page(rows, {row["name"]: row["ratio"] for row in earlier}), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
