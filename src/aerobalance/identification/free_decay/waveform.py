@@ -48,6 +48,10 @@ SIGN: Final = 4.0
 """Such a drop to first order, for which a duration of the release is fitted: chance gives as much one time in 20."""
 
 
+COARSE: Final = 32.0
+"""Means in a period of the ringing that suffice to begin with."""
+
+
 @dataclass(frozen=True, slots=True)
 class DecayLine:
     """A further line in a ringing record: steady (hum, decay 0) or another mode.
@@ -218,10 +222,12 @@ def _approach(time: Array, values: Array, look: Look) -> Ring:
     reach = 4 / look.frequency
     while True:
         near = (time > begun.start - 3 * reach) & (time < begun.start + reach)
+        last = begun.start + reach > time[-1]
         if near.sum() > 16:
             shape: Shape = "release" if look.shape == "release" else "free"
-            begun = _search(time[near], values[near], shape, start=begun, lines=())
-        if begun.start + reach > time[-1]:
+            part = (time[near], values[near])
+            begun = _search(*(part if last else _coarse(*part, begun)), shape, start=begun, lines=())
+        if last:
             break
         reach *= 3
     ring = begun if isinstance(begun, Ring) else _search(time, values, look.shape, start=begun, lines=())
@@ -250,13 +256,24 @@ def freed(ring: Ring) -> Ring:
     return ring if float(np.sum(ring.residuals[after] ** 2)) < free.squares + allowed else free
 
 
+def _coarse(time: Array, values: Array, start: Look | Ring) -> tuple[Array, Array]:
+    """Means of times and readings over a small part of a period, which serve to begin with."""
+    count = int(start.rate / (COARSE * start.frequency))
+    whole = time.size - time.size % count if count > 1 else 0
+    if whole < 16 * count or count < 2:
+        return time, values
+    instants, readings = (np.mean(each[:whole].reshape(-1, count), axis=1) for each in (time, values))
+    return instants, readings
+
+
 def _placed(time: Array, values: Array, look: Look) -> Look:
     """The first look with its instant moved to where the waveform fits best, within four periods either side."""
     part = (time > look.start - 10 / look.frequency) & (time < look.start + 20 / look.frequency)
     best, squares = look, np.inf
+    instants, readings = _coarse(time[part], values[part], look)
     for shift in np.arange(-4, 4, 1 / 16) / look.frequency:
         trial = replace(look, start=look.start + shift)
-        left = projected(_columns(time[part], "release", _start_vector(trial, "release", ()), ()), values[part])[1]
+        left = projected(_columns(instants, "release", _start_vector(trial, "release", ()), ()), readings)[1]
         if left @ left < squares:
             best, squares = trial, float(left @ left)
     return best
