@@ -16,11 +16,11 @@ import pytest
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force_smoother import LinearSmoother
 from aerobalance.estimation.live import _live_kernels
 from aerobalance.estimation.live.filter import KnownShape, LiveFilter
 from aerobalance.estimation.statespace import _kernels, blocks, kalman, model_draws, steady_state
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE, KalmanFilter, StateSpace
+from aerobalance.estimation.statespace.model_draws import ModelDraws
 from helpers.butterworth import butterworth
 
 BALANCE = Dynamics("AF", 177.87, 3.093e7, 8e3, further_modes=(Mode(165.0, 0.2, 0.05),))  # the gain settles soon
@@ -58,10 +58,7 @@ def whole_record(readings: np.ndarray) -> list[np.ndarray]:
     filled = np.where(present, readings, 0.0)
     kalman_filter = KalmanFilter.of(system(), present)
     states = kalman_filter.smooth(filled[:, None], [LOAD, LOAD_RATE, FORCE])[:, 0]
-    estimator = LinearSmoother(
-        kalman_filter.system, kalman_filter, np.ones((present.size, 1)), np.ones((present.size, 1))
-    )
-    force, simulated = (drawn[0] for drawn in estimator.draws().draw(np.random.default_rng(1), 1))
+    force, simulated = (drawn[0] for drawn in ModelDraws.of(system(), present).draw(np.random.default_rng(1), 1))
     return [
         *states.T,
         kalman_filter.smoothed_variance,

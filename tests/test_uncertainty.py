@@ -9,9 +9,11 @@ import pytest
 from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.force_smoother import LinearSmoother, SmootherResult
+from aerobalance.estimation.noise_draws import NoiseDraws
 from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.record import SingleRecord
 from aerobalance.estimation.result import ComponentForce, with_balance
+from aerobalance.estimation.statespace.model_draws import ModelDraws
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import QUANTITIES, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
@@ -286,7 +288,7 @@ def test_simulated_readings_are_those_of_the_model(rng):
     estimate = estimate_force(given, T128).only
     reading = SingleRecord.of(given, T128, GroundMotion.of(given, "AF")).reading()
     estimator = LinearSmoother.of(reading, learned=estimate.learned, steps=())
-    _, simulated = estimator.draws().draw(rng, 1)
+    _, simulated = ModelDraws.of(estimator.system, estimator.filter.present).draw(rng, 1)
     white = estimator.filter.whiten(simulated.T)[:, 0]
     # innovations over their standard deviation: 4000 of variance 1; 5 standard deviations
     assert np.mean(white**2) == pytest.approx(1, abs=5 * np.sqrt(2 / 4000))
@@ -319,6 +321,44 @@ def test_monte_carlo_sees_what_is_not_linear(rng):
     given = record(AF=load)
     found = monte_carlo(estimate_force(given, unsure), draws=60, seed=1)["AF"]
     assert any("not linear" in text for text in found.doubts)
+
+
+def test_errors_drawn_by_spectrum_and_ends_are_those_of_whole_records():
+    generator = np.random.default_rng(5)
+    given = run(generator, count=40_000)
+    estimate = estimate_force(given, T128).only
+    reading = SingleRecord.of(given, T128, GroundMotion.of(given, "AF")).reading()
+    estimator = LinearSmoother.of(reading, learned=estimate.learned, steps=())
+    fast = NoiseDraws.of(estimator)
+    assert fast.ends is not None
+    lengths = [end.part.stop - end.part.start for end in fast.ends]
+    assert max(lengths) > 10
+    draws = 200
+    one, sizes = fast.draw(generator, draws)
+    other, whole_sizes = replace(fast, ends=None).draw(generator, draws)
+    size = np.sqrt(estimator.filter.smoothed_variance)
+    # weighted sums along and across an end and along the middle: 5 standard deviations of variances of 200 draws each
+    for stop in (10, lengths[0] // 4, lengths[0], 2 * lengths[0], 20_000):
+        for part in (slice(0, stop), slice(40_000 - stop, 40_000), slice(lengths[0] - 10, lengths[0] + stop)):
+            slow = np.cos(np.linspace(0, 3, one[:, part].shape[1]))
+            sums = [np.var((each[:, part] / size[part]) @ slow) for each in (one, other)]
+            assert abs(np.log(sums[0] / sums[1])) < 5 * np.sqrt(2 * 2 / draws), (stop, part)
+            # the variance of a sample, mean over the part: as many values that hang together as a tenth of its samples
+            mean = np.mean((one[:, part] / size[part]) ** 2)
+            assert abs(mean - 1) < 5 * np.sqrt(2 / draws) / np.sqrt(max(1, stop / 1000)), (stop, part)
+    expected = np.diag(estimator.size_covariance)
+    for drawn in (sizes, whole_sizes):
+        assert np.mean(drawn**2, axis=1) == pytest.approx(expected, rel=5 * np.sqrt(2 / draws))
+
+
+def test_a_record_with_a_gap_is_drawn_as_a_whole():
+    given = run(np.random.default_rng(5), count=4000)
+    values = given.channel("AF").values.copy()
+    values[1000:1050] = np.nan
+    given = record(AF=values)
+    estimate = estimate_force(given, T128).only
+    reading = SingleRecord.of(given, T128, GroundMotion.of(given, "AF")).reading()
+    assert NoiseDraws.of(LinearSmoother.of(reading, learned=estimate.learned, steps=())).ends is None
 
 
 def test_draws_of_parameters_by_a_polynomial_are_those_one_by_one():

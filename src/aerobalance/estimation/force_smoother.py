@@ -15,7 +15,6 @@ from aerobalance.estimation.prior import Observation, SpectralPrior, generalised
 from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_lines, hum_lines
 from aerobalance.estimation.spectra.noise_floor import Floor, floor_of
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
-from aerobalance.estimation.statespace.model_draws import ModelDraws
 from aerobalance.estimation.step_search import find_steps
 from aerobalance.estimation.steps import Step, columns_of, response_to, shape_of
 from aerobalance.recording.channel import Array
@@ -261,17 +260,22 @@ class LinearSmoother:
 
     @cached_property
     def _shapes(self) -> tuple[Array, Array]:
-        """What the smoother makes of the known shapes, (n, p), and what turns what it shows into sizes, (p, any)."""
+        """`size_errors`, and what turns what the smoother shows of a series into sizes, (p, any)."""
         shown = np.empty((self.columns.shape[1], self.filter.shown))
         smooth = self.filter.smooth(self.columns, [FORCE], shown=shown)[:, :, 0]
         scale = np.sqrt(np.sum(shown**2, axis=1, keepdims=True))
         scale[scale == 0] = 1.0
-        return smooth, np.linalg.pinv((shown / scale).T, rcond=1e-10) / scale
+        return smooth - self.forms, np.linalg.pinv((shown / scale).T, rcond=1e-10) / scale
 
     @property
     def size_errors(self) -> Array:
         """Error of the force where the size of a known shape is wrong by 1, less the shape itself, shape (n, p)."""
-        return self._shapes[0] - self.forms
+        return self._shapes[0]
+
+    @property
+    def size_covariance(self) -> Array:
+        """Covariance of the sizes of the known shapes, shape (p, p)."""
+        return self._shapes[1] @ self._shapes[1].T
 
     def run(self, series: Array) -> Array:
         """The force that several series lead to, shape (n, c) [N]."""
@@ -287,10 +291,6 @@ class LinearSmoother:
     def smooth(self, series: Array) -> Array:
         """Smoothed force of several series whose shapes are taken out, shape (n, c) [N]."""
         return self.filter.smooth(series, [FORCE])[:, :, 0]
-
-    def draws(self) -> ModelDraws:
-        """What draws forces, without constant and steps, and readings of them."""
-        return ModelDraws.of(self.system, self.filter.present)
 
 
 def instant_columns(

@@ -32,6 +32,7 @@ from aerobalance.estimation.decoupled_record import DecoupledRecord
 from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.force import Force, ForceRecord
 from aerobalance.estimation.force_smoother import LinearSmoother
+from aerobalance.estimation.noise_draws import NoiseDraws
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import ComponentRecord, SingleRecord
 from aerobalance.estimation.result import ComponentForce
@@ -241,24 +242,22 @@ class _Trial:
 
         shifts = parameter_errors(self.change, moved, draws=self.draws, generator=self.generator)
         noises = self.noises(nominal)
+        edges = any(step.duration <= 0 for step in steps)
         for shift, (noise, sizes), others in zip(shifts, noises, self.others(), strict=True):
             yield {
-                self.parameters: np.zeros_like(found) if shift is None else shift,
+                **({} if shift is None else {self.parameters: shift}),
                 " and ".join(NOISES): noise,
                 SIZES[0]: nominal.size_errors @ sizes,
-                SIZES[1]: _changed_sides(reading, steps, sizes),
+                **({SIZES[1]: _changed_sides(reading, steps, sizes)} if edges else {}),
                 **others,
             }
 
     def noises(self, estimator: LinearSmoother) -> Iterator[tuple[Array, Array]]:
         """Errors of a smoother on readings drawn from its model, shape (n,) [N], and sizes of its shapes, (p,)."""
-        model = estimator.draws()
+        noise = NoiseDraws.of(estimator)
         for first in range(0, self.draws, TOGETHER):
-            number = min(TOGETHER, self.draws - first)
-            forces, readings = model.draw(self.generator, number)
-            found, sizes = estimator.apart(readings.T)
-            forces -= found.T
-            yield from zip(forces, sizes.T, strict=True)
+            errors, sizes = noise.draw(self.generator, min(TOGETHER, self.draws - first))
+            yield from zip(errors, sizes.T, strict=True)
 
     def by_inverse(self, method: Method, bandwidth: float | None) -> Iterator[Mapping[str, Array]]:
         """Errors of a direct inverse by contribution, one draw after the other: the readings get more noise."""

@@ -46,6 +46,8 @@ class ModelDraws:
         others, shape (length // 2 + 1,) [N].
     swings
         Reading of the free oscillations at the start, each of one standard deviation, shape (any, n) [N].
+    stationary
+        Covariance of a state long after the start, shape (d, d).
     """
 
     present: NDArray[np.bool_]
@@ -54,6 +56,7 @@ class ModelDraws:
     shared: NDArray[np.complex128]
     own: Array
     swings: Array
+    stationary: Array
 
     @classmethod
     def of(cls, system: StateSpace, present: NDArray[np.bool_]) -> ModelDraws:
@@ -85,7 +88,22 @@ class ModelDraws:
             weight * shared,
             weight * own,
             _released(system, columns, rows[:1], count)[0],
+            P,
         )
+
+    @property
+    def untold_variance(self) -> float:
+        """Variance of the force that all readings together, before and after the record too, leave open [N^2]."""
+        power = 4 * self.own**2  # real and imaginary part, and those of the negative frequency
+        power[0] /= 4
+        power[-1] /= 4 if self.length % 2 == 0 else 1
+        return float(np.sum(power)) / self.length**2
+
+    def draw_untold(self, generator: np.random.Generator, number: int) -> Array:
+        """Return so many draws of the force less what all readings tell of it, shape (number, n) [N]."""
+        coefficients = generator.normal(size=(number, 2 * self.own.size)).view(np.complex128)
+        coefficients *= self.own
+        return np.asarray(irfft(coefficients, self.length, axis=1, overwrite_x=True)[:, : self.present.size])
 
     def draw(self, generator: np.random.Generator, number: int) -> tuple[Array, Array]:
         """Return so many forces, and the readings of them, 0 where one is missing, shape (number, n) each [N]."""
@@ -125,4 +143,4 @@ def _released(system: StateSpace, states: Array, rows: Array, count: int) -> Arr
     _kernels.chain(np.pad(powers[BLOCK].T, ((0, 0), (0, -len(states) % WIDTH))), edges, True)
     along = (rows @ powers[:BLOCK]).transpose(1, 0, 2)  # (r, BLOCK, d)
     whole = edges @ along[:, None].transpose(0, 1, 3, 2)  # (r, s, blocks, BLOCK)
-    return np.ascontiguousarray(whole.reshape(len(rows), states.shape[1], -1)[:, :, :count])
+    return np.ascontiguousarray(whole.reshape(*whole.shape[:2], edges.shape[1] * BLOCK)[:, :, :count])
