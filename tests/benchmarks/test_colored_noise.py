@@ -54,7 +54,7 @@ def test_load_beside_one_over_f(name: str, record, rng) -> None:
         known = noise_of_component(force_record(record_of(noise(rng, 16_000)), T128).component_record("AF"))
         run, force = smooth_run(rng, shape, dynamics=T128, rate=RATE, rms=500.0, noise=1e-9, seconds=5.0)
         values = run.channel("AF").values + noise(rng, force.size)
-        estimate = estimate_force(record_of(values), T128, noise={"AF": {"AF": known}}).only
+        estimate = estimate_force(record_of(values), T128, noise={"AF": known}).only
         assert not estimate.steps
         errors.append(inner(estimate.values - force))
         covered.append(np.mean(np.abs(errors[-1]) < 1.96 * inner(estimate.uncertainty)))
@@ -74,7 +74,7 @@ def test_step_beside_one_over_f(record, rng) -> None:
         time = np.arange(8000) / RATE
         instant = 2.5 + rng.uniform(0, 1) / RATE
         values = 1020 * T128.step_response(time - instant) + noise(rng, time.size)
-        estimate = estimate_force(record_of(values), T128, noise={"AF": {"AF": known}}).only
+        estimate = estimate_force(record_of(values), T128, noise={"AF": known}).only
         found.append(len(estimate.steps))
         away = np.abs(time - instant) > 2 / RATE
         errors.append((estimate.values - 1020 * (time >= instant))[away])
@@ -89,6 +89,6 @@ def test_no_step_is_found_in_one_over_f(record, rng) -> None:
     steps = 0
     for _ in range(100):
         known = noise_of_component(force_record(record_of(noise(rng, 16_000)), T128).component_record("AF"))
-        steps += len(estimate_force(record_of(noise(rng, 8000)), T128, noise={"AF": {"AF": known}}).only.steps)
+        steps += len(estimate_force(record_of(noise(rng, 8000)), T128, noise={"AF": known}).only.steps)
     record("records of 100 without a false step in 1/f noise", (100 - steps) / 100, 1.0)
     assert steps == 0

@@ -7,17 +7,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from aerobalance.app.commands.known import Coupled
 
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.force import force
-from aerobalance.app.commands.loads import from_gauges
-from aerobalance.app.demos.six_demo import Folder, calibrated, identified, weighed
+from aerobalance.app.demos.six_demo import DemoFolder, calibrated, identified, weighed
 from aerobalance.estimation.force import estimate_force
 from aerobalance.io import read
 from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.recording.components import COMPONENTS
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import SixSimulation
@@ -30,7 +28,7 @@ MATRIX = ("balance matrix, zeros and tares", "curvature of the balance matrix, r
 class Chain(NamedTuple):
     """One balance, and what was found of it."""
 
-    folder: Folder
+    folder: DemoFolder
     balance: CoupledBalance
     files: BalanceFiles
     dynamics: Path
@@ -57,7 +55,7 @@ class Chain(NamedTuple):
             damping=np.diag(np.abs(np.diag(known.damping))),
             covariance=np.zeros_like(known.covariance),
         )
-        loads, _ = from_gauges(read(recorded), self.files, Coupled(alone), gravity=STANDARD_GRAVITY, channel_map=None)
+        loads = replace(self.files.loads(read(recorded), model=alone).recording, from_outputs=False)
         found = estimate_force(loads, alone, bandwidth=band)
         return np.column_stack([found[name].values for name in COMPONENTS])
 
@@ -65,6 +63,6 @@ class Chain(NamedTuple):
 def chain(path: Path, rng: np.random.Generator) -> Chain:
     """Calibrate, weigh and identify a random balance from six releases."""
     path.mkdir()
-    folder, balance = Folder(path, rng), random_balance(rng)
+    folder, balance = DemoFolder(path, rng), random_balance(rng)
     files = calibrated(folder, balance)
     return Chain(folder, balance, files, identified(folder, balance, files, weighed(folder, balance, files)))
