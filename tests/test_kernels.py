@@ -18,7 +18,7 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.live import _live_kernels
 from aerobalance.estimation.live.filter import KnownShape, LiveFilter
-from aerobalance.estimation.statespace import _kernels, blocks, kalman, model_draws, steady_state
+from aerobalance.estimation.statespace import _kernels, blocks, kalman, model_draws
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE, KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.model_draws import ModelDraws
 from helpers.butterworth import butterworth
@@ -147,7 +147,7 @@ def test_compiled_and_plain_kernels_agree(rng, plain, monkeypatch):
     readings, live_readings = record(rng), stepped(rng)
     compiled = [whole_record(readings), live(live_readings)]
     lines = Lines(*plain)
-    for module in (kalman, blocks, steady_state, model_draws):
+    for module in (kalman, blocks, model_draws):
         monkeypatch.setattr(module, "_kernels", plain[0])
     monkeypatch.setattr("aerobalance.estimation.live.filter.kernels", plain[1])
     before = sys.gettrace()

@@ -155,21 +155,6 @@ def filter_covariance(here: bool, model: Model, kept: int, P: Floats, K: Floats,
 
 
 @numba.njit(cache=True)
-def settled_covariance(P: Floats, model: Model, steps: int, tolerance: float) -> Floats:
-    """Follow a covariance (d, d) of the predicted state until it stands still, or over so many samples."""
-    d = model.h.size
-    out, work, K = np.empty((d, d)), np.empty((3, d, d)), np.empty(d)
-    for i in range(d):
-        for j in range(d):
-            out[i, j] = P[i, j]
-    for _ in range(steps):
-        _, change = filter_covariance(True, model, d, out, K, work)
-        if change < tolerance:
-            break
-    return out
-
-
-@numba.njit(cache=True)
 def chain(columns: Floats, states: Floats, forward: bool) -> None:
     """Add to each state (c, m, d) of several series what a matrix makes of the one before it.
 

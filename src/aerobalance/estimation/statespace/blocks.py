@@ -69,7 +69,10 @@ class BlockForms:
         entries = powers[:BLOCK] @ steady.entry
         own = np.eye(BLOCK) - _toeplitz_below(entries @ observation)
         whole = powers[BLOCK]
-        over, back = (np.pad(matrix, ((0, 0), (0, -matrix.shape[0] % WIDTH))) for matrix in (whole.T, whole))
+        # in one order of elements, for which the loop is compiled
+        room = np.zeros((2, len(whole), len(whole) + -len(whole) % WIDTH))
+        room[0, :, : len(whole)], room[1, :, : len(whole)] = whole.T, whole
+        over, back = room
         return cls(steady, powers, rows, own, np.ascontiguousarray(entries[::-1]), over, back)
 
     def chain(self, states: Array, *, forward: bool = True) -> None:

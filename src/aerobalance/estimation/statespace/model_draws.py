@@ -140,7 +140,8 @@ def _released(system: StateSpace, states: Array, rows: Array, count: int) -> Arr
     powers = powers_of(system.transition, BLOCK)
     edges = np.zeros((states.shape[1], -(-count // BLOCK), len(states)))
     edges[:, 0] = states.T
-    _kernels.chain(np.pad(powers[BLOCK].T, ((0, 0), (0, -len(states) % WIDTH))), edges, True)
+    padded = np.pad(powers[BLOCK].T, ((0, 0), (0, -len(states) % WIDTH)))
+    _kernels.chain(np.ascontiguousarray(padded), edges, True)
     along = (rows @ powers[:BLOCK]).transpose(1, 0, 2)  # (r, BLOCK, d)
     whole = edges @ along[:, None].transpose(0, 1, 3, 2)  # (r, s, blocks, BLOCK)
     return np.ascontiguousarray(whole.reshape(*whole.shape[:2], edges.shape[1] * BLOCK)[:, :, :count])

@@ -20,7 +20,6 @@ from typing import Final
 import numpy as np
 from scipy.linalg.lapack import dgeqrf
 
-from aerobalance.estimation.statespace import _kernels
 from aerobalance.estimation.statespace._kernels import Model
 from aerobalance.recording.channel import Array
 
@@ -98,7 +97,7 @@ class SteadyState:
             root = unit[:, None] * _covariance_root(model, unit, rounding=rounding)
             first = root @ root.T
             for steps in (MOST, 0):
-                steady = cls._with(model, initial, _kernels.settled_covariance(first, model, steps, STILL), unit)
+                steady = cls._with(model, initial, _followed(first, model, steps=steps), unit)
                 if steady._forgets:
                     return steady
         return steady
@@ -185,3 +184,21 @@ def _covariance_root(model: Model, unit: Array, *, rounding: float) -> Array:
         if not change > STILL:
             break
     return U
+
+
+def _followed(P: Array, model: Model, *, steps: int) -> Array:
+    """Follow a covariance (d, d) of the predicted state until it stands still, or over so many samples."""
+    for _ in range(steps):
+        Ph = P @ model.h
+        S = model.R + model.h @ Ph
+        K = Ph / S
+        updated = P - np.outer(K, Ph)
+        updated += np.outer(model.R * K - updated @ model.h, K)  # the Joseph form, positive however small R is
+        following = _symmetric(model.A @ updated @ model.A.T) + model.Q
+        size = np.sqrt(np.diag(following))
+        change = np.abs(following - P) / (np.outer(size, size) + 1e-300)
+        shown = np.abs(following @ model.h - Ph) / (np.sqrt(model.h @ following @ model.h) * size + 1e-300)
+        P = following
+        if max(float(change.max()), float(shown.max())) < STILL:
+            break
+    return P
