@@ -10,7 +10,7 @@ from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
-from aerobalance.uncertainty.regression import covariance_of, regress
+from aerobalance.uncertainty.regression import regress
 
 SAMPLES = 1200
 TIME = np.arange(SAMPLES) / SAMPLES
@@ -54,7 +54,7 @@ def test_a_gain_that_is_not_known_moves_all_coefficients_together() -> None:
 def test_one_sum_has_the_variance_that_a_contribution_gives_it(rng) -> None:
     red = Noise("noise", "PM", 1 + TIME, 1 / np.linspace(1, 30, 601))
     weights = rng.normal(size=(3, SAMPLES))
-    found = covariance_of(red, weights)
+    found = red.covariance_of(weights)
     for place in range(3):
         assert found[place, place] == pytest.approx(red.variance_of(weights[place]))
     both = red.variance_of(weights[0] + weights[1])

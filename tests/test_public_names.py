@@ -13,7 +13,7 @@ import pytest
 import aerobalance as ab
 from aerobalance.app.demos.six_demo import largest_felt
 from aerobalance.balance.calibration.fit import Calibration
-from aerobalance.estimation.force import Force
+from aerobalance.estimation.applied_force import Force
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError

@@ -9,9 +9,11 @@ import pytest
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import EquivalentModel, Mode
+from aerobalance.estimation.component_force import Fitted
 from aerobalance.estimation.correlated_noise import UNSEEN, NoiseMatrix, SharedNoise, filtered, shared_noise
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.force import Fitted, estimate_force, predicted_noise
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.forces import predicted_noise
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording

@@ -8,7 +8,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -42,12 +42,15 @@ class LoadSettings:
     points_apart
         Noise from row to row, over the scatter of the calibration's readings, from which rows are doubted to be
         samples.
+    rows
+        Samples whose covariance is in memory at once.
     """
 
     beyond: float = 0.02
     nearly_diverging: float = 0.5
     most_points: int = 500
     points_apart: float = 20.0
+    rows: int = 1 << 13
 
 
 SETTINGS: Final = LoadSettings()
@@ -120,6 +123,37 @@ class Loads:
     def matrix_errors(self) -> MatrixErrors:
         """Where the matrix was used: how errors of its coefficients change these loads."""
         return MatrixErrors(self.balance, self.components, self.transform, self.native)
+
+    @property
+    def name(self) -> str:
+        """What the run is called in messages."""
+        return self.recording.name
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.values)
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate [Hz]."""
+        return self.recording.rate
+
+    @property
+    def start(self) -> float:
+        """Time of the first sample [s]."""
+        return self.recording.start
+
+    def part(self, begin: int, end: int) -> Loads:
+        """The loads of the samples from one to another (not included)."""
+        own = slice(begin, end)
+        return replace(
+            self,
+            values=self.values[own],
+            calibration=self.calibration[own],
+            native=self.native[own],
+            recording=self.recording.part(begin, end),
+        )
 
     @property
     def without_weight_of_zero(self) -> Loads:
@@ -211,7 +245,7 @@ def loads_of_outputs(
     zero = _calibration_zero(recording, balance) if zero is None else zero
     if zero.model_on is None:
         raise ValueError(f"{zero.source}: {SAY_HOW_READ}")
-    progress = np.linspace(0, 1, table.shape[0])[:, None]
+    progress = np.linspace(recording.extent.begin, recording.extent.end, table.shape[0])[:, None]
     outputs = table - zero.values - zero.drift * progress
     outputs = _at_reference_temperature(outputs, recording, balance)
     solution = balance.loads(outputs)
@@ -233,12 +267,11 @@ def loads_of_outputs(
     noise = np.array([_noise(channel) for channel in channels])
     _check_rows(recording, balance, channels, noise)
     middle = balance.sensitivity(np.median(native[known], axis=0)[None, :])[0]
-    covariance = _static_covariance(balance, native, zero, channels)
     components, moments, T = _form_of(balance, form)
     slope = T @ middle
     scatter = np.sqrt(np.maximum(np.diag(slope @ np.diag(noise**2) @ slope.T), 0.0))
     values = native @ T.T if zero.operating_point is None else (native - zero.operating_point) @ T.T
-    calibration = np.sqrt(np.maximum(np.einsum("ij,njk,ik->ni", T, covariance, T), 0.0))
+    calibration = _static_deviation(balance, native, zero, channels, transform=T)
     if tare is not None:
         values = values - tare[0]
         calibration = np.hypot(calibration, tare[1])
@@ -301,24 +334,43 @@ def _at_reference_temperature(outputs: Array, recording: Recording, balance: Bal
     zero = np.array([effect.zero for effect in effects])
     gain = np.array([effect.sensitivity for effect in effects])
     # the zero was read at the run's own temperature: only what changes within the run moves it
-    moved = temperature - np.nanmean(temperature)
+    moved = temperature - recording.extent.means.get("temperature", float(np.nanmean(temperature)))
     return np.asarray((outputs - zero * moved) / (1 + gain * change))
+
+
+def beyond_range(balance: BalanceMatrix, native: Array) -> dict[str, int]:
+    """Samples outside the calibrated range, by the balance's own components; only those that have any.
+
+    Parameters
+    ----------
+    balance
+        The matrix.
+    native
+        Loads in its own components, shape (n, c); NaN where missing.
+    """
+    excess = _excess(balance, native)
+    counts = np.count_nonzero(excess > SETTINGS.beyond, axis=0).tolist()
+    return {name: count for name, count in zip(balance.components, counts, strict=True) if count}
+
+
+def _excess(balance: BalanceMatrix, native: Array) -> Array:
+    """How far loads lie outside the calibrated range, over that range, shape (n, c); negative within."""
+    least, most = balance.calibrated
+    return np.asarray(np.maximum(native - most, least - native) / (most - least))
 
 
 def _check_range(recording: Recording, balance: BalanceMatrix, native: Array) -> dict[str, int]:
     """Count the samples outside the calibrated range, and warn."""
     least, most = balance.calibrated
-    span = most - least
-    beyond = np.maximum(native - most, least - native) / span
-    counts = {name: int(np.count_nonzero(beyond[:, i] > SETTINGS.beyond)) for i, name in enumerate(balance.components)}
-    for i, (name, count) in enumerate(counts.items()):
-        if count:
+    beyond, counts = _excess(balance, native), beyond_range(balance, native)
+    for i, name in enumerate(balance.components):
+        if name in counts:
             _warn(
-                f"{recording.name}: {name} leaves the calibrated range ({least[i]:.4g} to {most[i]:.4g}) in {count} "
-                f"of {native.shape[0]} samples, by up to {100 * beyond[:, i].max():.3g} % of it; the matrix is "
-                "extrapolated there"
+                f"{recording.name}: {name} leaves the calibrated range ({least[i]:.4g} to {most[i]:.4g}) in "
+                f"{counts[name]} of {native.shape[0]} samples, by up to {100 * beyond[:, i].max():.3g} % of it; the "
+                "matrix is extrapolated there"
             )
-    return {name: count for name, count in counts.items() if count}
+    return counts
 
 
 def _check_iteration(recording: Recording, balance: BalanceMatrix, native: Array) -> float:
@@ -360,19 +412,35 @@ def _check_rows(recording: Recording, balance: BalanceMatrix, channels: Sequence
         )
 
 
-def _static_covariance(balance: BalanceMatrix, native: Array, zero: GaugeZero, channels: Sequence[Channel]) -> Array:
-    """Covariance of the loads from matrix, zeros and the bridges' gains, shape (n, c, c)."""
-    filled = np.nan_to_num(native)
-    covariance = balance.load_covariance(filled)
-    slope = balance.sensitivity(np.median(filled, axis=0)[None, :])[0]
-    of_zero = np.diag(zero.u**2 + zero.drift**2 / 12)
-    covariance += slope @ of_zero @ slope.T
+def _static_deviation(
+    balance: BalanceMatrix, native: Array, zero: GaugeZero, channels: Sequence[Channel], *, transform: Array
+) -> Array:
+    """Standard uncertainty of the loads from matrix, zeros and the bridges' gains, shape (n, c)."""
+    slope = balance.sensitivity(np.median(np.nan_to_num(native), axis=0)[None, :])[0]
+    of_zero = slope @ np.diag(zero.u**2 + zero.drift**2 / 12) @ slope.T
     gains = np.array([channel.relative_uncertainty for channel in channels])
-    if gains.any():
-        own = filled * gains
-        covariance[:, np.arange(len(gains)), np.arange(len(gains))] += own**2
-    covariance[~np.isfinite(native).all(axis=1)] = np.nan
-    return covariance
+
+    def variance(rows: Array) -> Array:
+        filled = np.nan_to_num(rows)
+        covariance = balance.load_covariance(filled) + of_zero
+        if gains.any():
+            own = filled * gains
+            covariance[:, np.arange(len(gains)), np.arange(len(gains))] += own**2
+        covariance[~np.isfinite(rows).all(axis=1)] = np.nan
+        return _variances(covariance, transform)
+
+    return np.sqrt(np.maximum(_by_rows(variance, native), 0.0))
+
+
+def _variances(covariance: Array, transform: Array) -> Array:
+    """Variances of transformed loads, shape (n, c), from covariances of shape (n, c, c)."""
+    return np.asarray(np.einsum("ij,njk,ik->ni", transform, covariance, transform))
+
+
+def _by_rows(work: Callable[[Array], Array], rows: Array) -> Array:
+    """Work on rows, shape (n, c), some at a time, as a covariance of every one of them takes much memory."""
+    found = [work(rows[first : first + SETTINGS.rows]) for first in range(0, rows.shape[0], SETTINGS.rows)]
+    return np.concatenate(found) if found else work(rows)
 
 
 def wind_off_loads(
@@ -435,13 +503,13 @@ def static_uncertainty(felt: Loads, *, forces: Mapping[str, Array]) -> dict[str,
     T = felt.transform
     offset = felt.native @ T.T - felt.values
     native = np.linalg.solve(T, (np.column_stack(columns) + np.nan_to_num(offset)).T).T
-    covariance = felt.balance.load_covariance(np.nan_to_num(native))
-    at_load = felt.balance.load_covariance(np.nan_to_num(felt.native))
-    u = {}
-    for i, name in enumerate(felt.components):
-        own, before = (np.einsum("j,njk,k->n", T[i], table, T[i]) for table in (covariance, at_load))
-        u[name] = np.sqrt(np.maximum(felt.calibration[:, i] ** 2 - before, 0.0) + own)
-    return u
+
+    def variance(rows: Array) -> Array:
+        return _variances(felt.balance.load_covariance(np.nan_to_num(rows)), T)
+
+    known = felt.calibration**2 - _by_rows(variance, felt.native)
+    u = np.sqrt(np.maximum(known, 0.0) + _by_rows(variance, np.asarray(native)))
+    return {name: u[:, i] for i, name in enumerate(felt.components)}
 
 
 def _with_loads(recording: Recording, felt: Loads) -> Recording:

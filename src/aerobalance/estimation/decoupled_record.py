@@ -30,6 +30,38 @@ SMALL: Final = 1e-6
 """Relative change of the mass's parameters over which its slopes are taken; the matrix is a polynomial in them."""
 
 
+@dataclass(slots=True, eq=False)
+class MassErrors:
+    """What coupled components feel of gravity and the ground's motion by an error of the moving mass.
+
+    Attributes
+    ----------
+    coupled
+        The components.
+    platform
+        What the ground end does.
+    interval
+        Time between samples [s].
+    """
+
+    coupled: CoupledDynamics
+    platform: PlatformMotion
+    interval: float
+    _felt: list[Array] | None = None
+
+    def felt(self) -> list[Array]:
+        """Balance loads by a unit of each of `MASS_PARAMETERS`, shape (samples, n) each; worked out once."""
+        if self._felt is None and self.coupled.mass is not None:
+            own = [COMPONENTS.index(component) for component in self.coupled.components]
+            # the loads count from a zero that was read under the weight: the mass is wrong there too
+            acting = self.platform.specific_force + self.platform.gravity_on_zero
+            self._felt = [
+                load_felt(self.coupled, -acting @ part[own].T, interval=self.interval)
+                for part in mass_slopes(self.coupled.mass)
+            ]
+        return self._felt or []
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DecoupledRecord(ComponentRecord):
     """One of several coupled components, decoupled from the others.
@@ -51,6 +83,8 @@ class DecoupledRecord(ComponentRecord):
         What the ground end does.
     others
         Those others whose noise is taken off its reading.
+    of_mass
+        What the balance feels of the ground's motion by an error of the mass, the same for all components.
     """
 
     coupled: CoupledDynamics
@@ -59,6 +93,7 @@ class DecoupledRecord(ComponentRecord):
     channels: tuple[Channel, ...]
     platform: PlatformMotion
     others: tuple[DecoupledChannel, ...] = ()
+    of_mass: MassErrors
 
     @property
     def input_noise(self) -> float:
@@ -92,23 +127,25 @@ class DecoupledRecord(ComponentRecord):
             return Systematic(name, "dynamics", (), np.zeros((values.size, 0)), np.zeros((0, 0)))
         in_reading = self._parameter_slopes(rows)
         covariance = self.coupled.covariance[np.ix_(rows, rows)]
+        root = covariance_root(self.coupled.covariance, reduced=False)[rows]
         names = [self.coupled.parameters[number] for number in rows]
         if self.shared is not None:
             # of all rows' parameters few directions show: the rest is neither worked out nor kept sample by sample
-            in_reading = _directions(in_reading, covariance, least=FAINT * self.shared.before)
+            turned = _directions(in_reading, root, least=FAINT * self.shared.before)
+            in_reading, root = in_reading @ (root @ turned), turned.T
             names = [f"direction {number} of inertia and damping" for number in range(1, in_reading.shape[1] + 1)]
             covariance = np.eye(in_reading.shape[1])
         slopes = through(in_reading)
+        root = np.pad(root, ((0, 0), (0, len(MASS_PARAMETERS))))
         if mass is not None and mass.covariance.any() and self.platform.specific_force.any():
-            own = [COMPONENTS.index(component) for component in self.coupled.components]
-            # the loads count from a zero that was read under the weight: the mass is wrong there too
-            acting = self.platform.specific_force + self.platform.gravity_on_zero
-            felt = [self._felt(-acting @ part[own].T) for part in mass_slopes(mass)]
+            felt = [self._read(part) for part in self.of_mass.felt()]
             slopes = np.column_stack([slopes, -through(np.column_stack(felt))])
             zero = np.zeros((len(names), len(felt)))
             covariance = np.block([[covariance, zero], [zero.T, mass.covariance]])
+            of_mass = covariance_root(mass.covariance, reduced=False)
+            root = np.vstack([root, np.pad(of_mass, ((0, 0), (root.shape[1] - len(felt), 0)))])
             names += list(MASS_PARAMETERS)
-        return Systematic(name, "dynamics", tuple(names), slopes, covariance)
+        return Systematic(name, "dynamics", tuple(names), slopes, covariance, root)
 
     def _parameter_slopes(self, rows: NDArray[np.intp]) -> Array:
         """Change of the reading with each of these parameters, shape (samples, k)."""
@@ -167,11 +204,10 @@ class DecoupledRecord(ComponentRecord):
         return parts
 
 
-def _directions(slopes: Array, covariance: Array, *, least: float) -> Array:
-    """Slopes (n, p) turned to independent quantities of variance 1, the faintest of rms below `least` left out."""
-    root = covariance_root(covariance)
+def _directions(slopes: Array, root: Array, *, least: float) -> Array:
+    """Combinations (r, k) of independent quantities, slopes (n, p) times root (p, r), whose rms is above `least`."""
     power, turned = np.linalg.eigh(root.T @ (slopes.T @ slopes) @ root / slopes.shape[0])
-    return np.asarray(slopes @ (root @ turned[:, power > least**2]))
+    return np.asarray(turned[:, power > least**2])
 
 
 def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Array:

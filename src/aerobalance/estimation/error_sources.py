@@ -6,11 +6,18 @@ the time is a noise of some spectrum. The first does not average out, the second
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
 from aerobalance.recording.channel import Array
+from aerobalance.recording.linalg import covariance_root
+
+UNSEEN: Final = 1e-3
+"""Rms of what a quantity does to the force, over that of all quantities of a contribution, below which it is left out
+where a record is summed up: of seventy elements of matrices, ten or twenty combinations show."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +36,11 @@ class Systematic:
         Derivative of the force with respect to each, shape (n, p) [N per unit of the quantity].
     covariance
         Covariance of the quantities, shape (p, p).
+    root
+        Which independent numbers of variance 1, common to all parts of a record, the quantities are made of, shape
+        (p, r), root root^T being the covariance; the root of the covariance where left out, as it is the same for all.
+    local
+        Whether the quantities belong to this part of a record alone, as the size of a step does.
     """
 
     name: str
@@ -36,6 +48,8 @@ class Systematic:
     quantities: tuple[str, ...]
     slopes: Array
     covariance: Array
+    root: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    local: bool = False
 
     @property
     def deviation(self) -> Array:
@@ -47,6 +61,34 @@ class Systematic:
     def halved(self) -> float:
         """What is left of the contribution when its cause is halved, relative [1]."""
         return 0.5
+
+    @property
+    def numbers(self) -> Array:
+        """What the quantities are of independent numbers of variance 1, shape (p, r)."""
+        return self.root if self.root.size else covariance_root(self.covariance, reduced=False)
+
+    @property
+    def few(self) -> Systematic:
+        """The same by as few independent quantities of variance 1 as show in the force."""
+        root = self.numbers
+        if not root.size or not self.slopes.size:
+            none = np.zeros((self.slopes.shape[0], 0))
+            return replace(self, quantities=(), slopes=none, covariance=np.zeros((0, 0)), root=root[:0])
+        own = self.slopes @ root
+        power, turned = np.linalg.eigh(own.T @ own)
+        kept = turned[:, power > UNSEEN**2 * power.sum()]
+        names = tuple(f"combination {number}" for number in range(1, kept.shape[1] + 1))
+        covariance = np.eye(kept.shape[1])
+        return replace(self, quantities=names, slopes=own @ kept, covariance=covariance, root=kept.T.copy())
+
+    def within(self, samples: slice) -> Systematic:
+        """The same for some of the samples."""
+        return replace(self, slopes=self.slopes[samples])
+
+    def covariance_of(self, weights: Array) -> Array:
+        """Covariance of weighted sums of the samples, shape (k, k) [N^2]; weights of shape (k, n) [1]."""
+        gradient = weights @ self.slopes
+        return np.asarray(gradient @ self.covariance @ gradient.T)
 
     def variance_of(self, weights: Array) -> float:
         """Variance of a weighted sum of the samples [N^2]; weights of shape (n,) [1]."""
@@ -79,12 +121,21 @@ class Noise:
     spectrum: Array
     halved: float = 0.5
 
+    def within(self, samples: slice) -> Noise:
+        """The same for some of the samples."""
+        return replace(self, deviation=self.deviation[samples])
+
+    def covariance_of(self, weights: Array) -> Array:
+        """Covariance of weighted sums of the samples, shape (k, k) [N^2]; weights of shape (k, n) [1]."""
+        count = 2 * weights.shape[1]  # twice the record, so that its end does not touch its beginning
+        lines = np.fft.rfft(weights * self.deviation, count, axis=1)
+        power = self.relative_density(count // 2 + 1) / count
+        power[1:-1] *= 2
+        return np.asarray(np.real((lines * power) @ lines.conj().T))
+
     def variance_of(self, weights: Array) -> float:
         """Variance of a weighted sum of the samples [N^2]; weights of shape (n,) [1]."""
-        count = 2 * weights.size  # twice the record, so that its end does not touch its beginning
-        power = np.abs(np.fft.rfft(weights * self.deviation, count)) ** 2
-        power[1:-1] *= 2
-        return float(power @ self.relative_density(power.size) / count)
+        return float(self.covariance_of(weights[None])[0, 0])
 
     def relative_density(self, count: int) -> Array:
         """Spectrum at so many frequencies from 0 to half the sampling rate, shape (count,) [1]."""
@@ -98,7 +149,70 @@ class Noise:
         return self.deviation * np.fft.irfft(white * np.sqrt(self.relative_density(white.size)), 2 * size)[:size]
 
 
-Contribution = Systematic | Noise
+@dataclass(frozen=True, slots=True, eq=False)
+class Divided:
+    """A contribution to a force that was worked out in parts.
+
+    Attributes
+    ----------
+    name, source
+        What it is, and the channel or file that it comes from.
+    samples
+        Samples of the record.
+    pieces
+        The first sample of each part that has the contribution, and what it is there.
+    """
+
+    name: str
+    source: str
+    samples: int
+    pieces: tuple[tuple[int, Systematic | Noise], ...]
+
+    @property
+    def deviation(self) -> Array:
+        """Standard uncertainty of every sample, shape (n,) [N]."""
+        whole = np.zeros(self.samples)
+        for first, piece in self.pieces:
+            own = piece.deviation
+            whole[first : first + own.size] = own
+        return whole
+
+    def covariance_of(self, weights: Array) -> Array:
+        """Covariance of weighted sums of the samples, shape (k, k) [N^2]; weights of shape (k, n) [1]."""
+        whole = np.zeros((weights.shape[0], weights.shape[0]))
+        common = np.zeros((weights.shape[0], 0))
+        for first, piece in self.pieces:
+            part = weights[:, first : first + piece.deviation.size]
+            if isinstance(piece, Noise) or piece.local:
+                whole += piece.covariance_of(part)
+            else:  # the same numbers are wrong in all parts
+                common = added(common, part @ piece.slopes @ piece.numbers)
+        return np.asarray(whole + common @ common.T)
+
+
+def added(one: Array, other: Array) -> Array:
+    """Sum of two matrices of k rows, of which one may lack columns at its end."""
+    if one.shape[1] < other.shape[1]:
+        one, other = other, one
+    whole = one.copy()
+    whole[:, : other.shape[1]] += other
+    return whole
+
+
+Contribution = Systematic | Noise | Divided
+
+
+def undivided(contributions: Sequence[Contribution]) -> list[Systematic | Noise]:
+    """The contributions to a force that was worked out in one piece.
+
+    Raises
+    ------
+    ValueError
+        It was worked out in parts, and has a summary.
+    """
+    if any(isinstance(part, Divided) for part in contributions):
+        raise ValueError("the contributions of a force worked out in parts cannot be summed up again")
+    return [part for part in contributions if not isinstance(part, Divided)]
 
 
 def total_deviation(contributions: tuple[Contribution, ...]) -> Array:

@@ -7,167 +7,44 @@ warnings.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
-from typing import TYPE_CHECKING, Final, TypeVar
+from itertools import chain
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from aerobalance.balance.calibration.fit import Calibration
-from aerobalance.balance.calibration_nonlinearity import NonlinearErrors
-from aerobalance.balance.loads import Loads, static_uncertainty
+from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.zeros import Zero
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
-from aerobalance.estimation.component_force import Fitted, Method, by_smoother, estimated, noise_of_component
-from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
+from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.component_force import Method, noise_of_component
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.decoupled_record import mass_rows
-from aerobalance.estimation.display import html, plot, summary, to_dataframe, to_xarray
-from aerobalance.estimation.record import ComponentRecord, IndependentRecord
-from aerobalance.estimation.result import ComponentForce, with_balance
+from aerobalance.estimation.force_collector import ForceCollector
+from aerobalance.estimation.force_parts import DIVISION, Division, ForcePart, Joiner
+from aerobalance.estimation.forces import ForceRecord, ForceSettings, forces_of, with_matrix
+from aerobalance.estimation.record import FEWEST_SAMPLES, IndependentRecord
+from aerobalance.estimation.result import with_few
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge
-from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, warn_quality
+from aerobalance.recording.errors import GAUGES_BECOME_LOADS, DataQualityWarning, FitError, warn_quality
+from aerobalance.recording.part_warnings import PartWarnings
+from aerobalance.recording.parts import LongRecord, Part
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import align_channels, interpolate_gaps
+from aerobalance.recording.resampling import interpolate_gaps
 
 if TYPE_CHECKING:
-    import pandas as pd
-    import xarray as xr
-    from matplotlib.figure import Figure
-
-PASSES: Final = 2
-"""Most times that gaps are filled anew by what the forces found make the balance read."""
-
-SETTLED: Final = 5.0
-"""Change of what fills a gap, over the noise of a reading, which no force would notice."""
+    pass
 
 SAME_WEIGHT: Final = 1e-3
 """Difference of two weights, over the largest, that attitudes which are averaged may make."""
-
-ForceRecord = IndependentRecord | CoupledRecord
-"""A recording with the dynamics of its components, made ready for the estimator."""
-
-
-@dataclass(frozen=True, slots=True)
-class ForceSettings:
-    """How a force is worked out.
-
-    Attributes
-    ----------
-    method
-        ``"smoother"``: the optimal estimator. ``"paper"``: three-point central differences.
-    bandwidth
-        If given, the inverse limited to this band [Hz], zero phase, whichever the method.
-    gravity, gravity_uncertainty
-        Local acceleration of gravity and its standard uncertainty [m/s^2].
-    hum
-        What the smoother takes for hum and not for force: ``"mains"`` steady lines at 50 or 60 Hz and harmonics that
-        stand out of the reading (with a warning that names them), ``"keep"`` none, or lines near given frequencies
-        [Hz].
-    """
-
-    method: Method = "smoother"
-    bandwidth: float | None = None
-    gravity: float = STANDARD_GRAVITY
-    gravity_uncertainty: float = 0.0
-    hum: Hum = "mains"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Force(Mapping[str, ComponentForce]):
-    """The forces and moments applied, by component, with what they were worked out from.
-
-    ``force["NF"].values`` and ``force["NF"].uncertainty`` are the force and its standard uncertainty [N].
-
-    Attributes
-    ----------
-    parts
-        The force of each component.
-    record
-        The balance loads, with the dynamics and the motion of the ground that go with them.
-    settings
-        How the forces were worked out.
-    loads
-        The loads with their matrix, where they come from gauge outputs; None where loads were given.
-    noises
-        Spectra of the noise of the components' readings, where a record of noise was given.
-    """
-
-    parts: Mapping[str, ComponentForce]
-    record: ForceRecord
-    settings: ForceSettings = field(default_factory=ForceSettings)
-    loads: Loads | None = None
-    noises: Mapping[str, NoiseSpectrum] = field(default_factory=dict)
-
-    def __getitem__(self, component: str) -> ComponentForce:
-        return self.parts[component]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.parts)
-
-    def __len__(self) -> int:
-        return len(self.parts)
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Forces and their standard uncertainties, ``NF`` and ``u_NF`` [N, N*m], over the time [s]."""
-        return to_dataframe(self, self.recording)
-
-    def to_xarray(self) -> xr.Dataset:
-        """Forces and their standard uncertainties, ``NF`` and ``u_NF``, along ``time`` [s], with their units."""
-        return to_xarray(self, self.recording)
-
-    def plot(self) -> Figure:
-        """Figure of the forces with bands of 95 %, above the balance loads; one component below the other."""
-        return plot(self, self.recording)
-
-    def __repr__(self) -> str:
-        return summary(self, self.recording)
-
-    def _repr_html_(self) -> str:
-        return html(self, self.recording)
-
-    @property
-    def only(self) -> ComponentForce:
-        """The force of the one component there is.
-
-        Raises
-        ------
-        ValueError
-            There are several.
-        """
-        if len(self.parts) != 1:
-            raise ValueError(f'there are several components, {", ".join(self.parts)}: name one, as in force["NF"]')
-        return next(iter(self.parts.values()))
-
-    @property
-    def components(self) -> tuple[str, ...]:
-        """Names of the n components."""
-        return tuple(self.parts)
-
-    @property
-    def recording(self) -> Recording:
-        """The run with its balance loads: clock, motion and attitude."""
-        return self.record.recording
-
-    @property
-    def dynamics(self) -> IndependentDynamics | CoupledDynamics:
-        """The dynamics that the forces were worked out with."""
-        return self.record.dynamics
-
-    @property
-    def filled(self) -> Array:
-        """Readings of the components with their gaps filled by what the forces make the balance read, (samples, n)."""
-        filled = interpolate_gaps(self.record.loads)
-        if not self.record.has_gaps:
-            return filled
-        return self.record.filled_by({name: one.values for name, one in self.parts.items()}, filled=filled)
 
 
 def estimate_force(
@@ -211,27 +88,150 @@ def estimate_force(
     """
     settings = ForceSettings(method, bandwidth, gravity, gravity_uncertainty, hum)
     model = dynamics_of(dynamics)
+    if balance is None and zero is not None:
+        raise ValueError("a zero is of gauge outputs: give the balance matrix that makes loads of them as well")
 
     def made_ready(given: Recording | Loads) -> Recording | Loads:
         if balance is None or isinstance(given, Loads):
             return given
         return reduce_outputs(given, balance, zero=zero, model=model, gravity=gravity)
 
-    if balance is None and zero is not None:
-        raise ValueError("a zero is of gauge outputs: give the balance matrix that makes loads of them as well")
-    given = made_ready(run)
+    calm = made_ready(noise) if isinstance(noise, Recording | Loads) else noise
+    return ForceWork(run, model, made_ready=made_ready, noise=calm, settings=settings).force()
+
+
+MadeReady = Callable[[Recording | Loads], Recording | Loads]
+"""Makes balance loads of gauge outputs, and gives loads as they are."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceWork:
+    """What the forces of a record of any length are worked out from.
+
+    Attributes
+    ----------
+    record
+        As `run` in `estimate_force`, or a record in a file of which no more than a part is in memory.
+    dynamics
+        The components.
+    made_ready
+        Makes loads of the samples of a part that are gauge outputs.
+    noise
+        A record of noise alone, made ready, or spectra by component.
+    settings
+        How the forces are worked out.
+    division
+        How the record is divided.
+    """
+
+    record: LongRecord[Recording | Loads]
+    dynamics: IndependentDynamics | CoupledDynamics
+    made_ready: MadeReady = lambda given: given
+    noise: Recording | Loads | Mapping[str, NoiseSpectrum] | None = None
+    settings: ForceSettings = field(default_factory=ForceSettings)
+    division: Division = field(default_factory=lambda: DIVISION)
+
+    def parts(self) -> Iterator[ForcePart]:
+        """Forces of the record [N, N*m], part by part; a record that is short enough is one part.
+
+        Raises
+        ------
+        FitError
+            As in `estimate_force`; no part of the record has readings.
+        """
+        record, parts = self.record, self.division.parts(self.record, self.dynamics)
+        told = PartWarnings(record)
+        joiner: Joiner | None = None
+        silent: list[Part] = []
+        for part in parts:
+            force: Force | None = None
+            with told.of(part):
+                given = self._ready(part)
+                names = _present(given, self.dynamics)
+                if part.count == 1 or _has_readings(given, names):
+                    force = _undivided(given, self.dynamics, self.settings, noise=self.noise, whole=part.count == 1)
+            del given  # the next part needs the memory
+            if joiner is None:
+                joiner = Joiner(record, tuple(force or names), self.division, told)
+            if force is None:
+                silent.append(part)
+            joined = joiner.joined(part, force)
+            del force
+            yield joined
+            del joined
+        if len(silent) == len(parts):
+            raise FitError(f"{record.name}: no part of the record has {FEWEST_SAMPLES} readings of each component")
+        for part in silent:
+            told.add(part, f"{record.name}: there are not {FEWEST_SAMPLES} readings, and there is no force")
+        told.tell()
+
+    def force(self) -> Force:
+        """Forces of a record that is in memory, its parts put together."""
+        parts = self.parts()
+        first = next(parts)
+        if first.part.count == 1 and isinstance(first.force, Force):
+            return first.force
+        found = ForceCollector(self.record.samples).collected(chain([first], parts))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataQualityWarning)  # said of the parts
+            given = self.made_ready(self.record.part(0, self.record.samples))
+            record = force_record(given, self.dynamics, **self.settings.earth)
+        return Force(found, record, self.settings, given if isinstance(given, Loads) else None, {})
+
+    def force_of(self, part: Part) -> Force:
+        """Forces of one part with all that their uncertainty consists of; what is to be said of it was said before."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataQualityWarning)
+            return _undivided(self._ready(part), self.dynamics, self.settings, noise=self.noise, whole=True)
+
+    def _ready(self, part: Part) -> Recording | Loads:
+        return self.made_ready(self.record.part(part.begin, part.end))
+
+
+def _present(given: Recording | Loads, dynamics: IndependentDynamics | CoupledDynamics) -> tuple[str, ...]:
+    """Components of the dynamics that a run has."""
+    recording = given.recording if isinstance(given, Loads) else given
+    return tuple(name for name in dynamics.components if name in recording)
+
+
+def _has_readings(given: Recording | Loads, components: Sequence[str]) -> bool:
+    """Whether a part of a run has enough readings of each component."""
+    recording = given.recording if isinstance(given, Loads) else given
+    counts = [np.count_nonzero(np.isfinite(recording.channel(name).values)) for name in components]
+    return bool(min(counts, default=FEWEST_SAMPLES) >= FEWEST_SAMPLES)
+
+
+def _undivided(
+    given: Recording | Loads,
+    model: IndependentDynamics | CoupledDynamics,
+    settings: ForceSettings,
+    *,
+    noise: Recording | Loads | Mapping[str, NoiseSpectrum] | None,
+    whole: bool,
+) -> Force:
+    """Forces of a run that is worked out at once.
+
+    Parameters
+    ----------
+    given
+        The run, its gauge outputs made loads.
+    model, settings, noise
+        As in `force_parts`.
+    whole
+        Whether all contributions to the uncertainty are kept as they are, and not as few numbers as show.
+    """
     if isinstance(given, Recording) and given.from_outputs:
         warn_quality(
             f"{given.name}: the loads were worked out from gauge outputs, and the errors of the balance matrix are "
             "not in the uncertainty: give the loads as reduce_outputs returns them, not their recording alone"
         )
-    record = force_record(given, model, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
+    record = force_record(given, model, **settings.earth)
     if isinstance(noise, Recording | Loads):
-        noise = noise_spectra(made_ready(noise), record, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
+        noise = noise_spectra(noise, record, **settings.earth)
     noises = {} if noise is None else noise
-    parts = _forces(record, settings, noises=noises)
+    parts = forces_of(record, settings, noises=noises, kept=(lambda one: one) if whole else with_few)
     if isinstance(given, Loads):
-        parts = _with_matrix(parts, given, model)
+        parts = with_matrix(parts, given, model)
     return Force(parts, record, settings, given if isinstance(given, Loads) else None, noises)
 
 
@@ -331,115 +331,3 @@ def noise_spectra(
         name: noise_of_component(component)
         for name, component in record.component_records(interpolate_gaps(record.loads)).items()
     }
-
-
-def _with_matrix(
-    parts: Mapping[str, ComponentForce], loads: Loads, dynamics: IndependentDynamics | CoupledDynamics
-) -> dict[str, ComponentForce]:
-    """Return the forces with the errors of the balance matrix in their uncertainty."""
-    static = static_uncertainty(loads, forces={name: found.values for name, found in parts.items()})
-    highest = max(found.bandwidth for found in parts.values())
-    curvature = NonlinearErrors.of(loads, rate=loads.recording.rate, highest=highest)
-    order = [dynamics.components.index(name) for name in parts]
-    inverse = dynamics.inverse_response(curvature.resolved)[:, order][:, :, order]
-    densities = curvature.in_force(inverse - np.eye(len(order)), list(parts))
-    return {
-        name: with_balance(
-            found,
-            np.hypot(static[name], curvature.offset(name)),
-            curvature=curvature.as_noise(density, bandwidth=found.bandwidth),
-        )
-        for (name, found), density in zip(parts.items(), densities.T, strict=True)
-    }
-
-
-def _forces(
-    record: ForceRecord, settings: ForceSettings, *, noises: Mapping[str, NoiseSpectrum]
-) -> dict[str, ComponentForce]:
-    """The forces of all components of a record."""
-    if not by_smoother(method=settings.method, bandwidth=settings.bandwidth):
-        inverse = partial(estimated, method=settings.method, bandwidth=settings.bandwidth, hum=settings.hum)
-        return _with_gaps_filled(record, inverse, lambda one: (one.values, one.noise), noises=noises)[0]
-    fitted = partial(Fitted.of, hum=settings.hum)
-    fits, filled = _with_gaps_filled(
-        record, fitted, lambda fit: (fit.smoothed.force, fit.signal.learned.noise), noises=noises
-    )
-    for name, shared in predicted_noise(fits, record, filled=filled).items():
-        component = record.component_record(name, filled, shared=shared)
-        if as_expected(component.reading(), fits[name].signal.learned):
-            fits[name] = fitted(component)
-    return {name: fit.estimate() for name, fit in fits.items()}
-
-
-Answer = TypeVar("Answer")
-
-
-def _with_gaps_filled(
-    record: ForceRecord,
-    work: Callable[[ComponentRecord], Answer],
-    known: Callable[[Answer], tuple[Array, float]],
-    *,
-    noises: Mapping[str, NoiseSpectrum] | None,
-) -> tuple[dict[str, Answer], Array]:
-    """Return answers by component, and the readings with their gaps filled by what the forces found make them.
-
-    Parameters
-    ----------
-    record
-        The record.
-    work
-        Makes an answer of a decoupled component.
-    known
-        Force and noise of a reading, of an answer.
-    noises
-        Spectra of the noise of the decoupled components, where they are known.
-    """
-    filled = interpolate_gaps(record.loads)
-    found = {name: work(component) for name, component in record.component_records(filled, noises=noises).items()}
-    for _ in range(PASSES if record.has_gaps else 0):
-        facts = {name: known(one) for name, one in found.items()}
-        better = record.filled_by({name: force for name, (force, _) in facts.items()}, filled=filled)
-        if (np.abs(better - filled) < SETTLED * np.array([noise for _, noise in facts.values()])).all():
-            break
-        filled = better
-        found = {name: work(component) for name, component in record.component_records(filled, noises=noises).items()}
-    return found, filled
-
-
-def predicted_noise(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: Array) -> dict[str, SharedNoise]:
-    """Return the noise that other components predict, by component; only where the force is the better for it [N].
-
-    Parameters
-    ----------
-    fits
-        What each component's reading gives by itself.
-    record, filled
-        As in `filled_by`.
-    """
-    learned = [fit.signal.learned for fit in fits.values()]
-    if isinstance(record, IndependentRecord) or not record.is_coupled:
-        return {}
-    if any(one.color is not None for one in learned):
-        return {}
-    mass = mass_rows(record.dynamics)
-    spectra = NoiseMatrix.of(
-        record.decoupled,
-        learned,
-        interval=record.interval,
-        noise=record.noise,
-        ground=mass @ record.platform.covariance @ mass.T,
-    )
-    residuals = np.column_stack([fit.smoothed.residuals for fit in fits.values()])
-    present = np.column_stack([np.isfinite(record.loads[:, one.partners]).all(axis=1) for one in record.decoupled])
-    shared = {}
-    for place, channel in enumerate(record.channels):
-        one = shared_noise(
-            spectra,
-            place,
-            residuals=align_channels(residuals, record.channels, to=channel, interval=record.interval),
-            present=present,
-            readings=partial(record.reading, on_clock_of=place, filled=filled),
-        )
-        if one is not None:
-            shared[channel.name] = one
-    return shared

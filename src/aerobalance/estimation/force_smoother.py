@@ -229,7 +229,7 @@ class SmootherResult:
         slopes = forms - self.estimator.smooth(X)
         source = self.reading.dynamics.component
         return [
-            Systematic("size and instant of steps", source, tuple(names), slopes, covariance),
+            Systematic("size and instant of steps", source, tuple(names), slopes, covariance, local=True),
             Noise("which side of a step a sample is on", source, np.sqrt(edge), np.ones(1)),
         ]
 

@@ -113,7 +113,7 @@ class ComponentRecord(ABC):
             hum=hum,
         )
         if self.noise is not None:
-            color = self.noise.colored_part(channel.values.size * self.interval)
+            color = self.noise.colored_part(self.recording.whole_duration)
             return replace(reading, noise=self.noise.deviation, color=color)
         if self.shared is not None:
             return replace(reading, noise=self.shared.white, color=self.shared.color)

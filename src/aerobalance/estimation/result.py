@@ -11,7 +11,45 @@ from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
 from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.spectra.line_noise import Line
 from aerobalance.estimation.steps import Step
+from aerobalance.estimation.sums import ForceSums, SpectrumSums
 from aerobalance.recording.channel import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceSummary:
+    """What is left of the force along one component when its samples are gone.
+
+    Attributes
+    ----------
+    component, method, noise, bandwidth, noise_gain, steps, hum, assumptions
+        As in `ComponentForce`.
+    sums, spectrum
+        Sums over its samples.
+    """
+
+    component: str
+    method: str
+    noise: float
+    bandwidth: float
+    noise_gain: float
+    steps: tuple[Step, ...]
+    hum: tuple[Line, ...]
+    assumptions: tuple[str, ...]
+    sums: ForceSums
+    spectrum: SpectrumSums
+
+    @property
+    def rms_uncertainty(self) -> float:
+        """Root mean square of the standard uncertainty of the samples [N]."""
+        return float(np.sqrt(self.sums.variance / self.sums.samples))
+
+    @property
+    def budget(self) -> dict[str, float]:
+        """Root mean square of each contribution to the uncertainty [N]."""
+        squares: dict[str, float] = {}
+        for (name, _), row in self.sums.rows.items():
+            squares[name] = squares.get(name, 0.0) + row.square
+        return {name: float(np.sqrt(square / self.sums.samples)) for name, square in squares.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +86,8 @@ class ComponentForce:
         Prior of the force and noise that the smoother took; None for the other methods.
     shared
         Noise that other components show and that was taken off the readings; None where none was.
+    summary
+        What sums up the force, where it was worked out in parts; None where the contributions tell it.
     """
 
     component: str
@@ -64,6 +104,7 @@ class ComponentForce:
     contributions: tuple[Contribution, ...] = ()
     learned: SpectralPrior | None = None
     shared: SharedNoise | None = None
+    summary: ForceSummary | None = None
 
 
 def with_balance(
@@ -104,6 +145,12 @@ def with_balance(
     )
 
 
+def with_few(estimate: ComponentForce) -> ComponentForce:
+    """The same with what holds along the record as the few independent numbers that show in the force."""
+    parts = tuple(part.few if isinstance(part, Systematic) else part for part in estimate.contributions)
+    return replace(estimate, contributions=parts)
+
+
 def _gain_and_offset(values: Array, static: Array) -> Systematic:
     """The error of a matrix as a gain and an offset: its variance is then a parabola over the force."""
     size = float(np.max(np.abs(values), initial=0.0)) or 1.0
@@ -116,4 +163,8 @@ def _gain_and_offset(values: Array, static: Array) -> Systematic:
     found = float(np.mean(np.sum((slopes @ covariance) * slopes, axis=1)))
     covariance *= float(np.mean(static**2)) / found if found > 0 else 0.0
     names = ("offset", f"gain, at {size:.4g}")
-    return Systematic("balance matrix, zeros and tares", "balance", names, slopes, covariance)
+    # the offset first, so that all parts of a record share the numbers that it and the gain are made of
+    along = np.sqrt(covariance[0, 0])
+    across = covariance[0, 1] / along if along > 0 else 0.0
+    root = np.array([[along, 0.0], [across, np.sqrt(max(covariance[1, 1] - across**2, 0.0))]])
+    return Systematic("balance matrix, zeros and tares", "balance", names, slopes, covariance, root)

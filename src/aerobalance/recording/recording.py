@@ -14,6 +14,7 @@ from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, warn_quality
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.jitter import following, on_steady_clock
+from aerobalance.recording.parts import Extent
 from aerobalance.recording.steady_clock import SteadyClock, first_repeated, steady_clock
 from aerobalance.recording.units import conversion_for
 
@@ -47,6 +48,8 @@ class Recording:
         Gravity on the mass whose weight was added to loads that count from a zero read under it.
     from_outputs
         Whether the loads were worked out from gauge outputs, by a matrix whose errors the recording does not hold.
+    extent
+        Which part of a longer record it is; the whole where it is no part.
     """
 
     name: str
@@ -58,6 +61,7 @@ class Recording:
     time_unit: str = "s"
     gravity_on_zero: GravityOnZero = field(default_factory=GravityOnZero)
     from_outputs: bool = False
+    extent: Extent = field(default_factory=Extent)
 
     @classmethod
     def from_columns(
@@ -214,6 +218,8 @@ class Recording:
     @property
     def samples(self) -> int:
         """Number of samples of the steady clock."""
+        for channel in self.channels.values():
+            return channel.values.size  # of a part, rows may be missing at its end
         return int(self.rows[-1]) + 1
 
     @property
@@ -227,11 +233,32 @@ class Recording:
         return (self.samples - 1) / self.rate
 
     @property
+    def whole_duration(self) -> float:
+        """Length of the record that it is a part of, or its own: its samples times the interval [s]."""
+        return self.samples / self.rate / (self.extent.end - self.extent.begin)
+
+    @property
     def gaps(self) -> list[tuple[float, float]]:
         """Start and length of every gap in the time column [s]."""
         steps = np.diff(self.rows)
         where = np.flatnonzero(steps > 1)
         return [(float(self.stamps[i]), float((steps[i] - 1) / self.rate)) for i in where]
+
+    def part(self, begin: int, end: int) -> Recording:
+        """The samples from one to another (not included) as a recording of their own, which knows where it belongs."""
+        if (begin, end) == (0, self.samples):
+            return self
+        rows = slice(*np.searchsorted(self.rows, (begin, end)))
+        last = max(self.samples - 1, 1)
+        means = {"temperature": float(np.nanmean(self.channel("temperature").values))} if "temperature" in self else {}
+        return replace(
+            self,
+            stamps=self.stamps[rows],
+            rows=self.rows[rows] - begin,
+            start=self.start + begin / self.rate,
+            channels={key: replace(one, values=one.values[begin:end]) for key, one in self.channels.items()},
+            extent=Extent(begin / last, (end - 1) / last, means),
+        )
 
     def __contains__(self, name: str) -> bool:
         return name in self.channels

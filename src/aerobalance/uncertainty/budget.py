@@ -14,36 +14,30 @@ References
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from aerobalance.estimation.error_sources import Noise, Systematic
-from aerobalance.estimation.result import ComponentForce
+from aerobalance.estimation.error_sources import undivided
+from aerobalance.estimation.result import ComponentForce, ForceSummary
+from aerobalance.estimation.sums import ForceSums, Key, SpectrumSums, segment_length
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import argument
-from aerobalance.recording.fourier import averaged_spectrum
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetSettings:
-    """Sizes and thresholds of the spectrum in a budget.
+    """Thresholds of a budget.
 
     Attributes
     ----------
-    segments
-        Segments of the record, counted without overlap, that a spectrum is averaged over.
-    longest_segment
-        Samples of one such segment at most.
     overlap_loss
         Variance of an average over half-overlapping Hann segments over that of independent ones [Welch1967]_.
     rounding
         Uncertainty over that of a sample below which it is an error of rounding.
     """
 
-    segments: int = 8
-    longest_segment: int = 4096
     overlap_loss: float = 19 / 18
     rounding: float = 1e-12
 
@@ -85,56 +79,99 @@ class Scalar:
     u
         Its standard uncertainty [N].
     parts
-        What each contribution adds to it [N].
+        What each contribution adds to it, by name [N].
+    by_source
+        The same by name and source [N].
     """
 
     name: str
     value: float
     u: float
     parts: Mapping[str, float]
+    by_source: Mapping[Key, float]
+
+    @classmethod
+    def of(cls, name: str, value: float, variances: Mapping[Key, float], *, slope: float = 1.0) -> Scalar:
+        """Return a number; the variances by name and source are of something that it changes with by a slope."""
+        together: dict[str, float] = {}
+        for (part, _), variance in variances.items():
+            together[part] = together.get(part, 0.0) + variance
+        return cls(
+            name,
+            value,
+            slope * float(np.sqrt(sum(variances.values()))),
+            {part: slope * float(np.sqrt(variance)) for part, variance in together.items()},
+            {key: slope * float(np.sqrt(variance)) for key, variance in variances.items()},
+        )
 
 
-def scalars(estimate: ComponentForce) -> tuple[Scalar, ...]:
+def scalars(estimate: ComponentForce | ForceSummary) -> tuple[Scalar, ...]:
     """Return mean, rms about it, largest and least value of a force, with their standard uncertainties [N, N*m].
 
     Largest and least are the force at the instants where the estimate is largest and least.
     """
-    values = estimate.values
-    found = [_linear("mean", estimate, np.full(values.size, 1 / values.size)), _rms(estimate)]
-    for name, place in (("largest", int(np.argmax(values))), ("least", int(np.argmin(values)))):
-        parts = {part.name: float(part.deviation[place]) for part in estimate.contributions}
-        found.append(Scalar(name, float(values[place]), float(estimate.uncertainty[place]), parts))
+    return _scalars(_sums_of(estimate))
+
+
+def _sums_of(estimate: ComponentForce | ForceSummary) -> ForceSums:
+    """Sums over the samples of a force."""
+    if isinstance(estimate, ForceSummary):
+        return estimate.sums
+    if estimate.summary is not None:
+        return estimate.summary.sums
+    sums = ForceSums(estimate.learned is not None)
+    sums.add(estimate.values, estimate.uncertainty, undivided(estimate.contributions))
+    return sums
+
+
+def _spectrum_sums_of(estimate: ComponentForce | ForceSummary) -> SpectrumSums:
+    """Sums over segments of the spectrum of a force."""
+    if isinstance(estimate, ForceSummary):
+        return estimate.spectrum
+    if estimate.summary is not None:
+        return estimate.summary.spectrum
+    sums = SpectrumSums(segment_length(estimate.values.size))
+    sums.add(estimate.values, undivided(estimate.contributions))
+    return sums
+
+
+def _scalars(sums: ForceSums) -> tuple[Scalar, ...]:
+    if sums.largest is None or sums.least is None:
+        raise ValueError("a force of no samples has no mean")
+    count, shift = sums.samples, sums.total / sums.samples
+    of_mean = {key: row.variance_of(np.array([1 / count, 0.0])) for key, row in sums.rows.items()}
+    found = [Scalar.of("mean", sums.level + shift, of_mean), _rms(sums)]
+    for name, end in (("largest", sums.largest), ("least", sums.least)):
+        one = Scalar.of(name, end.value, {key: end.parts.get(key, 0.0) ** 2 for key in sums.rows})
+        found.append(replace(one, u=end.u))
     return tuple(found)
 
 
-def _linear(name: str, estimate: ComponentForce, weights: Array) -> Scalar:
-    parts = {part.name: float(np.sqrt(part.variance_of(weights))) for part in estimate.contributions}
-    return Scalar(name, float(weights @ estimate.values), float(np.linalg.norm(list(parts.values()))), parts)
-
-
-def noise_power(estimate: ComponentForce) -> float:
+def noise_power(estimate: ComponentForce | ForceSummary) -> float:
     """Return the mean square of the noise of a force about its mean [N^2]."""
-    noises = [part for part in estimate.contributions if isinstance(part, Noise)]
-    weights = np.full(estimate.values.size, 1 / estimate.values.size)
-    return sum(float(np.mean(part.deviation**2)) - part.variance_of(weights) for part in noises)
+    return _noise_power(_sums_of(estimate))
 
 
-def _rms(estimate: ComponentForce) -> Scalar:
+def _noise_power(sums: ForceSums) -> float:
+    count = sums.samples
+    rows = [row for row in sums.rows.values() if row.is_noise]
+    return sum(row.square / count - row.variance_of(np.array([1 / count, 0.0])) for row in rows)
+
+
+def _rms(sums: ForceSums) -> Scalar:
     """Return the rms about the mean: first order in the errors, and second order in noise, whose square has a mean."""
-    values = estimate.values
-    centred = values - values.mean()
-    sign = 1 if estimate.learned is not None else -1
-    value = float(np.sqrt(max(float(np.mean(centred**2)) + sign * noise_power(estimate), 0.0)))
-    parts = {}
-    for part in estimate.contributions:
-        variance = part.variance_of(2 * centred / values.size)
-        if isinstance(part, Noise):
-            variance += 2 * float(np.mean(part.deviation**4) * np.mean(part.spectrum**2)) / values.size
-        parts[part.name] = float(np.sqrt(variance))
-    of_square = float(np.linalg.norm(list(parts.values())))
+    count, shift = sums.samples, sums.total / sums.samples
+    sign = 1 if sums.smoothed else -1
+    value = float(np.sqrt(max(sums.square / count - shift**2 + sign * _noise_power(sums), 0.0)))
+    weights = np.array([-shift, 1.0]) * 2 / count
+    variances = {
+        key: row.variance_of(weights) + (2 * row.fourth / count**2 if row.is_noise else 0.0)
+        for key, row in sums.rows.items()
+    }
+    of_square = float(np.sqrt(sum(variances.values())))
     # u(r) = u(r^2) / 2r; where r drowns in its uncertainty, the root of the uncertainty of its square
     slope = 1 / (2 * max(value, np.sqrt(of_square) / 2)) if of_square else 0.0
-    return Scalar("rms_about_mean", value, slope * of_square, {name: slope * u for name, u in parts.items()})
+    return Scalar.of("rms_about_mean", value, variances, slope=slope)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +196,7 @@ class ForceSpectrum:
     uncertainty: Array
 
 
-def spectrum(estimate: ComponentForce, *, rate: float) -> ForceSpectrum:
+def spectrum(estimate: ComponentForce | ForceSummary, *, rate: float) -> ForceSpectrum:
     """Return the one-sided power spectral density of a force by [Welch1967]_, Hann windows that overlap by half.
 
     Parameters
@@ -169,27 +206,16 @@ def spectrum(estimate: ComponentForce, *, rate: float) -> ForceSpectrum:
     rate
         Sampling rate [Hz].
     """
-    values = estimate.values
-    length = segment_length(values.size)
-    frequency, power = averaged_spectrum(values, rate=rate, length=length)
-    density = np.real(power)
-    count = max(2 * (values.size // length) - 1, 1) / (1.0 if values.size < 2 * length else SETTINGS.overlap_loss)
-    noise, variance = np.zeros(frequency.size), np.zeros(frequency.size)
-    for part in estimate.contributions:
-        if isinstance(part, Noise):
-            noise += part.relative_density(frequency.size) * 2 * float(np.mean(part.deviation**2)) / rate
-        elif isinstance(part, Systematic) and part.covariance.any():
-            spectra = [averaged_spectrum(values, other=one, rate=rate, length=length)[1] for one in part.slopes.T]
-            gradient = 2 * np.real(np.stack(spectra, axis=1))
-            variance += np.sum((gradient @ part.covariance) * gradient, axis=1)
-    variance = np.maximum(variance, 0.0) + (2 * density * noise + noise**2) / count
-    whole = density + noise if estimate.learned is not None else np.maximum(density - noise, 0.0)
-    return ForceSpectrum(frequency, whole, whole / np.sqrt(count), np.sqrt(variance))
-
-
-def segment_length(samples: int) -> int:
-    """Return the number of samples of one segment of a spectrum."""
-    return min(max(samples // SETTINGS.segments, 32), SETTINGS.longest_segment, samples)
+    sums, whole_record = _spectrum_sums_of(estimate), _sums_of(estimate)
+    samples, smoothed, length = whole_record.samples, whole_record.smoothed, sums.length
+    density, noise = sums.density / sums.segments / rate, sums.noise / samples / rate
+    count = max(2 * (samples // length) - 1, 1) / (1.0 if samples < 2 * length else SETTINGS.overlap_loss)
+    scale = (sums.segments * rate) ** 2
+    squares = sums.variance + sum((np.sum(one**2, axis=1) for one in sums.common.values()), np.zeros(density.size))
+    variance = np.maximum(squares, 0.0) / scale + (2 * density * noise + noise**2) / count
+    whole = density + noise if smoothed else np.maximum(density - noise, 0.0)
+    frequency = np.asarray(np.arange(density.size) * (rate / length), dtype=np.float64)
+    return ForceSpectrum(frequency, whole, whole / np.sqrt(count), np.asarray(np.sqrt(variance)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,23 +255,24 @@ def budget(force: Mapping[str, ComponentForce]) -> dict[str, tuple[BudgetLine, .
     return {name: component_budget(part) for name, part in force.items()}
 
 
-def component_budget(estimate: ComponentForce) -> tuple[BudgetLine, ...]:
+def component_budget(estimate: ComponentForce | ForceSummary) -> tuple[BudgetLine, ...]:
     """Uncertainty budget of the force along one component [N], the largest contribution first."""
-    found = scalars(estimate)
-    squares = {part.name: float(np.mean(part.deviation**2)) for part in estimate.contributions}
+    sums = _sums_of(estimate)
+    found = _scalars(sums)
+    squares = {key: row.square / sums.samples for key, row in sums.rows.items()}
     whole = sum(squares.values())
     rows = []
-    for part in estimate.contributions:
-        square = squares[part.name]
-        left = max(whole - square * (1 - part.halved**2), 0.0)
+    for key, row in sums.rows.items():
+        square = squares[key]
+        left = max(whole - square + row.left / sums.samples, 0.0)
         rows.append(
             BudgetLine(
-                name=part.name,
-                source=part.source,
+                name=key[0],
+                source=key[1],
                 rms=float(np.sqrt(square)),
                 share=square / whole if whole else 0.0,
                 if_halved=float(np.sqrt(left)),
-                scalars={scalar.name: _not_rounding(scalar.parts[part.name], square) for scalar in found},
+                scalars={scalar.name: _not_rounding(scalar.by_source[key], square) for scalar in found},
             )
         )
     return tuple(sorted(rows, key=lambda row: -row.rms))
@@ -256,7 +283,9 @@ def _not_rounding(u: float, square: float) -> float:
     return u if u > SETTINGS.rounding * np.sqrt(square) else 0.0
 
 
-def advice(estimate: ComponentForce, *, unit: str = "N", sources: Mapping[str, str] | None = None) -> str:
+def advice(
+    estimate: ComponentForce | ForceSummary, *, unit: str = "N", sources: Mapping[str, str] | None = None
+) -> str:
     """Return one sentence on what to improve first, and what it would bring.
 
     Parameters

@@ -26,19 +26,20 @@ import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.component_force import Method, estimated
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.decoupled_record import DecoupledRecord
 from aerobalance.estimation.error_sources import Noise, Systematic
-from aerobalance.estimation.force import Force, ForceRecord
 from aerobalance.estimation.force_smoother import LinearSmoother
+from aerobalance.estimation.forces import ForceRecord
 from aerobalance.estimation.noise_draws import NoiseDraws
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import ComponentRecord, SingleRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import Step, shape_of
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DataQualityWarning
+from aerobalance.recording.errors import DataQualityWarning, argument
 from aerobalance.uncertainty.budget import noise_power, scalars
 from aerobalance.uncertainty.parameter_draws import Change, parameter_errors
 from aerobalance.uncertainty.sampling import UncertainCoupled, UncertainDynamics, drawn_numbers
@@ -170,10 +171,15 @@ def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, M
     FitError
         The parameters are so uncertain that a draw of them is not physical.
     ValueError
-        There are too few draws.
+        There are too few draws, or the force was worked out in parts: check that of a part of the record.
     """
     if draws < SETTINGS.fewest_draws:
         raise ValueError(f"draws must be at least {SETTINGS.fewest_draws}, not {draws}")
+    if any(one.summary is not None for one in force.values()):
+        raise ValueError(
+            f"{force.recording.name}: this force was worked out in parts, each with a prior of its own; check that of "
+            f"a part of the record ({argument('Recording.part')})"
+        )
     settings = force.settings
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)  # said when the force was worked out

@@ -20,7 +20,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
@@ -132,7 +131,7 @@ def regress(
     over_record = np.zeros((weights.shape[0], estimate.values.size))
     over_record[:, first:stop] = weights
     none = np.zeros_like(scatter)
-    measured = sum((covariance_of(part, over_record) for part in estimate.contributions), none)
+    measured = sum((part.covariance_of(over_record) for part in estimate.contributions), none)
     share = np.diag(scatter) / np.maximum(np.diag(measured + scatter), np.finfo(float).tiny)
     return ForceRegression(
         names=tuple(regressors),
@@ -142,23 +141,6 @@ def regress(
         degrees_of_freedom=freedom / np.maximum(share, 1e-9) ** 2,  # Welch-Satterthwaite
         residual=residual,
     )
-
-
-def covariance_of(part: Contribution, weights: Array) -> Array:
-    """Return the covariance of weighted sums of the samples from one contribution, shape (p, p).
-
-    Parameters
-    ----------
-    part
-        One contribution to the uncertainty of a force.
-    weights
-        Of the p sums, shape (p, n).
-    """
-    if isinstance(part, Systematic):
-        gradient = weights @ part.slopes
-        return np.asarray(gradient @ part.covariance @ gradient.T)
-    count = 2 * weights.shape[1]  # zero-padded, so that the record's end does not correlate with its beginning
-    return _noise_covariance(weights * part.deviation, part.relative_density(count // 2 + 1))
 
 
 def _noise_covariance(weights: Array, density: Array) -> Array:

@@ -14,8 +14,8 @@ import numpy as np
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.force import Force
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord, SingleRecord
 from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines

@@ -114,7 +114,7 @@ def force(
 ) -> None:
     """Work out the force that was applied, with the standard uncertainty of every sample, its budget and a check."""
     from aerobalance.app.commands import force as command
-    from aerobalance.estimation.force import ForceSettings
+    from aerobalance.estimation.forces import ForceSettings
 
     files = gauge_files(balance, zero, model_on_zero, zero_after, tare)
 

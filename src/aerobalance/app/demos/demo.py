@@ -37,7 +37,7 @@ from aerobalance.app.reports.demo_report import (
 )
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.component_force import Method
-from aerobalance.estimation.force import ForceSettings
+from aerobalance.estimation.forces import ForceSettings
 from aerobalance.identification.base_excitation.paper_procedure import reference_fit
 from aerobalance.identification.base_excitation.sine_dwell import find_dwells
 from aerobalance.io import read, read_table, write_recording

@@ -1,0 +1,113 @@
+"""The forces and moments applied along a record, with what they were worked out from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from aerobalance.balance.loads import Loads
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.estimation.display import html, plot, summary, to_dataframe, to_xarray
+from aerobalance.estimation.forces import ForceRecord, ForceSettings
+from aerobalance.estimation.result import ComponentForce
+from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
+from aerobalance.recording.channel import Array
+from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import interpolate_gaps
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Force(Mapping[str, ComponentForce]):
+    """The forces and moments applied, by component, with what they were worked out from.
+
+    ``force["NF"].values`` and ``force["NF"].uncertainty`` are the force and its standard uncertainty [N].
+
+    Attributes
+    ----------
+    parts
+        The force of each component.
+    record
+        The balance loads, with the dynamics and the motion of the ground that go with them.
+    settings
+        How the forces were worked out.
+    loads
+        The loads with their matrix, where they come from gauge outputs; None where loads were given.
+    noises
+        Spectra of the noise of the components' readings, where a record of noise was given.
+    """
+
+    parts: Mapping[str, ComponentForce]
+    record: ForceRecord
+    settings: ForceSettings = field(default_factory=ForceSettings)
+    loads: Loads | None = None
+    noises: Mapping[str, NoiseSpectrum] = field(default_factory=dict)
+
+    def __getitem__(self, component: str) -> ComponentForce:
+        return self.parts[component]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.parts)
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Forces and their standard uncertainties, ``NF`` and ``u_NF`` [N, N*m], over the time [s]."""
+        return to_dataframe(self, self.recording)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Forces and their standard uncertainties, ``NF`` and ``u_NF``, along ``time`` [s], with their units."""
+        return to_xarray(self, self.recording)
+
+    def plot(self) -> Figure:
+        """Figure of the forces with bands of 95 %, above the balance loads; one component below the other."""
+        return plot(self, self.recording)
+
+    def __repr__(self) -> str:
+        return summary(self, self.recording)
+
+    def _repr_html_(self) -> str:
+        return html(self, self.recording)
+
+    @property
+    def only(self) -> ComponentForce:
+        """The force of the one component there is.
+
+        Raises
+        ------
+        ValueError
+            There are several.
+        """
+        if len(self.parts) != 1:
+            raise ValueError(f'there are several components, {", ".join(self.parts)}: name one, as in force["NF"]')
+        return next(iter(self.parts.values()))
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the n components."""
+        return tuple(self.parts)
+
+    @property
+    def recording(self) -> Recording:
+        """The run with its balance loads: clock, motion and attitude."""
+        return self.record.recording
+
+    @property
+    def dynamics(self) -> IndependentDynamics | CoupledDynamics:
+        """The dynamics that the forces were worked out with."""
+        return self.record.dynamics
+
+    @property
+    def filled(self) -> Array:
+        """Readings of the components with their gaps filled by what the forces make the balance read, (samples, n)."""
+        filled = interpolate_gaps(self.record.loads)
+        if not self.record.has_gaps:
+            return filled
+        return self.record.filled_by({name: one.values for name, one in self.parts.items()}, filled=filled)

@@ -1,0 +1,170 @@
+"""Puts the forces of the parts of a record together: what sums them up, and in memory their samples too."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from aerobalance.estimation.error_sources import Divided, Noise, Systematic
+from aerobalance.estimation.force_parts import ForcePart
+from aerobalance.estimation.result import ComponentForce, ForceSummary
+from aerobalance.estimation.spectra.line_noise import Line
+from aerobalance.estimation.steps import Step
+from aerobalance.estimation.sums import ForceSums, Key, SpectrumSums, segment_length
+from aerobalance.recording.channel import Array
+
+SAME_LINE: Final = 2.0
+"""Distance of two lines of hum in ordinates of a part's spectrum up to which they are the same line."""
+
+
+@dataclass(slots=True, eq=False)
+class SummaryOfParts:
+    """What sums up the force along one component, part by part.
+
+    Attributes
+    ----------
+    component
+        Which component.
+    samples
+        Samples of the whole record.
+    """
+
+    component: str
+    samples: int
+    _sums: ForceSums | None = None
+    _spectrum: SpectrumSums = field(init=False)
+    _methods: list[str] = field(default_factory=list)
+    _noise: float = 0.0
+    _after: float = 0.0
+    _bandwidth: float = 0.0
+    _worked: int = 0
+    _parts: int = 0
+    _steps: list[Step] = field(default_factory=list)
+    _hum: list[Line] = field(default_factory=list)
+    _assumptions: dict[str, None] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._spectrum = SpectrumSums(segment_length(self.samples))
+
+    def add(self, given: ForcePart) -> None:
+        """Add the next part."""
+        self._parts = given.part.count
+        self._steps += given.steps[self.component]
+        values, u = given.values[self.component], given.uncertainty[self.component]
+        there = np.flatnonzero(np.isfinite(values))  # where it joins a part without readings, some samples have none
+        if given.force is None:
+            if there.size and self._sums is not None:  # what the part before still says, without its contributions
+                self._sums.add(values[there], u[there], (), first=given.first + int(there[0]))
+            return
+        found, own = given.force[self.component], given.own
+        kept = slice(int(there[0]), int(there[-1]) + 1)
+        contributions = [one.within(kept) for one in given.contributions[self.component]]
+        if self._sums is None:
+            self._sums = ForceSums(found.learned is not None)
+        self._sums.add(values[kept], u[kept], contributions, first=given.first + kept.start)
+        if there.size >= self._spectrum.length:
+            self._spectrum.add(values[kept], contributions)
+        count = own.stop - own.start
+        self._worked += count
+        self._noise += count * found.noise**2
+        self._after += count * (found.noise_gain * found.noise) ** 2
+        self._bandwidth = max(self._bandwidth, found.bandwidth)
+        self._methods += [found.method] if found.method not in self._methods else []
+        self._assumptions |= dict.fromkeys(found.assumptions)
+        resolved = SAME_LINE * given.force.recording.rate / given.force.recording.samples
+        for line in found.hum:
+            same = [one for one in self._hum if abs(one.frequency - line.frequency) < resolved]
+            if not same:
+                self._hum.append(line)
+            elif line.amplitude > same[0].amplitude:
+                self._hum[self._hum.index(same[0])] = line
+
+    @property
+    def summary(self) -> ForceSummary:
+        """What was found so far.
+
+        Raises
+        ------
+        ValueError
+            No part has a force.
+        """
+        if self._sums is None:
+            raise ValueError(f"no part of the record has a force of {self.component}")
+        noise, after = (float(np.sqrt(square / self._worked)) for square in (self._noise, self._after))
+        method = self._methods[0]
+        if self._parts > 1:
+            method = f"in {self._parts} parts, of which the first is by the {method}"
+        return ForceSummary(
+            component=self.component,
+            method=method,
+            noise=noise,
+            bandwidth=self._bandwidth,
+            noise_gain=after / noise if noise > 0 else 0.0,
+            steps=tuple(self._steps),
+            hum=tuple(sorted(self._hum, key=lambda line: line.frequency)),
+            assumptions=tuple(self._assumptions),
+            sums=self._sums,
+            spectrum=self._spectrum,
+        )
+
+
+@dataclass(slots=True, eq=False)
+class ForceCollector:
+    """Collects all samples of a record in memory.
+
+    Attributes
+    ----------
+    samples
+        Samples of the record.
+    """
+
+    samples: int
+
+    def collected(self, parts: Iterable[ForcePart]) -> dict[str, ComponentForce]:
+        """Return the forces of the whole record, by component."""
+        values: dict[str, Array] = {}
+        us: dict[str, Array] = {}
+        pieces: dict[str, dict[Key, list[tuple[int, Systematic | Noise]]]] = {}
+        summaries: dict[str, SummaryOfParts] = {}
+        for one in parts:
+            for name, part in one.values.items():
+                if name not in summaries:
+                    summaries[name] = SummaryOfParts(name, self.samples)
+                    values[name], us[name] = np.full((2, self.samples), np.nan)
+                    pieces[name] = {}
+                own = slice(one.first, one.first + part.size)
+                values[name][own], us[name][own] = part, one.uncertainty[name]
+                for source in one.contributions[name]:
+                    pieces[name].setdefault((source.name, source.source), []).append((one.first, source))
+                summaries[name].add(one)
+        return {
+            name: self._force(one.summary, values[name], us[name], pieces[name]) for name, one in summaries.items()
+        }
+
+    def _force(
+        self,
+        summary: ForceSummary,
+        values: Array,
+        uncertainty: Array,
+        pieces: dict[Key, list[tuple[int, Systematic | Noise]]],
+    ) -> ComponentForce:
+        return ComponentForce(
+            component=summary.component,
+            values=values,
+            uncertainty=uncertainty,
+            method=summary.method,
+            noise=summary.noise,
+            bandwidth=summary.bandwidth,
+            noise_gain=summary.noise_gain,
+            steps=summary.steps,
+            hum=summary.hum,
+            assumptions=summary.assumptions,
+            budget=summary.budget,
+            contributions=tuple(
+                Divided(name, source, self.samples, tuple(found)) for (name, source), found in pieces.items()
+            ),
+            summary=summary,
+        )

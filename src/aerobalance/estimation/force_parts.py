@@ -1,0 +1,248 @@
+r"""Forces of a record that is too long to be worked on at once: part by part, joined where the parts meet.
+
+Each part is a record of its own: its prior, its steps and its hum are learned from it alone, so that a part can be
+worked out without the others and a fault in one stays there. Neighbours have samples in common, a margin on either
+side of the joint. A state at the beginning of a part is forgotten by the smoother as fast as its closed loop decays,
+which is no slower than the balance itself where its readings show anything; after so many decay times as the response
+to a step is taken to last, nothing of it is left (`Division`). In the middle of the overlap the one force passes into
+the other. Both are estimates from nearly the same readings, so their errors are nearly the same, and uncertainties are
+passed over like the forces; what the two differ by is an error of at least one of them and comes on top, as the
+standard deviation of a mixture, w (1 - w) times the square of the difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.dynamics.modal import Mode
+from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.error_sources import Noise, Systematic, undivided
+from aerobalance.estimation.steps import Step
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.part_warnings import PartWarnings
+from aerobalance.recording.parts import LongRecord, Part, parts_of
+
+JOINTS: Final = "joints of the parts"
+"""Name of what the forces of two parts differ by where they meet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Division:
+    """How a long record is divided.
+
+    Attributes
+    ----------
+    readings
+        Readings of all components together that are worked on at once, at most: a part has the largest multiple of
+        `round_to` samples that keeps to it.
+    round_to
+        Samples.
+    decay_times
+        Decay times of the slowest mode that make the margin; the response to a step is taken to last as long.
+    margin
+        Least margin [samples], and the largest [share of a part].
+    same_step
+        Distance of two instants up to which both parts mean the same step, in their uncertainties, and the least such
+        distance [samples].
+    """
+
+    readings: int = 6 * 40960
+    round_to: int = 1 << 12
+    decay_times: float = 4.0
+    margin: tuple[int, float] = (1 << 12, 1 / 8)
+    same_step: tuple[float, float] = (5.0, 2.0)
+
+    def parts(self, record: LongRecord[Any], dynamics: IndependentDynamics | CoupledDynamics) -> tuple[Part, ...]:
+        """Return the parts of a record."""
+        length = max(self.readings // len(dynamics.components) // self.round_to, 1) * self.round_to
+        slowest = min(_decay(mode) for mode in _modes(dynamics))
+        least, most = self.margin
+        wanted = self.decay_times / max(slowest, 1e-300) * record.rate
+        margin = int(min(max(wanted, least), most * length))
+        return parts_of(record.samples, length=length, margin=margin)
+
+
+DIVISION: Final = Division()
+"""The division that is used."""
+
+
+def _decay(mode: Mode) -> float:
+    """Rate at which the free motion of a mode decays [1/s]."""
+    ratio = mode.damping_ratio
+    return mode.angular_frequency * (ratio if ratio <= 1 else 1 / (ratio + float(np.sqrt(ratio**2 - 1))))
+
+
+def _modes(dynamics: IndependentDynamics | CoupledDynamics) -> list[Mode]:
+    if isinstance(dynamics, CoupledDynamics):
+        return list(dynamics.modes)
+    return [mode for one in dynamics.values() for mode in one.modes]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForcePart:
+    """The forces of those samples of a record that one part answers for, joined to the part before.
+
+    Attributes
+    ----------
+    part
+        The part.
+    first
+        Number of the first sample: in the middle of the overlap with the part before.
+    values, uncertainty
+        Force and its standard uncertainty by component, shape (m,) each [N, N*m]; NaN where a part has no readings.
+    contributions
+        What the uncertainty consists of, at these samples.
+    steps
+        Steps of the record that are certain now; their instants count from its first sample.
+    force
+        What was worked out of the part's own samples, those of the overlaps included; None where it has no readings.
+    """
+
+    part: Part
+    first: int
+    values: Mapping[str, Array]
+    uncertainty: Mapping[str, Array]
+    contributions: Mapping[str, tuple[Systematic | Noise, ...]]
+    steps: Mapping[str, tuple[Step, ...]]
+    force: Force | None
+
+    @property
+    def own(self) -> slice:
+        """These samples among those of `force`."""
+        begin = self.first - self.part.begin
+        return slice(begin, begin + next(iter(self.values.values())).size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ending:
+    """What a part says of the samples about its joint with the next.
+
+    Attributes
+    ----------
+    values, uncertainty
+        Force and its standard uncertainty from half a margin before the joint to half a margin after it, by component.
+    steps
+        Steps from a margin before the joint on, on the clock of the record.
+    """
+
+    values: Mapping[str, Array]
+    uncertainty: Mapping[str, Array]
+    steps: Mapping[str, tuple[Step, ...]]
+
+
+@dataclass(slots=True, eq=False)
+class Joiner:
+    """Joins the parts of a record, given one after the other.
+
+    Attributes
+    ----------
+    record
+        The record.
+    components
+        Names of the components.
+    division
+        How it is divided.
+    warnings
+        Takes what is to be said of a part.
+    """
+
+    record: LongRecord[Any]
+    components: tuple[str, ...]
+    division: Division
+    warnings: PartWarnings
+    _before: _Ending | None = None
+
+    def joined(self, part: Part, force: Force | None) -> ForcePart:
+        """Return the samples that are certain with one more part; None for one without readings."""
+        half = part.margin // 2
+        first = part.first - half if self._before else 0
+        last = part.stop - half if part.number < part.count else part.stop
+        own = slice(first - part.begin, last - part.begin)
+        after = slice(own.stop, own.stop + 2 * half)
+        values, us, contributions, tails, spread = {}, {}, {}, {}, {}
+        for name in self.components:
+            if force is None:
+                value, u = np.full((2, part.end - part.begin), np.nan)
+                sources: list[Systematic | Noise] = []
+            else:
+                value, u = force[name].values, force[name].uncertainty
+                sources = undivided(force[name].contributions)
+            tails[name], spread[name] = value[after].copy(), u[after].copy()
+            values[name], us[name] = value[own].copy(), u[own].copy()
+            parts = [one.within(own) for one in sources]
+            if self._before is not None:
+                joint = self._pass_over(name, part, values[name][: 2 * half], us[name][: 2 * half])
+                if joint.any():
+                    deviation = np.zeros(values[name].size)
+                    deviation[: 2 * half] = joint
+                    parts.append(Noise(JOINTS, name, deviation, np.ones(1)))
+            contributions[name] = tuple(parts)
+        certain, later = self._divided_steps(part, force)
+        self._before = _Ending(tails, spread, later)
+        return ForcePart(part, first, values, us, contributions, certain, force)
+
+    def _pass_over(self, name: str, part: Part, values: Array, u: Array) -> Array:
+        """Let the force of the part before pass into this one's, in place; return what they leave open, (2 h,) [N]."""
+        if self._before is None:
+            return np.zeros(0)
+        old, old_u = self._before.values[name], self._before.uncertainty[name]
+        share = np.sin(0.5 * np.pi * (np.arange(values.size) + 0.5) / values.size) ** 2
+        share = np.where(np.isnan(old), 1.0, np.where(np.isnan(values), 0.0, share))
+        both = np.isfinite(old) & np.isfinite(values)
+        apart = np.where(both, values - old, 0.0)
+        stated = np.where(both, (1 - share) * old_u + share * u, 0.0)
+        joint = np.sqrt(share * (1 - share)) * np.abs(apart)
+        if float(np.mean(apart**2)) > float(np.mean(stated**2)):
+            unit = si_unit(name)
+            self.warnings.add(
+                part,
+                f"{self.record.name}: the forces of {name} by this part and the one before differ by "
+                f"{np.sqrt(np.mean(apart**2)):.2g} {unit} rms where they meet, and their uncertainty is "
+                f"{np.sqrt(np.mean(stated**2)):.2g} {unit}; the difference is in the uncertainty there",
+            )
+        values[:] = np.where(share == 0, old, np.where(share == 1, values, values - (1 - share) * apart))
+        u[:] = np.where(both, np.hypot(stated, joint), np.where(np.isnan(old), u, old_u))
+        return np.asarray(joint)
+
+    def _divided_steps(
+        self, part: Part, force: Force | None
+    ) -> tuple[dict[str, tuple[Step, ...]], dict[str, tuple[Step, ...]]]:
+        """Steps that are certain now and steps about the joint with the next part, on the clock of the record."""
+        rate, first = self.record.rate, self._before is None
+        joint = part.first / rate
+        near = (part.first + part.margin) / rate
+        late = np.inf if part.number == part.count else (part.stop - part.margin) / rate
+        certain, later = {}, {}
+        for name in self.components:
+            own = () if force is None else force[name].steps
+            found = [replace(one, instant=one.instant + part.begin / rate) for one in own]
+            old = () if self._before is None else self._before.steps[name]
+            new = [] if first else [one for one in found if one.instant < near]
+            kept = self._owned(list(old), new, joint=joint)
+            kept += [one for one in found if (first or one.instant >= near) and one.instant < late]
+            certain[name] = tuple(sorted(kept, key=lambda one: one.instant))
+            later[name] = tuple(one for one in found if one.instant >= late)
+        return certain, later
+
+    def _owned(self, old: list[Step], new: list[Step], *, joint: float) -> list[Step]:
+        """Steps about a joint: of one that both parts have found, what the part says to which its sample belongs."""
+        sure, least = self.division.same_step
+        kept = []
+        for one in old:
+            other = min(new, key=lambda step: abs(step.instant - one.instant), default=None)
+            if other is not None:
+                known = sure * float(np.hypot(one.instant_uncertainty, other.instant_uncertainty))
+                if abs(other.instant - one.instant) <= max(known, least / self.record.rate):
+                    new.remove(other)
+                    kept.append(one if one.instant + other.instant < 2 * joint else other)
+                    continue
+            if one.instant < joint:
+                kept.append(one)
+        return kept + [one for one in new if one.instant >= joint]

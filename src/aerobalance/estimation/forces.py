@@ -1,0 +1,186 @@
+"""The forces along all components of a record that has been made ready, worked out at once.
+
+Where components are coupled, gaps are filled by what the forces make the balance read, and noise that others show is
+taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, TypeVar
+
+import numpy as np
+
+from aerobalance.balance.calibration_nonlinearity import NonlinearErrors
+from aerobalance.balance.loads import Loads, static_uncertainty
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.estimation.component_force import Fitted, Method, by_smoother, estimated
+from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
+from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.decoupled_record import mass_rows
+from aerobalance.estimation.record import ComponentRecord, IndependentRecord
+from aerobalance.estimation.result import ComponentForce, with_balance
+from aerobalance.estimation.spectra.line_noise import Hum
+from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.resampling import align_channels, interpolate_gaps
+
+PASSES: Final = 2
+"""Most times that gaps are filled anew by what the forces found make the balance read."""
+
+SETTLED: Final = 5.0
+"""Change of what fills a gap, over the noise of a reading, which no force would notice."""
+
+ForceRecord = IndependentRecord | CoupledRecord
+"""A recording with the dynamics of its components, made ready for the estimator."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForceSettings:
+    """How a force is worked out.
+
+    Attributes
+    ----------
+    method
+        ``"smoother"``: the optimal estimator. ``"paper"``: three-point central differences.
+    bandwidth
+        If given, the inverse limited to this band [Hz], zero phase, whichever the method.
+    gravity, gravity_uncertainty
+        Local acceleration of gravity and its standard uncertainty [m/s^2].
+    hum
+        What the smoother takes for hum and not for force: ``"mains"`` steady lines at 50 or 60 Hz and harmonics that
+        stand out of the reading (with a warning that names them), ``"keep"`` none, or lines near given frequencies
+        [Hz].
+    """
+
+    method: Method = "smoother"
+    bandwidth: float | None = None
+    gravity: float = STANDARD_GRAVITY
+    gravity_uncertainty: float = 0.0
+    hum: Hum = "mains"
+
+    @property
+    def earth(self) -> dict[str, float]:
+        """The acceleration of gravity and its uncertainty, by name."""
+        return {"gravity": self.gravity, "gravity_uncertainty": self.gravity_uncertainty}
+
+
+def with_matrix(
+    parts: Mapping[str, ComponentForce], loads: Loads, dynamics: IndependentDynamics | CoupledDynamics
+) -> dict[str, ComponentForce]:
+    """Return the forces with the errors of the balance matrix in their uncertainty."""
+    static = static_uncertainty(loads, forces={name: found.values for name, found in parts.items()})
+    highest = max(found.bandwidth for found in parts.values())
+    curvature = NonlinearErrors.of(loads, rate=loads.recording.rate, highest=highest)
+    order = [dynamics.components.index(name) for name in parts]
+    inverse = dynamics.inverse_response(curvature.resolved)[:, order][:, :, order]
+    densities = curvature.in_force(inverse - np.eye(len(order)), list(parts))
+    return {
+        name: with_balance(
+            found,
+            np.hypot(static[name], curvature.offset(name)),
+            curvature=curvature.as_noise(density, bandwidth=found.bandwidth),
+        )
+        for (name, found), density in zip(parts.items(), densities.T, strict=True)
+    }
+
+
+def forces_of(
+    record: ForceRecord,
+    settings: ForceSettings,
+    *,
+    noises: Mapping[str, NoiseSpectrum],
+    kept: Callable[[ComponentForce], ComponentForce],
+) -> dict[str, ComponentForce]:
+    """The forces of all components of a record, of each what is kept of it."""
+    if not by_smoother(method=settings.method, bandwidth=settings.bandwidth):
+        inverse = partial(estimated, method=settings.method, bandwidth=settings.bandwidth, hum=settings.hum)
+        found = _with_gaps_filled(record, inverse, lambda one: (one.values, one.noise), noises=noises)[0]
+        return {name: kept(one) for name, one in found.items()}
+    fitted = partial(Fitted.of, hum=settings.hum)
+    fits, filled = _with_gaps_filled(
+        record, fitted, lambda fit: (fit.smoothed.force, fit.signal.learned.noise), noises=noises
+    )
+    for name, shared in predicted_noise(fits, record, filled=filled).items():
+        component = record.component_record(name, filled, shared=shared)
+        if as_expected(component.reading(), fits[name].signal.learned):
+            fits[name] = fitted(component)
+    return {name: kept(fits.pop(name).estimate()) for name in list(fits)}
+
+
+Answer = TypeVar("Answer")
+
+
+def _with_gaps_filled(
+    record: ForceRecord,
+    work: Callable[[ComponentRecord], Answer],
+    known: Callable[[Answer], tuple[Array, float]],
+    *,
+    noises: Mapping[str, NoiseSpectrum] | None,
+) -> tuple[dict[str, Answer], Array]:
+    """Return answers by component, and the readings with their gaps filled by what the forces found make them.
+
+    Parameters
+    ----------
+    record
+        The record.
+    work
+        Makes an answer of a decoupled component.
+    known
+        Force and noise of a reading, of an answer.
+    noises
+        Spectra of the noise of the decoupled components, where they are known.
+    """
+    filled = interpolate_gaps(record.loads)
+    found = {name: work(component) for name, component in record.component_records(filled, noises=noises).items()}
+    for _ in range(PASSES if record.has_gaps else 0):
+        facts = {name: known(one) for name, one in found.items()}
+        better = record.filled_by({name: force for name, (force, _) in facts.items()}, filled=filled)
+        if (np.abs(better - filled) < SETTLED * np.array([noise for _, noise in facts.values()])).all():
+            break
+        filled = better
+        found = {name: work(component) for name, component in record.component_records(filled, noises=noises).items()}
+    return found, filled
+
+
+def predicted_noise(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: Array) -> dict[str, SharedNoise]:
+    """Return the noise that other components predict, by component; only where the force is the better for it [N].
+
+    Parameters
+    ----------
+    fits
+        What each component's reading gives by itself.
+    record, filled
+        As in `filled_by`.
+    """
+    learned = [fit.signal.learned for fit in fits.values()]
+    if isinstance(record, IndependentRecord) or not record.is_coupled:
+        return {}
+    if any(one.color is not None for one in learned):
+        return {}
+    mass = mass_rows(record.dynamics)
+    spectra = NoiseMatrix.of(
+        record.decoupled,
+        learned,
+        interval=record.interval,
+        noise=record.noise,
+        ground=mass @ record.platform.covariance @ mass.T,
+    )
+    residuals = np.column_stack([fit.smoothed.residuals for fit in fits.values()])
+    present = np.column_stack([np.isfinite(record.loads[:, one.partners]).all(axis=1) for one in record.decoupled])
+    shared = {}
+    for place, channel in enumerate(record.channels):
+        one = shared_noise(
+            spectra,
+            place,
+            residuals=align_channels(residuals, record.channels, to=channel, interval=record.interval),
+            present=present,
+            readings=partial(record.reading, on_clock_of=place, filled=filled),
+        )
+        if one is not None:
+            shared[channel.name] = one
+    return shared

@@ -1,0 +1,68 @@
+"""Warnings about the parts of a record, told once for all of it."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from aerobalance.recording.errors import DataQualityWarning, warn_quality
+from aerobalance.recording.parts import LongRecord, Part
+
+_NUMBER: Final = re.compile(r"\d[\d.,]*(?:e[+-]?\d+)?")
+
+
+@dataclass(slots=True)
+class PartWarnings:
+    """Collects what is said of the parts of a record, and says it with the part where parts differ.
+
+    Attributes
+    ----------
+    record
+        The record.
+    """
+
+    record: LongRecord[Any]
+    _said: dict[str, list[tuple[Part, str]]] = field(default_factory=dict)
+
+    @contextmanager
+    def of(self, part: Part) -> Iterator[None]:
+        """Collect the warnings about a part; those about a whole record are passed on at once."""
+        if part.count == 1:
+            yield
+            return
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", DataQualityWarning)
+            yield
+        for one in caught:
+            if issubclass(one.category, DataQualityWarning):
+                self.add(part, str(one.message))
+            else:
+                warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+
+    def add(self, part: Part, text: str) -> None:
+        """Note what is to be said of a part."""
+        same = self._said.setdefault(_NUMBER.sub("#", text), [])
+        if (part, text) not in same:
+            same.append((part, text))
+
+    def tell(self) -> None:
+        """Say it all: once what is said of all parts in the same words, the rest with the first part that it is of."""
+        for text in self.sentences():
+            warn_quality(text)
+
+    def sentences(self) -> Iterator[str]:
+        """What there is to say."""
+        prefix = f"{self.record.name}: "
+        for said in self._said.values():
+            part, text = said[0]
+            parts = {one.number for one, _ in said}
+            if part.count == 1 or (len(parts) == part.count and len({words for _, words in said}) == 1):
+                yield text
+                continue
+            others = len(parts) - 1
+            like = f" (and the like in {others} further part{'s' if others > 1 else ''})" if others else ""
+            yield f"{prefix}{part.told(self.record)}: {text.removeprefix(prefix)}{like}"

@@ -1,0 +1,129 @@
+"""Parts of a record that is longer than is worked on at once: fixed numbers of samples, which overlap.
+
+Where a part begins and ends follows from the length of the record alone and never from how it is read, so that the
+same record gives the same numbers however it comes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol, TypeVar
+
+NO_TIME: Final = 1e-3
+"""Sampling intervals from zero up to which a time is zero but for rounding."""
+
+Samples_co = TypeVar("Samples_co", covariant=True)
+"""What a part of a record is: a recording, or balance loads."""
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """Which part of a whole record a recording is, and what only the whole tells.
+
+    Attributes
+    ----------
+    begin, end
+        Places of the first and the last sample in the whole record, from 0 to 1 [1].
+    means
+        Means of channels over the whole record, by name.
+    """
+
+    begin: float = 0.0
+    end: float = 1.0
+    means: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Samples of a record that are worked on at once.
+
+    Attributes
+    ----------
+    number, count
+        Which part it is, counted from 1, of how many.
+    begin, end
+        First sample that is worked on, and the one after the last.
+    first, stop
+        First sample that the part answers for, and the one after the last: those of all parts make up the record.
+    margin
+        Samples on either side of `first` and `stop`, within the record, that are worked on beside them.
+    """
+
+    number: int
+    count: int
+    begin: int
+    end: int
+    first: int
+    stop: int
+    margin: int
+
+    def told(self, record: LongRecord[Any]) -> str:
+        """Where it is in a record, in words."""
+        times = (record.start + sample / record.rate for sample in (self.first, self.stop))
+        begin, end = (0.0 if abs(time) * record.rate < NO_TIME else time for time in times)
+        return f"in part {self.number} of {self.count}, from {begin:.4g} s to {end:.4g} s"
+
+
+class LongRecord(Protocol[Samples_co]):
+    """A record whose samples can be had part by part: a recording in memory, or a file."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of its steady clock."""
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate [Hz]."""
+
+    @property
+    def start(self) -> float:
+        """Time of the first sample [s]."""
+
+    def part(self, begin: int, end: int) -> Samples_co:
+        """Samples from one to another (not included)."""
+
+
+def parts_of(samples: int, *, length: int, margin: int) -> tuple[Part, ...]:
+    """Return the parts of a record, each of `length` samples; a record up to that length is one part.
+
+    Neighbours overlap by twice the margin and meet in the middle of that. The last part begins earlier, so that it has
+    the same length as the others.
+
+    Parameters
+    ----------
+    samples
+        Samples of the record.
+    length
+        Samples of a part.
+    margin
+        Samples on either side of a joint that both parts have, less than a quarter of the length.
+
+    Raises
+    ------
+    ValueError
+        The margin leaves nothing of a part.
+    """
+    if samples <= length:
+        return (Part(1, 1, 0, samples, 0, samples, 0),)
+    own = length - 2 * margin
+    if own < 2 * margin:
+        raise ValueError(f"a margin of {margin} samples is too much for parts of {length}")
+    count = 1 + -(-(samples - length) // own)
+    joints = [0, *(place * own + margin for place in range(1, count)), samples]
+    return tuple(
+        Part(
+            place + 1,
+            count,
+            min(place * own, samples - length),
+            min(place * own + length, samples),
+            joints[place],
+            joints[place + 1],
+            margin,
+        )
+        for place in range(count)
+    )

@@ -1,0 +1,279 @@
+"""Records that are worked on in parts: the same answer as in one piece, however they are read."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from aerobalance.dynamics.independent import dynamics_of
+from aerobalance.estimation.force import ForceWork, estimate_force
+from aerobalance.estimation.force_parts import JOINTS, Division
+from aerobalance.estimation.force_smoother import SmootherResult
+from aerobalance.estimation.record import IndependentRecord
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.part_warnings import PartWarnings
+from aerobalance.recording.parts import parts_of
+from aerobalance.recording.recording import Recording
+from aerobalance.uncertainty.budget import component_budget, scalars, spectrum
+from aerobalance.uncertainty.monte_carlo import monte_carlo
+from aerobalance.uncertainty.regression import regress
+from helpers.cable_cut import T128
+
+RATE, NOISE = 1600.0, 2.0
+SHORT = Division(readings=1 << 13, margin=(1 << 10, 1 / 8))
+"""Parts of 8192 samples whose joints lie at 7168, 13312, 19456, ...: the T-128's slowest mode, of 0.3 s at 1600 Hz,
+has margins of 1024 samples, which is two decay times."""
+
+UNSURE = replace(T128, covariance=np.diag((np.array([2e-4, 2e-4, 5e-2, 0]) * T128.values) ** 2))
+
+
+HIGHEST = 40.0
+"""Highest frequency of the force, or where it is weaker by a half [Hz]."""
+
+
+def run(
+    generator: np.random.Generator, *, count=22_000, steps=(), soft=False, missing=slice(0, 0), **known
+) -> Recording:
+    """Balance load under a force of 20 N rms with steps of 30 N, up and down in turn, and its noise."""
+    time, frequency = np.arange(count) / RATE, np.fft.rfftfreq(count, 1 / RATE)
+    shape = (1 + (frequency / HIGHEST) ** 4) ** -0.5 if soft else (frequency > 0) & (frequency < HIGHEST)
+    force = np.fft.irfft(np.fft.rfft(generator.normal(size=count)) * shape)
+    force *= 20.0 / force.std()
+    load = np.fft.irfft(np.fft.rfft(force) * T128.response(frequency)) + 50.0
+    for place, sample in enumerate(steps):
+        load += 30.0 * (-1) ** place * T128.step_response(time - sample / RATE, duration=0.0)
+    load += NOISE * generator.normal(size=count)
+    load[missing] = np.nan
+    return Recording.from_columns(time, {"AF": Channel("AF", load, "N", **known)}, name="long run")
+
+
+def divided(record, dynamics=T128, division=SHORT, **settings):
+    return ForceWork(record, dynamics_of(dynamics), division=division, **settings)
+
+
+def rms(values) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+# --- where parts are
+
+
+@pytest.mark.parametrize("samples", [1000, 1001, 1801, 2600, 2601, 9999])
+def test_parts_make_up_the_record_and_overlap(samples):
+    parts = parts_of(samples, length=1000, margin=100)
+    assert parts[0].first == parts[0].begin == 0
+    assert parts[-1].stop == parts[-1].end == samples
+    for part in parts:
+        assert part.count == len(parts)
+        assert part.end - part.begin == 1000
+    for one, other in pairwise(parts):
+        joint = one.stop
+        assert joint == other.first
+        assert one.end >= joint + 100
+        assert other.begin <= joint - 100
+        assert joint == 100 + 800 * one.number  # whatever the record's length
+
+
+def test_a_short_record_is_one_part():
+    (part,) = parts_of(1000, length=1000, margin=100)
+    assert (part.begin, part.first, part.stop, part.end, part.count) == (0, 0, 1000, 1000, 1)
+
+
+def test_a_margin_that_leaves_nothing_is_refused():
+    with pytest.raises(ValueError, match="too much"):
+        parts_of(2000, length=1000, margin=300)
+
+
+def test_a_part_of_a_recording_knows_its_clock_and_place():
+    stamps = np.delete(np.arange(100), [30, 31, 59]) / 10.0 + 5.0
+    with pytest.warns(DataQualityWarning, match="missing"):
+        whole = Recording.from_columns(stamps, {"AF": Channel("AF", stamps * 2, "N")})
+    part = whole.part(25, 60)
+    assert part.samples == 35
+    assert part.start == pytest.approx(7.5)
+    assert part.extent.begin == 25 / 99
+    assert part.extent.end == 59 / 99
+    np.testing.assert_array_equal(part.channel("AF").values, whole.channel("AF").values[25:60])
+    np.testing.assert_allclose(part.time[part.rows], part.stamps, rtol=1e-12)
+    assert part.rows[-1] == 33  # the last sample is missing
+
+
+# --- the same answer
+
+
+def test_parts_give_what_the_whole_gives(rng):
+    record = run(rng, steps=(7168.3, 12_500.2, 13_311.6))  # two of them within a sample of a joint
+    whole = estimate_force(record, T128).only
+    found = divided(record).force().only
+    assert [step.instant for step in found.steps] == pytest.approx(
+        [step.instant for step in whole.steps], abs=0.1 / RATE
+    )
+    assert [step.height for step in found.steps] == pytest.approx(
+        [step.height for step in whole.steps], abs=0.5 * whole.steps[0].height_uncertainty
+    )
+    # each part has learned its prior from a third of the record. An error of a tenth of u beside u is half a percent
+    # of it, far below what the coverage shows
+    apart = (found.values - whole.values) / whole.uncertainty
+    assert rms(apart) < 0.1
+    for part in SHORT.parts(record, dynamics_of(T128))[1:]:
+        assert rms(apart[part.first - 512 : part.first + 512]) < 0.15
+    assert rms(found.uncertainty) == pytest.approx(rms(whole.uncertainty), rel=0.05)
+
+
+@pytest.mark.parametrize("soft", [True, False])
+def test_with_the_same_prior_little_is_left_of_the_ends_of_a_part(rng, soft):
+    """A smooth spectrum forgets exponentially; one that ends at a frequency B like sin(2 pi B t) / t.
+
+    Of the square of that 1 / (2 pi^2 2 B t) lies beyond a time t, and the noise that the smoother lets through and the
+    force that it holds back are both cut off there, on one side of a joint.
+    """
+    record = run(rng, soft=soft)
+    reading = IndependentRecord.of(record, dynamics_of(T128)).component_record("AF").reading()
+    learned = estimate_force(record, T128).only.learned
+    whole = SmootherResult.of(reading, learned=learned, steps=())
+    u = float(np.median(np.sqrt(whole.variance)))
+    for part in SHORT.parts(record, dynamics_of(T128)):
+        own = replace(reading, values=reading.values[part.begin : part.end])
+        found = SmootherResult.of(own, learned=learned, steps=())
+        # what free motion there may be when a record begins is judged from the record itself
+        first = part.first - part.margin // 2 if part.number > 1 else part.margin // 2
+        last = part.stop if part.number < part.count else part.stop - part.margin
+        apart = found.force[first - part.begin : last - part.begin] - whole.force[first:last]
+        if soft:
+            assert np.max(np.abs(apart)) < 0.01 * u
+        else:
+            beyond = np.sqrt(2 / (2 * np.pi**2 * 2 * HIGHEST * part.margin / 2 / RATE))
+            assert rms(apart[: part.margin]) < 3 * beyond * u
+            assert rms(apart) < beyond * u
+
+
+def test_steps_and_numbers_do_not_depend_on_where_the_record_ends(rng):
+    record = run(rng, steps=(7168.3,))
+    shorter = record.part(0, 20_000)
+    long, short = (list(divided(one).parts()) for one in (record, shorter))
+    for one, other in zip(long[:2], short[:2], strict=True):
+        np.testing.assert_array_equal(one.values["AF"], other.values["AF"])
+        np.testing.assert_array_equal(one.uncertainty["AF"], other.uncertainty["AF"])
+        assert one.steps == other.steps
+
+
+def test_budget_of_parts_is_that_of_the_whole(rng):
+    record = run(rng, relative_uncertainty=0.002, zero_uncertainty=0.3)
+    whole, found = (work.only for work in (estimate_force(record, UNSURE), divided(record, UNSURE).force()))
+    for one, other in zip(scalars(whole), scalars(found), strict=True):
+        assert one.value == pytest.approx(other.value, abs=0.2 * one.u), one.name
+        assert one.u == pytest.approx(other.u, rel=0.05), one.name
+        for name in ("zero of the readings", "gain of the readings", "mass, stiffness, damping, delay"):
+            # what is wrong throughout does not average out over the parts
+            assert one.parts[name] == pytest.approx(other.parts[name], rel=0.05, abs=0.01 * one.u), (one.name, name)
+    known = {row.name: row for row in component_budget(found)}
+    for row in component_budget(whole):
+        assert known[row.name].rms == pytest.approx(row.rms, rel=0.05, abs=0.01 * rms(whole.uncertainty)), row.name
+    assert known[JOINTS].rms < 0.1 * rms(whole.uncertainty)
+    one, other = (spectrum(estimate, rate=RATE) for estimate in (whole, found))
+    low = one.frequency < 35
+    np.testing.assert_allclose(one.density[low].sum(), other.density[low].sum(), rtol=0.05)
+    assert found.uncertainty == pytest.approx(
+        np.sqrt(sum(part.deviation**2 for part in found.contributions)), rel=0.05
+    )
+
+
+def test_regression_on_a_divided_force_has_the_uncertainty_of_the_whole(rng):
+    record = run(rng, zero_uncertainty=0.3)
+    whole, found = (work.only for work in (estimate_force(record, T128), divided(record).force()))
+    one, other = (regress(estimate, {"mean": 1.0}) for estimate in (whole, found))
+    assert np.sqrt(one.measured[0, 0]) == pytest.approx(0.3, rel=0.01)
+    assert other.measured[0, 0] == pytest.approx(one.measured[0, 0], rel=0.01)
+
+
+def test_monte_carlo_of_a_divided_force_is_refused(rng):
+    with pytest.raises(ValueError, match="worked out in parts"):
+        monte_carlo(divided(run(rng)).force())
+
+
+# --- gaps, silence, constants
+
+
+def test_a_gap_over_a_joint_is_bridged(rng):
+    gap = slice(7000, 7300)
+    record = run(rng, missing=gap)
+    whole, found = estimate_force(record, T128).only, divided(record).force().only
+    apart = (found.values - whole.values) / whole.uncertainty
+    assert rms(apart[gap]) < 0.2
+    assert rms(found.uncertainty[gap]) == pytest.approx(rms(whole.uncertainty[gap]), rel=0.1)
+
+
+def test_a_part_without_readings_has_no_force_and_says_so(rng):
+    record = run(rng, count=30_000)
+    whole = estimate_force(record, T128).only
+    load = record.channel("AF").values.copy()
+    load[6000:21_000] = np.nan
+    record = replace(record, channels={"AF": Channel("AF", load, "N")})
+    with pytest.warns(DataQualityWarning, match=r"in part 2 of 5, from 4.48 s to 8.32 s: there are not 32 readings"):
+        found = divided(record).force().only
+    silent = np.isnan(found.values)
+    assert silent[8000:13_000].all()
+    assert not silent[:6000].any()
+    assert not silent[21_000:].any()
+    apart = (found.values - whole.values) / whole.uncertainty
+    assert rms(apart[:5000]) < 0.2
+    assert rms(apart[22_000:]) < 0.2
+    assert scalars(found)[0].value == pytest.approx(found.values[~silent].mean())
+
+
+def test_a_record_without_readings_is_refused(rng):
+    record = run(rng, missing=slice(0, 22_000))
+    with pytest.raises(FitError, match="no part of the record has 32 readings"):
+        list(divided(record).parts())
+
+
+@pytest.mark.parametrize("value", [0.0, 12.5])
+def test_a_constant_record_stays_constant(value):
+    load = np.full(22_000, value)
+    record = Recording.from_columns(np.arange(load.size) / RATE, {"AF": Channel("AF", load, "N")}, name="still")
+    found = divided(record).force().only
+    np.testing.assert_allclose(found.values, value, atol=1e-6 * (1 + value))
+    assert not found.steps
+
+
+def test_parts_that_contradict_each_other_are_told(rng):
+    """Where the second part's readings jump by a slow drift of the amplifier, each part takes another level."""
+    record = run(rng)
+    changed = {}
+
+    class Restless:
+        """A source that reads otherwise the second time: the two parts have seen different samples."""
+
+        name, samples, rate, start = record.name, record.samples, record.rate, record.start
+
+        def part(self, begin, end):
+            one = record.part(begin, end)
+            channel = one.channel("AF")
+            changed[begin] = channel.values + (40.0 if begin else 0.0)
+            return replace(one, channels={"AF": replace(channel, values=changed[begin])})
+
+    with pytest.warns(DataQualityWarning, match=r"by this part and the one before differ by 40 N rms"):
+        parts = list(divided(Restless()).parts())
+    joint = 7168 - parts[1].first
+    # half way between the two the standard deviation of one or the other is half their difference
+    assert parts[1].uncertainty["AF"][joint] == pytest.approx(20.0, rel=0.05)
+
+
+# --- words
+
+
+def test_what_is_said_of_all_parts_is_said_once():
+    record = Recording.from_columns(np.arange(3000) / 10, {"AF": Channel("AF", np.zeros(3000), "N")}, name="run")
+    parts = parts_of(3000, length=1000, margin=100)
+    told = PartWarnings(record)
+    for part in parts:
+        told.add(part, "run: pitch is not recorded")
+        told.add(part, f"run: hum of {part.number}.5e-3 N")
+    told.add(parts[1], "run: there is a gap")
+    assert list(told.sentences()) == [
+        "run: pitch is not recorded",
+        "run: in part 1 of 4, from 0 s to 90 s: hum of 1.5e-3 N (and the like in 3 further parts)",
+        "run: in part 2 of 4, from 90 s to 170 s: there is a gap",
+    ]
