@@ -13,8 +13,8 @@ import pytest
 from aerobalance.app.cli import main
 from aerobalance.app.commands.answers import rounded
 from aerobalance.app.commands.weighing import mass_number
-from aerobalance.estimation.result import ComponentForce
-from aerobalance.io import read_table, write_force
+from aerobalance.io import read_table
+from aerobalance.io.results_file import force_columns, writing
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.recording import Recording
 
@@ -134,8 +134,9 @@ def test_table_of_forces_has_the_digits_that_mean_something(tmp_path):
     values = 250 + 60 * generator.normal(size=(5000, 1))
     u = 0.03 + 0.02 * generator.random(size=(5000, 1))
     recording = Recording.from_columns(time, {"AF": Channel("AF", values[:, 0], "N")}, name="run")
-    plain = ComponentForce("AF", values[:, 0], u[:, 0], "given", noise=1.0, bandwidth=1.0, noise_gain=1.0)
-    write_force(tmp_path / "f.csv", recording, {"AF": plain})
+    file = tmp_path / "f.csv"
+    with writing(file, samples=5000) as append:
+        append(force_columns(file, recording, slice(0, 5000), {"AF": values[:, 0]}, {"AF": u[:, 0]}))
     table = read_table(tmp_path / "f.csv", required=("time", "AF", "u_AF"))
     assert np.array_equal(table.values("time"), time)
     assert np.max(np.abs(table.values("AF") - values[:, 0]) / u[:, 0]) < 1e-3

@@ -11,6 +11,7 @@ import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.io import read
 from aerobalance.io.balance_file import read_balance
 from aerobalance.io.mass_file import read_weighing, write_weighing
 from aerobalance.io.schedule import read_schedule, write_balfit_schedule
@@ -399,3 +400,39 @@ def test_wrong_calls_say_what_is_allowed(here, capsys, arguments, code, message)
     error = capsys.readouterr().err
     assert error.startswith("error: ") and message in error
     assert not Path("out.csv").exists()
+
+
+def test_loads_of_a_long_record_do_not_depend_on_its_parts(
+    here: Path, truth: BalanceMatrix, rng, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(capsys, "calibrate", "schedule.csv", "-o", "balance.json")
+    count = 12_000
+    time = np.arange(count) / 1000
+    direct = 0.3 * CAPACITIES * np.sin(2 * np.pi * time[:, None] * np.linspace(1, 3, 6))
+    for name, drift in (("before", 0.0), ("after", 0.01)):
+        outputs = gauges(truth, np.zeros((500, 6)), rng)
+        shifted = {key: values + drift for key, values in outputs.items()}
+        write(f"{name}.csv", np.arange(500) / 1000, shifted)
+    outputs = gauges(truth, direct, rng)
+    write("run.csv", time, {key: values + 0.01 * time / time[-1] for key, values in outputs.items()})
+    words = ["loads", "run.csv", "--balance", "balance.json", "--zero", "before.csv", "--zero-after", "after.csv"]
+    words += ["--model-on-zero", "off"]
+    whole = run(capsys, *words, "-o", "whole.h5")
+    monkeypatch.setattr("aerobalance.app.commands.loads.PART", 3000)
+    monkeypatch.setattr("aerobalance.app.commands.loads.MARGIN", 200)
+    parts = run(capsys, *words, "-o", "parts.h5")
+    one, other = read("whole.h5"), read("parts.h5")
+    for channel in one:
+        values, again = channel.values, other.channel(channel.name).values
+        size = np.max(np.abs(values))
+        # each part judges the noise of its readings by itself: 4 standard deviations of a deviation of 3000 samples
+        tolerance = 4 / np.sqrt(2 * 3000) if channel.name.startswith("u_") else 1e-9
+        np.testing.assert_allclose(again, values, rtol=0, atol=tolerance * size)
+    for name, found in whole["components"].items():
+        for key, value in found.items():
+            close = 0.1 if key == "noise_of_reading" else 1e-2 if key == "u_calibration_rms" else 1e-6
+            assert parts["components"][name][key] == (
+                value if isinstance(value, str) else pytest.approx(value, rel=close, abs=1e-6)
+            ), (name, key)
+    assert parts["beyond_calibrated_range"] == whole["beyond_calibrated_range"]
+    assert parts["missing"] == whole["missing"] == 0

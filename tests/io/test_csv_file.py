@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerobalance.estimation.result import ComponentForce
-from aerobalance.io import check_output, column_names, read, read_table, write_force, write_recording
+from aerobalance.io import check_output, column_names, read, read_table, write_recording
+from aerobalance.io.results_file import force_columns, writing
 from aerobalance.io.text_table import read_text_columns
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import ReadError
@@ -148,11 +148,12 @@ def test_force_keeps_time_text_name_and_unit(tmp_path):
     with pytest.warns(UserWarning, match="missing from the time column"):
         recording = read(source)
     values = np.column_stack([recording.channel(name).values for name in ("AF", "PM")])
-    force = {
-        name: ComponentForce(name, column, np.ones(40), "given", noise=1.0, bandwidth=1.0, noise_gain=1.0)
-        for name, column in zip(("AF", "PM"), values.T, strict=True)
-    }
-    write_force(target, recording, force)
+    force = dict(zip(("AF", "PM"), values.T, strict=True))
+    with writing(target, samples=40) as append:
+        for part in (slice(0, 6), slice(6, 8), slice(8, 40)):
+            values_of_part = {name: column[part] for name, column in force.items()}
+            ones = dict.fromkeys(force, np.ones(part.stop - part.start))
+            append(force_columns(target, recording, part, values_of_part, ones))
     lines = target.read_text().splitlines()
     assert lines[0] == "time [ms],AF [lbf],u_AF [lbf],PM [in-lbf],u_PM [in-lbf]"
     assert [float(line.split(",")[0]) for line in lines[1:]] == [float(s) for i, s in enumerate(stamps) if i != 7]
@@ -165,9 +166,9 @@ def test_force_keeps_time_text_name_and_unit(tmp_path):
 
 def test_force_on_another_clock_is_refused(tmp_path):
     recording = Recording.from_columns(np.arange(4.0), {"AF": Channel("AF", np.arange(4.0), "N")})
-    force = {"AF": ComponentForce("AF", np.zeros(3), np.zeros(3), "given", noise=1.0, bandwidth=1.0, noise_gain=1.0)}
+    force = {"AF": np.zeros(3)}
     with pytest.raises(ValueError, match="3 samples, the recording 4"):
-        write_force(tmp_path / "out.csv", recording, force)
+        force_columns(tmp_path / "out.csv", recording, slice(0, 4), force, force)
 
 
 def test_unknown_ending_and_missing_folder_are_refused_before_writing(tmp_path):

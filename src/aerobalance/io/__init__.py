@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -25,14 +25,9 @@ from aerobalance.io.table import Column, Table, recording_from, table_from
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.text_table import describe_text, guess_encoding
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import is_gauge, si_unit
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import Conversion, conversion, conversion_for, edge_unit
-
-if TYPE_CHECKING:
-    from aerobalance.balance.loads import Loads
-    from aerobalance.estimation.result import ComponentForce
 
 __all__ = [
     "FORMATS",
@@ -49,9 +44,8 @@ __all__ = [
     "read_table",
     "states_times",
     "template",
-    "write_force",
-    "write_loads",
     "write_recording",
+    "writer_of",
 ]
 
 
@@ -82,6 +76,9 @@ class Format(Protocol):
     ) -> None:
         """Write columns under their headers, with what is known of them where the format has a place for it."""
 
+
+ALL: Final = slice(None)
+"""All rows."""
 
 FORMATS: Final[tuple[Format, ...]] = (tdms_file, hdf5_file, lvm_file, csv_file)
 """The formats, in the order in which they are asked; text comes last, as it takes what the others leave."""
@@ -254,13 +251,20 @@ def check_output(path: Path | str) -> Path:
     file = Path(path)
     if file.is_dir():
         raise ValueError(f"{file} is a folder; the name of a file is needed")
-    _writer(file)
+    writer_of(file)
     if not file.parent.is_dir():
         raise ValueError(f"cannot write {file}: there is no folder {file.parent}")
     return file
 
 
-def _writer(path: Path) -> Format:
+def writer_of(path: Path) -> Format:
+    """Return the format that a file of this name is written in.
+
+    Raises
+    ------
+    ValueError
+        There is none.
+    """
     for form in FORMATS:
         if path.suffix.lower() in form.SUFFIXES:
             return form
@@ -275,10 +279,10 @@ def as_it_went_in(values: Array, change: Conversion) -> Array:
     return np.where(change.inside(short) == values, short, outside)
 
 
-def _time_column(recording: Recording) -> dict[str, Array]:
-    """Time column of a recording as its file had it."""
+def time_column(recording: Recording, rows: slice = ALL) -> dict[str, Array]:
+    """Time column of a recording as its file had it, or some rows of it."""
     unit = recording.time_unit
-    stamps = conversion(unit, expected="s").outside(recording.stamps)
+    stamps = conversion(unit, expected="s").outside(recording.stamps[rows])
     if unit != "s":
         # Fifteen digits are what a number keeps through a change of unit, so 0.625 ms comes out as it went in.
         stamps = np.array([float(f"{stamp:.15g}") for stamp in stamps])
@@ -303,13 +307,13 @@ def write_recording(path: Path | str, recording: Recording) -> None:
         The ending stands for no format, or the file cannot be written.
     """
     file = check_output(path)
-    columns = _time_column(recording)
+    columns = time_column(recording)
     described = {}
     for channel in recording:
-        column = _column(channel, recording)
+        column = channel_column(channel, recording)
         columns.update(column)
         described[next(iter(column))] = _described(channel)
-    _writer(file).write_columns(file, columns, described)
+    writer_of(file).write_columns(file, columns, described)
 
 
 def _described(channel: Channel) -> StoredChannel:
@@ -319,82 +323,9 @@ def _described(channel: Channel) -> StoredChannel:
     return StoredChannel(name=channel.name, unit=unit, **channel.known(factor=1 / factor))
 
 
-def _column(channel: Channel, recording: Recording) -> dict[str, Array]:
+def channel_column(channel: Channel, recording: Recording, rows: slice = ALL) -> dict[str, Array]:
     """Return a channel as a column of the rows of its recording, in the unit it had in its file."""
     unit = channel.file_unit or edge_unit(channel.name, channel.unit)
     change = conversion_for(channel.name, unit) if unit != channel.unit else None
-    values = channel.values[recording.rows]
+    values = channel.values[recording.rows[rows]]
     return {f"{channel.name} [{unit}]": values if change is None else as_it_went_in(values, change)}
-
-
-def write_force(path: Path | str, recording: Recording, force: Mapping[str, ComponentForce]) -> None:
-    """Write the applied force beside the time column of its recording.
-
-    Each component keeps its name and the unit it had in the recording's file, and is followed by its standard
-    uncertainty: ``time [s],AF [N],u_AF [N]``.
-
-    Parameters
-    ----------
-    path
-        The file; its ending chooses the format.
-    recording
-        The recording that the force was computed from.
-    force
-        Force and uncertainty by component, on the recording's clock.
-
-    Raises
-    ------
-    ValueError
-        The force is not on the recording's clock; the ending stands for no format; the file cannot be written.
-    """
-    file = check_output(path)
-    columns = _time_column(recording)
-    for name, part in force.items():
-        if part.values.size != recording.samples:
-            raise ValueError(f"the force has {part.values.size} samples, the recording {recording.samples}")
-        inside = si_unit(name)
-        unit = (recording.channels[name].file_unit if name in recording else "") or inside
-        change = conversion(unit, expected=inside)
-        values = change.outside(part.values[recording.rows])
-        u = change.outside(part.uncertainty[recording.rows])
-        columns |= _result(file, f"{name} [{unit}]", values, u, least=u)
-    _writer(file).write_columns(file, columns)
-
-
-def _result(file: Path, label: str, values: Array, u: Array, *, least: Array) -> dict[str, Array]:
-    """Return a result and its standard uncertainty as columns: in a text with the digits that mean something."""
-    digits = csv_file.digits_for(least) if _writer(file) is csv_file else None
-    kept = (values, u) if digits is None else (csv_file.rounded(values, digits), csv_file.rounded(u, digits))
-    return {label: kept[0], f"u_{label}": kept[1]}
-
-
-def write_loads(path: Path | str, recording: Recording, felt: Loads) -> None:
-    """Write the balance loads beside the time column of their recording, and the channels that were no gauge outputs.
-
-    Each load is followed by its standard uncertainty: ``time [s],NF [N],u_NF [N]``; the recording's pitch,
-    accelerations and other channels come after, so that the file can go on to `force`.
-
-    Parameters
-    ----------
-    path
-        The file; its ending chooses the format.
-    recording
-        The recording that the loads were computed from.
-    felt
-        Loads on the recording's clock, n samples.
-
-    Raises
-    ------
-    ValueError
-        The ending stands for no format, or the file cannot be written.
-    """
-    file = check_output(path)
-    columns = _time_column(recording)
-    uncertainty = felt.uncertainty
-    for index, (name, unit) in enumerate(zip(felt.components, felt.units, strict=True)):
-        values, u = felt.values[recording.rows, index], uncertainty[recording.rows, index]
-        columns |= _result(file, f"{name} [{unit}]", values, u, least=np.append(u, felt.noise[index]))
-    for channel in recording:
-        if not is_gauge(channel.name) and channel.name != "excitation" and channel.name not in felt.components:
-            columns.update(_column(channel, recording))
-    _writer(file).write_columns(file, columns)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from aerobalance.recording.channel import Array, SensorSpec
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.units import readable
+
+Append = Callable[[Mapping[str, Array]], None]
+"""Takes the next rows of all columns of a file that is written, by header."""
 
 _SQUARE: Final = re.compile(r"(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 _ROUND: Final = re.compile(r"(?P<name>.*?)\s*\((?P<unit>.*)\)\s*")

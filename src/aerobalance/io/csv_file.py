@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from aerobalance.io.columns import Heading, RawColumns
+from aerobalance.io.columns import Append, Heading, RawColumns
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.table import Table, table_from
 from aerobalance.io.text_clock import ALIKE
@@ -210,11 +211,38 @@ def write_columns(path: Path, columns: Mapping[str, Array], described: object = 
     described
         What is known of the columns, for which a text file has no place.
     """
+    with appending(path, list(columns), described) as append:
+        append(columns)
+
+
+@contextmanager
+def appending(path: Path, labels: Sequence[str], described: object = None) -> Iterator[Append]:
+    """Write columns that come some rows at a time; the file takes its place when all are written.
+
+    Parameters
+    ----------
+    path, described
+        As in `write_columns`.
+    labels
+        The headers.
+
+    Yields
+    ------
+    Append
+        Takes the next rows of all columns, by header.
+    """
     del described
     import pandas as pd  # noqa: PLC0415 - half a second, and only files need it
 
-    finite = {name: np.where(np.isfinite(values), values, np.nan) for name, values in columns.items()}
-    with replacing(path) as beside:
-        pd.DataFrame(finite).to_csv(
-            beside, index=False, sep=SUFFIXES[path.suffix.lower()], lineterminator="\n", encoding="utf-8"
-        )
+    separator = SUFFIXES[path.suffix.lower()]
+    with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="") as file:
+
+        def write(table: pd.DataFrame, *, header: bool) -> None:
+            table.to_csv(file, header=header, index=False, sep=separator, lineterminator="\n")
+
+        def append(columns: Mapping[str, Array]) -> None:
+            finite = {label: np.where(np.isfinite(columns[label]), columns[label], np.nan) for label in labels}
+            write(pd.DataFrame(finite), header=False)
+
+        write(pd.DataFrame(columns=list(labels)), header=True)
+        yield append

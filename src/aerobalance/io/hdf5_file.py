@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,21 +10,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
+from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns
 from aerobalance.io.hdf5_contents import Contents, contents, contents_of, opened
-from aerobalance.io.hdf5_guard import LIBVER, GuardedFile
-from aerobalance.io.hdf5_layout import (
-    BLOCK,
-    CHANNEL,
-    DiskFullError,
-    Provenance,
-    StoredChannel,
-    checksum,
-    disk_full,
-    lay_out,
-    status_row,
-)
-from aerobalance.io.safe_write import replacing
+from aerobalance.io.hdf5_layout import StoredChannel, checksum
+from aerobalance.io.hdf5_rows import ROWS, appending
 from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.io.text_layout import Layout
 from aerobalance.recording.channel import Array, SensorSpec
@@ -43,11 +31,7 @@ SUFFIXES: Final[Mapping[str, str]] = {".h5": "", ".hdf5": ""}
 LARGEST_GAP: Final = 20
 """Samples of the clock per sample of the file beyond which the recording has to be cut at its gaps."""
 
-CONVERTED: Final = "converted"
-"""Why a recording ended that was made from another file."""
-
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
-_ROWS: Final = 8192
 _CONTACTS: Final = 5  # contacts that are listed
 
 
@@ -75,7 +59,7 @@ def read_blocks(path: Path | str) -> Iterator[tuple[int, Array | None]]:
     with opened(file) as inside:
         found = contents_of(file, inside)
         for number, block in enumerate(found.blocks):
-            yield int(block["tick"]), _block(inside, found, number)
+            yield int(block["tick"]), read_block(inside, found, number)
 
 
 def headings(path: Path) -> tuple[Heading, ...]:
@@ -129,12 +113,9 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
         remarks: list[str] = []
         labels = _numbers(path, found, wanted)
         ticks, readings, stamps = _samples(path, file, found, labels, remarks)
-    if found.state != "ended":
-        remarks.append(_not_ended(found))
-    touched = _contact_remark(found.events, rate=found.rate, origin=found.origin)
-    for text in (*remarks, *([touched] if touched else [])):
+    for text in (*remarks, *remarks_on(found)):
         warn_quality(f"{path.name}: {text}")
-    columns = [_column(found.channels[i], readings[:, k], i + found.timed) for k, i in enumerate(labels)]
+    columns = [raw_column(found.channels[i], readings[:, k], i + found.timed) for k, i in enumerate(labels)]
     if found.timed:
         time = RawColumn(f"time [{found.time_unit}]", "time", found.time_unit, stamps, 1)
         return RawColumns(path, (time, *columns), range(1, ticks.size + 1))
@@ -174,53 +155,15 @@ def write_columns(
     ValueError
         A name or unit is too long, or the file cannot be written.
     """
-    split = {label: split_label(label) for label in columns}
-    time = next((label for label, (name, _) in split.items() if name == "time"), None)
-    if time is None:
-        raise ValueError(f"cannot write {path}: a recording in HDF5 needs a column time [s]")
-    others = [label for label in columns if label != time]
-    channels = []
-    for label in others:
-        name, unit = split[label]
-        if len(name.encode()) > CHANNEL["name"].itemsize or len(unit.encode()) > CHANNEL["unit"].itemsize:
-            raise ValueError(f"cannot write {path}: the column {label!r} has too long a name for HDF5 (60 letters)")
-        known = (described or {}).get(label, StoredChannel(name=name, unit=unit))
-        channels.append(replace(known, name=name, unit=unit, input=label))
-    n = columns[time].size
-    values = np.column_stack([columns[label] for label in others]) if others else np.empty((n, 0))
-    values = np.where(np.isfinite(values), values, np.nan)
-    try:
-        with replacing(path) as beside:
-            _write_whole(beside, channels, values, (columns[time], split[time][1]))
-    except DiskFullError as problem:
-        raise ValueError(f"cannot write {path}: {problem}") from problem
+    rows = max(1, min(next(iter(columns.values())).size, ROWS)) if columns else 1
+    with appending(path, list(columns), described, rows=rows) as append:
+        append(columns)
 
 
-def _write_whole(path: Path, channels: Sequence[StoredChannel], values: Array, time: tuple[Array, str]) -> None:
-    """Write all samples, shape (n, c), and their time stamps, shape (n,) in a unit, in one go."""
-    import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
-
-    n, rows = values.shape[0], max(1, min(values.shape[0], _ROWS))
-    stamps, unit = time
-    blocks = np.zeros(-(-n // rows), BLOCK)
-    try:
-        with GuardedFile(path) as disk, h5py.File(disk, "w", libver=LIBVER) as file:
-            provenance = Provenance(f"converted; time column time [{unit}]")
-            lay_out(file, channels, rate=float("nan"), rows=rows, provenance=provenance, time_unit=unit)
-            file["samples"].resize(values.shape)
-            file["time"].resize(stamps.shape)
-            for number, first in enumerate(range(0, n, rows)):
-                part = slice(first, min(first + rows, n))
-                file["samples"][part], file["time"][part] = values[part], stamps[part]
-                blocks[number] = (first, part.stop - first, checksum(first, values[part]), clock.time())
-                file.flush()
-                if disk.failure is not None:
-                    return
-            file["blocks"].resize(blocks.shape)
-            file["blocks"][...] = blocks
-            file["status"][...] = status_row("ended", CONVERTED)
-    except OSError as error:
-        raise disk_full(error) from error
+def remarks_on(found: Contents) -> list[str]:
+    """What there is to say of a whole record: that it was broken off, and when model and support touched."""
+    touched = _contact_remark(found.events, rate=found.rate, origin=found.origin)
+    return [*([] if found.state == "ended" else [_not_ended(found)]), *([touched] if touched else [])]
 
 
 def _not_ended(found: Contents) -> str:
@@ -233,7 +176,7 @@ def _not_ended(found: Contents) -> str:
     )
 
 
-def _block(file: h5py.File, found: Contents, number: int) -> Array | None:
+def read_block(file: h5py.File, found: Contents, number: int) -> Array | None:
     """Read one block, shape (n, c); None where it does not agree with its checksum."""
     tick, rows, crc = (int(found.blocks[number][key]) for key in ("tick", "rows", "crc32"))
     first = number * found.slot
@@ -271,7 +214,7 @@ def _samples(
     filled = 0
     for number, block in enumerate(found.blocks):
         rows, tick = int(block["rows"]), int(block["tick"])
-        samples = _block(file, found, number)
+        samples = read_block(file, found, number)
         if samples is None:
             remarks.append(
                 f"block {number + 1} of {len(found.blocks)} ({rows} samples from tick {tick}) does not agree with its "
@@ -299,7 +242,8 @@ def _samples(
     return ticks[:filled], readings, stamps[:filled]
 
 
-def _column(channel: StoredChannel, readings: Array, number: int) -> RawColumn:
+def raw_column(channel: StoredChannel, readings: Array, number: int) -> RawColumn:
+    """Return a column of readings in its unit."""
     return RawColumn(
         f"{channel.name} [{channel.unit}]",
         channel.name,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from aerobalance.io import hdf5_file
+from aerobalance.io import hdf5_file, hdf5_rows
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.recording.errors import ReadError
 
@@ -59,7 +59,7 @@ def kind_of(path: Path) -> str:
 def _of_hdf5(path: Path) -> str:
     with contextlib.suppress(ReadError):
         found = contents(path)
-        if found.reason == hdf5_file.CONVERTED:
+        if found.reason == hdf5_rows.CONVERTED:
             names = ["time", *(channel.name for channel in found.channels)]
             return TABLE if _has_uncertainties(names) else CONVERTED
     return ""

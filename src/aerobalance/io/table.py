@@ -169,6 +169,19 @@ def recording_from(table: Table, *, rate: float | None = None, ticks: NDArray[np
         There is no time column, or it does not increase; there is nothing beside it.
     """
     time = table.column("time") if "time" in table else _no_time(table)
+    channels = channels_of(table)
+    check_time(table.path, time, table.lines)
+    return on_clock(table.path, time.values, channels, time_unit=time.file_unit, rate=rate, ticks=ticks)
+
+
+def channels_of(table: Table) -> dict[str, Channel]:
+    """Channels of the columns of a table beside the time.
+
+    Raises
+    ------
+    ReadError
+        There is none.
+    """
     channels = {
         name: Channel(name, column.values, column.unit, file_unit=column.file_unit, **column.sensor.known())
         for name, column in table.columns.items()
@@ -178,8 +191,7 @@ def recording_from(table: Table, *, rate: float | None = None, ticks: NDArray[np
         raise ReadError(
             table.path, "header", "has a time column only; at least one channel is needed, for example AF [N]"
         )
-    check_time(table.path, time, table.lines)
-    return on_clock(table.path, time.values, channels, time_unit=time.file_unit, rate=rate, ticks=ticks)
+    return channels
 
 
 def _no_time(table: Table) -> NoReturn:
@@ -235,14 +247,9 @@ def on_clock(
         No steady clock fits the time column.
     """
     for channel in channels.values():
-        count = int(np.count_nonzero(channel.missing))
-        if count == channel.values.size:
+        if channel.missing.all():
             raise ReadError(path, f"column {channel.name}", "has no number in it; leave the column out")
-        if count:
-            warn_quality(
-                f"{path.name}: {count} of {channel.values.size} samples of {channel.name} are missing (empty or NaN); "
-                "the model bridges them, and the uncertainty is larger there"
-            )
+        warn_of_missing(path, channel)
     try:
         if rate is None:
             recording = Recording.from_columns(stamps, channels, name=path.name, time_unit=time_unit)
@@ -254,16 +261,31 @@ def on_clock(
         text = str(error).removeprefix(f"{path.name}: ")
         raise ReadError(path, "time column", text) from None
     for channel in recording:
-        if expected_unit(channel.name) in (None, "rad"):
-            continue
-        count = int(np.count_nonzero(channel.saturated))
-        if count:
-            warn_quality(
-                f"{path.name}: {channel.name} rests on its limit in {count} samples (saturated); the signal went "
-                "further than was recorded: force takes these samples for missing, every other result from them is "
-                "too small"
-            )
+        warn_of_limit(path, channel)
     return recording
+
+
+def warn_of_missing(path: Path, channel: Channel) -> None:
+    """Warn of readings that are missing in rows that are there."""
+    count = int(np.count_nonzero(channel.missing))
+    if count:
+        warn_quality(
+            f"{path.name}: {count} of {channel.values.size} samples of {channel.name} are missing (empty or NaN); "
+            "the model bridges them, and the uncertainty is larger there"
+        )
+
+
+def warn_of_limit(path: Path, channel: Channel) -> None:
+    """Warn of readings that rest on a limit."""
+    if expected_unit(channel.name) in (None, "rad"):
+        return
+    count = int(np.count_nonzero(channel.saturated))
+    if count:
+        warn_quality(
+            f"{path.name}: {channel.name} rests on its limit in {count} samples (saturated); the signal went "
+            "further than was recorded: force takes these samples for missing, every other result from them is "
+            "too small"
+        )
 
 
 def _placed(path: Path, channels: Mapping[str, Channel], ticks: NDArray[np.intp]) -> dict[str, Channel]:

@@ -47,11 +47,13 @@ def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> N
 
     Where the result itself goes to standard output, the answer goes to standard error.
     """
+    from aerobalance.app.progress import telling
     from aerobalance.io.safe_write import OUTPUTS
 
     OUTPUTS.begin(replace=manner.replace)
     try:
-        with Console(stderr=True).status(f"{doing} ..."):
+        status = Console(stderr=True).status(f"{doing} ...")
+        with status, telling(lambda text: status.update(f"{doing}: {text}")):
             result = work()
     except Exception as problem:
         if OUTPUTS.wanted:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -123,16 +124,18 @@ class BalanceFiles:
             calibration_counts=calibration_counts,
         )
 
-    def loads(
+    def reduction(
         self,
-        recording: Recording,
         *,
         model: CarriedWeight | None = None,
         gravity: float = STANDARD_GRAVITY,
         form: Form | None = None,
         channel_map: Path | None = None,
-    ) -> Loads:
-        """Read the files, and work out the balance loads of a run; arguments as `reduce_outputs` has them."""
+    ) -> Callable[[Recording], Loads]:
+        """Read the files; what is returned works out the balance loads of a run or of a part of it.
+
+        Arguments as `reduce_outputs` has them.
+        """
         if model is not None and self.mass is not None:
             raise ValueError("the weight comes from the mass in the dynamics; --mass would take it off twice")
         if form not in (None, "direct") and self.mass is not None:
@@ -142,4 +145,16 @@ class BalanceFiles:
             )
         tare = self.tares(channel_map)
         matrix, zero = self.matrix(), self.zeros(channel_map)
-        return reduce_outputs(recording, matrix, zero=zero, model=model, tare=tare, gravity=gravity, form=form)
+        return partial(reduce_outputs, balance=matrix, zero=zero, model=model, tare=tare, gravity=gravity, form=form)
+
+    def loads(
+        self,
+        recording: Recording,
+        *,
+        model: CarriedWeight | None = None,
+        gravity: float = STANDARD_GRAVITY,
+        form: Form | None = None,
+        channel_map: Path | None = None,
+    ) -> Loads:
+        """Read the files, and work out the balance loads of a run; arguments as `reduction` has them."""
+        return self.reduction(model=model, gravity=gravity, form=form, channel_map=channel_map)(recording)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.loads import LoadSource, loads_result
-from aerobalance.app.commands.shared import Result, check_out, collected_warnings
+from aerobalance.app.commands.loads import LoadSource, LoadsSummary
+from aerobalance.app.commands.shared import Result, check_out, collected_warnings, opened
 from aerobalance.app.commands.uncertainty import (
     Origins,
     budget_result,
@@ -20,18 +20,28 @@ from aerobalance.app.commands.uncertainty import (
     monte_carlo_result,
     scalar_result,
 )
+from aerobalance.app.progress import PROGRESS
+from aerobalance.app.reports.force_curves import ForceCurves
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
-from aerobalance.estimation.force import Force, ForceSettings, estimate_force
-from aerobalance.estimation.result import ComponentForce
+from aerobalance.estimation.force import ForceWork
+from aerobalance.estimation.force_collector import SummaryOfParts
+from aerobalance.estimation.force_parts import ForcePart
+from aerobalance.estimation.forces import ForceSettings
+from aerobalance.estimation.result import ForceSummary
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
-from aerobalance.io import check_output, write_force
+from aerobalance.io import check_output
 from aerobalance.io.artefacts import digest
+from aerobalance.io.columns import Append
 from aerobalance.io.dynamics_file import read_any_dynamics
 from aerobalance.io.kinds import PAGE, TABLE
+from aerobalance.io.results_file import force_columns, writing
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.errors import warn_quality
+from aerobalance.recording.part_warnings import PartWarnings
+from aerobalance.recording.parts import Part
+from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.monte_carlo import MonteCarlo, monte_carlo
 from aerobalance.validation.model_check import contradictions
 
@@ -74,41 +84,149 @@ def force(
     inputs = [path, dynamics, *source.paths, *([] if noise_record is None else [noise_record])]
     check_out(out, *inputs, kind=TABLE)
     check_out(report, *inputs, out, kind=PAGE)
-    with collected_warnings() as collected:
+    with collected_warnings() as collected, opened(path, channel_map) as record:
         if files is not None:
             source = source._replace(known=_through(files.balance, known, dynamics=dynamics))
-        calm = None if noise_record is None else source.read(noise_record)
-        found = estimate_force(source.read(path), source.known, noise=calm, **asdict(settings))
-        for text in contradictions(found):
-            warn_quality(f"{found.recording.name}: {text}")
-        checked = {} if check is None else monte_carlo(found, draws=check.draws, seed=check.seed)
-        for name, trial in checked.items():
-            for text in trial.doubts:
-                warn_quality(f"{found.recording.name}: {name}: {text}")
-    recording = found.recording
-    write_force(out, recording, found)
-    origins = Origins(recording, dynamics, None if files is None else files.balance)
+        work = ForceWork(
+            record,
+            source.known,
+            made_ready=source.reduction(),
+            noise=None if noise_record is None else source.read(noise_record),
+            settings=settings,
+        )
+        with writing(out, samples=record.samples) as append:
+            found = _worked_out(work, out, append, pictured=report is not None)
+            checked = _checked(work, found, check)
+    origins = Origins(found.origin, dynamics, None if files is None else files.balance)
+    summaries = found.summaries
     result: Result = {
         "written": out.name,
-        "components": {name: _component_result(found, name, origins, checked.get(name)) for name in found},
-        "components_without_dynamics": [name for name in COMPONENTS if name in recording and name not in found],
-        **({} if found.loads is None else {"loads": loads_result(found.loads)}),
+        "components": {
+            name: _component_result(summaries[name], origins, found.noises.get(name), checked.get(name))
+            for name in summaries
+        },
+        "components_without_dynamics": [name for name in COMPONENTS if name in found.origin and name not in summaries],
+        **({} if found.loads is None else {"loads": found.loads.result()}),
         "warnings": collected,
     }
     if report is not None:
         from aerobalance.app.reports.force_report import write_force_report  # noqa: PLC0415 - plotting is slow
 
-        write_force_report(report, result, found, inputs=inputs)
+        write_force_report(report, result, summaries, found.curves, recording=found.origin, inputs=inputs)
         result["report"] = report.name
     result["file"] = path.name
     return {**result, "summary": force_text(result), "details": budget_text(result["components"])}
 
 
-def _component_result(found: Force, name: str, origins: Origins, checked: MonteCarlo | None) -> Result:
+@dataclass(slots=True, eq=False)
+class _Found:
+    """What is kept of the forces of a record while its parts go by.
+
+    Attributes
+    ----------
+    samples
+        Samples of the record.
+    origin
+        A recording of the record's channels and start, without samples.
+    summaries
+        What sums up the forces.
+    noises
+        Spectra of the noise of the readings, where a record of noise was given.
+    loads
+        What sums up the balance loads, where they come from gauge outputs.
+    curves
+        What a page shows, where one is wanted.
+    worst
+        The part whose uncertainty is largest.
+    """
+
+    samples: int
+    _origin: Recording | None = None
+    _summaries: dict[str, SummaryOfParts] = field(default_factory=dict)
+    noises: dict[str, NoiseSpectrum] = field(default_factory=dict)
+    loads: LoadsSummary | None = None
+    curves: dict[str, ForceCurves] = field(default_factory=dict)
+    worst: Part | None = None
+    _most: float = 0.0
+
+    @property
+    def origin(self) -> Recording:
+        """A recording of the record's channels and start, without samples."""
+        if self._origin is None:
+            raise ValueError("no part of the record has a force")
+        return self._origin
+
+    @property
+    def summaries(self) -> dict[str, ForceSummary]:
+        """What sums up the forces, by component."""
+        return {name: one.summary for name, one in self._summaries.items()}
+
+    def add(self, given: ForcePart, start: float, *, pictured: bool) -> None:
+        """Add a part of the record that begins at `start` [s]."""
+        for name in given.values:
+            if name not in self._summaries:
+                self._summaries[name] = SummaryOfParts(name, self.samples)
+                if pictured:
+                    self.curves[name] = ForceCurves(self.samples, start)
+            self._summaries[name].add(given)
+            if pictured:
+                self.curves[name].add(given, name)
+        force = given.force
+        if force is None:
+            return
+        if self._origin is None:
+            empty = {name: replace(one, values=np.zeros(0)) for name, one in force.recording.channels.items()}
+            self._origin = replace(force.recording, channels=empty, start=start)
+            self.noises = dict(force.noises)
+        if force.loads is not None:
+            self.loads = self.loads or LoadsSummary()
+            self.loads.add(force.loads, given.own)
+        u = max(float(np.nanmean((given.uncertainty[name] / force[name].noise) ** 2)) for name in force)
+        if self.worst is None or u > self._most:
+            self.worst, self._most = given.part, u
+
+
+def _worked_out(work: ForceWork, out: Path, append: Append, *, pictured: bool) -> _Found:
+    """Work out the forces of a record part by part, and write them as they come."""
+    record = work.record
+    found, said = _Found(record.samples), PartWarnings(record)
+    PROGRESS.begin()
+    for given in work.parts():
+        force, part = given.force, given.part
+        if force is not None:
+            append(force_columns(out, force.recording, given.own, given.values, given.uncertainty))
+            for text in contradictions(force):
+                said.add(part, f"{record.name}: {text}")
+        found.add(given, record.start, pictured=pictured)
+        del given, force  # the next part needs the memory
+        PROGRESS.done(part.number, part.count)
+    said.tell()
+    return found
+
+
+def _checked(work: ForceWork, found: _Found, check: Check | None) -> dict[str, MonteCarlo]:
+    """Monte Carlo of a record; of one in parts that of the part that is known worst, which is said."""
+    if check is None or found.worst is None:
+        return {}
+    checked = monte_carlo(work.force_of(found.worst), draws=check.draws, seed=check.seed)
+    if found.worst.count > 1:
+        warn_quality(
+            f"{work.record.name}: Monte Carlo is of the part with the largest uncertainty, "
+            f"{found.worst.told(work.record).removeprefix('in ')}"
+        )
+    for name, trial in checked.items():
+        for text in trial.doubts:
+            warn_quality(f"{work.record.name}: {name}: {text}")
+    return checked
+
+
+def _component_result(
+    summary: ForceSummary, origins: Origins, noise: NoiseSpectrum | None, checked: MonteCarlo | None
+) -> Result:
     """Plain data on one component."""
-    result = force_result(found[name], origins)
-    if name in found.noises:
-        result["noise_spectrum"] = noise_result(found.noises[name])
+    result = force_result(summary, origins)
+    if noise is not None:
+        result["noise_spectrum"] = noise_result(noise)
     if checked is not None:
         result["monte_carlo"] = monte_carlo_result(checked)
     return result
@@ -157,7 +275,7 @@ def hum_of(text: str) -> Hum:
         raise ValueError(f"--hum must be mains, keep or frequencies in Hz such as 50,100, not {text}") from None
 
 
-def force_result(estimate: ComponentForce, origins: Origins) -> Result:
+def force_result(estimate: ForceSummary, origins: Origins) -> Result:
     """Plain data on one component's force; instants are on the recording's own clock."""
     start = origins.recording.start
     unit = si_unit(estimate.component)
@@ -165,7 +283,7 @@ def force_result(estimate: ComponentForce, origins: Origins) -> Result:
         "unit": unit,
         "method": estimate.method,
         **scalar_result(estimate, origins.recording),
-        "uncertainty_rms": float(np.sqrt(np.mean(estimate.uncertainty**2))),
+        "uncertainty_rms": estimate.rms_uncertainty,
         "uncertainty_budget_rms": budget_rms(estimate),
         "noise_of_reading": estimate.noise,
         "bandwidth": {"value": estimate.bandwidth, "unit": "Hz"},

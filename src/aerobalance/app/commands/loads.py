@@ -2,24 +2,46 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from aerobalance.app.commands.answers import rounded, short
 from aerobalance.app.commands.balance_files import BalanceFiles
-from aerobalance.app.commands.shared import Result, check_out, collected_warnings, recording_of, table_text
+from aerobalance.app.commands.shared import (
+    Result,
+    check_out,
+    collected_warnings,
+    opened,
+    recording_of,
+    table_text,
+)
+from aerobalance.app.progress import PROGRESS
 from aerobalance.balance.inversion import TOLERANCE
 from aerobalance.balance.load_formats import Form
-from aerobalance.balance.loads import Loads
+from aerobalance.balance.loads import Loads, beyond_range
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics
-from aerobalance.io import check_output, write_loads
+from aerobalance.io import check_output
 from aerobalance.io.balance_file import read_matrix, write_balance
 from aerobalance.io.balfit_matrix import write_balfit_matrix
 from aerobalance.io.kinds import TABLE
+from aerobalance.io.results_file import load_columns, writing
+from aerobalance.recording.channel import Array
+from aerobalance.recording.part_warnings import PartWarnings
+from aerobalance.recording.parts import parts_of
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.sensors import corrected
+
+PART: Final = 1 << 16
+"""Samples of a recording whose loads are worked out at once, 1.5 kB each for six components."""
+
+MARGIN: Final = 1 << 12
+"""Samples beside them that what sensors' filters do is undone with."""
 
 
 def convert_matrix(path: Path, out: Path) -> Result:
@@ -64,10 +86,14 @@ class LoadSource(NamedTuple):
 
     def read(self, path: Path) -> Recording | Loads:
         """Read a recording; gauge outputs become balance loads."""
-        recording = recording_of(path, self.channel_map)
+        return self.reduction()(recording_of(path, self.channel_map))
+
+    def reduction(self) -> Callable[[Recording | Loads], Recording | Loads]:
+        """Read the balance's files; what is returned makes loads of gauge outputs, and leaves loads as they are."""
         if self.files is None:
-            return recording
-        return self.files.loads(recording, model=self.known, gravity=self.gravity, channel_map=self.channel_map)
+            return lambda given: given
+        reduce = self.files.reduction(model=self.known, gravity=self.gravity, channel_map=self.channel_map)
+        return lambda given: given if isinstance(given, Loads) else reduce(given)
 
 
 def loads(
@@ -76,11 +102,23 @@ def loads(
     """Balance loads, from the gauge outputs of a recording."""
     check_output(out)
     check_out(out, path, channel_map, *files.paths, kind=TABLE)
-    with collected_warnings() as collected:
-        recording = recording_of(path, channel_map)
-        felt = files.loads(recording, form=form, channel_map=channel_map)
-    write_loads(out, recording, felt)
-    result: Result = {"file": path.name, "written": out.name, **loads_result(felt), "warnings": collected}
+    found = LoadsSummary()
+    with collected_warnings() as collected, opened(path, channel_map) as record:
+        reduce = files.reduction(form=form, channel_map=channel_map)
+        parts = parts_of(record.samples, length=PART, margin=MARGIN)
+        told = PartWarnings(record)
+        PROGRESS.begin()
+        with writing(out, samples=record.samples) as append:
+            for part in parts:
+                with told.of(part):
+                    recording = corrected(record.part(part.begin, part.end))
+                    felt = reduce(recording)
+                own = slice(part.first - part.begin, part.stop - part.begin)
+                append(load_columns(out, recording, own, felt))
+                found.add(felt, own)
+                PROGRESS.done(part.number, part.count)
+        told.tell()
+    result: Result = {"file": path.name, "written": out.name, **found.result(), "warnings": collected}
     return {**result, "summary": summary(result)}
 
 
@@ -104,26 +142,92 @@ def summary(result: Result) -> str:
 
 def loads_result(felt: Loads) -> Result:
     """Plain data on balance loads."""
-    return {
-        "components": {
-            name: {
-                "unit": felt.units[i],
-                "mean": float(np.nanmean(felt.values[:, i])),
-                "least": float(np.nanmin(felt.values[:, i])),
-                "largest": float(np.nanmax(felt.values[:, i])),
-                "rms_about_mean": float(np.nanstd(felt.values[:, i])),
-                "noise_of_reading": float(felt.noise[i]),
-                "u_calibration_rms": float(np.sqrt(np.nanmean(felt.calibration[:, i] ** 2))),
-            }
-            for i, name in enumerate(felt.components)
-        },
-        "zero": {
-            "from": felt.zero.source,
-            "outputs": dict(zip(felt.balance.gauges, felt.zero.values.tolist(), strict=True)),
-            "drift": dict(zip(felt.balance.gauges, felt.zero.drift.tolist(), strict=True)),
-            "unit": "mV/V",
-        },
-        "missing": int(np.count_nonzero(~np.isfinite(felt.values).all(axis=1))),
-        "beyond_calibrated_range": dict(felt.beyond),
-        "iteration": {"tolerance_of_capacity": TOLERANCE, "contraction": felt.contraction},
-    }
+    found = LoadsSummary()
+    found.add(felt, slice(0, felt.values.shape[0]))
+    return found.result()
+
+
+@dataclass(slots=True, eq=False)
+class LoadsSummary:
+    """What sums up balance loads, part by part."""
+
+    _felt: Loads | None = None
+    _count: Array = field(default_factory=lambda: np.zeros(0))
+    _level: Array = field(default_factory=lambda: np.zeros(0))
+    _sums: Array = field(default_factory=lambda: np.zeros((4, 0)))
+    _ends: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    _samples: int = 0
+    _missing: int = 0
+    _beyond: Counter[str] = field(default_factory=Counter)
+    _contraction: float = 0.0
+
+    def add(self, felt: Loads, own: slice) -> None:
+        """Add those samples of a part that it answers for."""
+        values, calibration = felt.values[own], felt.calibration[own]
+        known = np.isfinite(values)
+        filled = np.where(known, values, 0.0)
+        count = known.sum(axis=0)
+        if self._felt is None:
+            self._felt = felt.part(0, 1)
+            self._level = filled.sum(axis=0) / np.maximum(count, 1)
+            self._sums = np.zeros((4, values.shape[1]))
+            self._ends = np.array([np.full(values.shape[1], np.inf), np.full(values.shape[1], -np.inf)])
+            self._count = np.zeros(values.shape[1])
+        change = np.where(known, values - self._level, 0.0)
+        self._count += count
+        self._sums += [
+            change.sum(axis=0),
+            (change**2).sum(axis=0),
+            np.nansum(calibration**2, axis=0),
+            values.shape[0] * felt.noise**2,
+        ]
+        low, high = np.where(known, values, np.inf), np.where(known, values, -np.inf)
+        self._ends = np.array(
+            [
+                np.minimum(self._ends[0], low.min(axis=0, initial=np.inf)),
+                np.maximum(self._ends[1], high.max(axis=0, initial=-np.inf)),
+            ]
+        )
+        self._samples += values.shape[0]
+        self._missing += int(np.count_nonzero(~known.all(axis=1)))
+        self._beyond.update(beyond_range(felt.balance, felt.native[own]))
+        self._contraction = max(self._contraction, felt.contraction)
+
+    def result(self) -> Result:
+        """Plain data.
+
+        Raises
+        ------
+        ValueError
+            There was no part.
+        """
+        felt = self._felt
+        if felt is None:
+            raise ValueError("loads of no samples cannot be summed up")
+        count = np.maximum(self._count, 1)
+        shift = self._sums[0] / count
+        rows = {
+            "mean": self._level + shift,
+            "least": self._ends[0],
+            "largest": self._ends[1],
+            "rms_about_mean": np.sqrt(np.maximum(self._sums[1] / count - shift**2, 0.0)),
+            "noise_of_reading": np.sqrt(self._sums[3] / self._samples),
+            "u_calibration_rms": np.sqrt(self._sums[2] / count),
+        }
+        return {
+            "components": {
+                name: {"unit": felt.units[i], **{key: float(row[i]) for key, row in rows.items()}}
+                for i, name in enumerate(felt.components)
+            },
+            "zero": {
+                "from": felt.zero.source,
+                "outputs": dict(zip(felt.balance.gauges, felt.zero.values.tolist(), strict=True)),
+                "drift": dict(zip(felt.balance.gauges, felt.zero.drift.tolist(), strict=True)),
+                "unit": "mV/V",
+            },
+            "missing": self._missing,
+            "beyond_calibrated_range": {
+                name: self._beyond[name] for name in felt.balance.components if self._beyond[name]
+            },
+            "iteration": {"tolerance_of_capacity": TOLERANCE, "contraction": self._contraction},
+        }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,11 @@ from aerobalance.io import (
 )
 from aerobalance.io.kinds import EMPTY, kind_of
 from aerobalance.io.locked_file import refuse_locked
+from aerobalance.io.long_record import open_record
 from aerobalance.io.safe_write import OUTPUTS, reason_of
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning, FitError, warn_quality
+from aerobalance.recording.parts import LongRecord
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
@@ -117,6 +119,11 @@ def _check_kind(out: Path, kind: str) -> None:
 def recording_of(path: Path, channel_map: Path | None = None) -> Recording:
     """Read a recording, through a channel map where one is given; what its sensors do to the readings is undone."""
     return corrected(raw_recording(path, channel_map))
+
+
+def opened(path: Path, channel_map: Path | None = None) -> AbstractContextManager[LongRecord[Recording]]:
+    """Open a recording to read it part by part, its readings as they were taken."""
+    return open_record(path, channel_map=None if channel_map is None else load_channel_map(channel_map))
 
 
 def raw_recording(path: Path, channel_map: Path | None = None) -> Recording:

@@ -11,7 +11,7 @@ import numpy as np
 
 from aerobalance.app.commands.answers import rounded, short
 from aerobalance.app.commands.shared import Result, table_text
-from aerobalance.estimation.result import ComponentForce
+from aerobalance.estimation.result import ForceSummary
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import BudgetLine, advice, component_budget, scalars, spectrum
@@ -65,14 +65,15 @@ class Origins:
         return f"{' and '.join(channels)}{how}"
 
 
-def scalar_result(estimate: ComponentForce, recording: Recording) -> Result:
+def scalar_result(estimate: ForceSummary, recording: Recording) -> Result:
     """Mean, rms about it and extremes of a force, with their standard uncertainties."""
     found = {item.name: item for item in scalars(estimate)}
     result: Result = {}
     for name, item in found.items():
         result[name], result[f"u_{name}"] = item.value, item.u
-    for name, place in (("largest", np.argmax(estimate.values)), ("least", np.argmin(estimate.values))):
-        result[f"instant_of_{name}"] = float(recording.start + place / recording.rate)
+    for name, end in (("largest", estimate.sums.largest), ("least", estimate.sums.least)):
+        if end is not None:
+            result[f"instant_of_{name}"] = float(recording.start + end.sample / recording.rate)
     return result
 
 
@@ -87,13 +88,14 @@ def significant(rows: Sequence[BudgetLine]) -> list[BudgetLine]:
     ]
 
 
-def budget_rms(estimate: ComponentForce) -> dict[str, float]:
+def budget_rms(estimate: ForceSummary) -> dict[str, float]:
     """Rms of every contribution, zero for what is only lost in calculating."""
-    least = NOTHING * max(estimate.budget.values(), default=0.0)
-    return {name: rms if rms > least else 0.0 for name, rms in estimate.budget.items()}
+    found = estimate.budget
+    least = NOTHING * max(found.values(), default=0.0)
+    return {name: rms if rms > least else 0.0 for name, rms in found.items()}
 
 
-def budget_result(estimate: ComponentForce, origins: Origins) -> Result:
+def budget_result(estimate: ForceSummary, origins: Origins) -> Result:
     """Uncertainty budget, what to improve first, and the spectrum with its uncertainty."""
     unit = si_unit(estimate.component)
     rows = [
@@ -108,7 +110,7 @@ def budget_result(estimate: ComponentForce, origins: Origins) -> Result:
         for row in significant(component_budget(estimate))
     ]
     found = spectrum(estimate, rate=origins.recording.rate)
-    files = {part.source: origins.of(part.source) for part in estimate.contributions}
+    files = {source: origins.of(source) for _, source in estimate.sums.rows}
     sentence = advice(estimate, unit=unit, sources=files)
     return {
         "budget": rows,

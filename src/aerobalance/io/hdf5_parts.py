@@ -1,0 +1,253 @@
+"""A recording in HDF5 of which no more is read than a part is made of (see `aerobalance.io.hdf5_layout`)."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.io.columns import RawColumns
+from aerobalance.io.hdf5_contents import Contents, contents_of, opened
+from aerobalance.io.hdf5_file import LARGEST_GAP, raw_column, read_block, remarks_on
+from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of_missing
+from aerobalance.io.text_cells import LARGEST, beyond_all_measure
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.errors import ReadError, warn_quality
+from aerobalance.recording.parts import Extent
+from aerobalance.recording.recording import JITTER_ALLOWED, Recording
+from aerobalance.recording.units import conversion
+
+if TYPE_CHECKING:
+    import h5py
+
+ROWS: Final = 1 << 16
+"""Rows of the time column that are looked at at once."""
+
+
+class _Clock(NamedTuple):
+    """The steady clock of a file: time of its first sample [s], and time between two [s]."""
+
+    start: float
+    interval: float
+
+
+@dataclass(slots=True, eq=False)
+class Hdf5Record:
+    """A record in an open file.
+
+    Attributes
+    ----------
+    path
+        The file.
+    file
+        It, open.
+    found
+        What it says of itself.
+    clock
+        Its steady clock.
+    """
+
+    path: Path
+    file: h5py.File
+    found: Contents
+    clock: _Clock
+    _means: dict[str, float] | None = field(default=None, repr=False)
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        return self.path.name
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of its steady clock."""
+        first, last = self.found.blocks[0], self.found.blocks[-1]
+        return int(last["tick"] + last["rows"] - first["tick"])
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate [Hz]."""
+        return 1 / self.clock.interval if self.found.timed else self.found.rate
+
+    @property
+    def start(self) -> float:
+        """Time of the first sample [s]."""
+        return self.clock.start
+
+    def part(self, begin: int, end: int) -> Recording:
+        """Samples from one to another (not included) as a recording; what is missing is NaN.
+
+        Warns
+        -----
+        DataQualityWarning
+            A block is damaged and left out, or samples are missing or rest on a limit.
+        """
+        rows, readings, stamps = self._read(begin, end)
+        columns = tuple(
+            raw_column(channel, readings[:, place], place + self.found.timed)
+            for place, channel in enumerate(self.found.channels)
+        )
+        raw = RawColumns(self.path, columns, range(1, rows.size + 1), rate=self.rate, start=self.start)
+        channels = {}
+        for name, channel in channels_of(table_from(raw, missing_allowed=True)).items():
+            warn_of_missing(self.path, channel)
+            warn_of_limit(self.path, channel)
+            channels[name] = channel
+        missing = end - begin - rows.size
+        if missing:
+            warn_quality(
+                f"{self.name}: {missing} sample(s) are missing in {int(np.count_nonzero(np.diff(rows) > 1))} gap(s); "
+                "the model bridges them, with a larger uncertainty"
+            )
+        last = max(self.samples - 1, 1)
+        return Recording(
+            name=self.name,
+            stamps=stamps,
+            rows=rows,
+            start=self.start + begin / self.rate,
+            rate=self.rate,
+            channels={name: _placed(channel, rows, end - begin) for name, channel in channels.items()},
+            time_unit=self.found.time_unit or "s",
+            extent=Extent(begin / last, (end - 1) / last, self._whole_means()),
+        )
+
+    def _read(self, begin: int, end: int) -> tuple[NDArray[np.intp], Array, Array]:
+        """Rows that are there, counted from `begin`, shape (m,), their readings (m, c), and their time stamps (m,)."""
+        blocks = self.found.blocks
+        first = blocks["tick"] - blocks["tick"][0]
+        wanted = np.flatnonzero((first < end) & (first + blocks["rows"] > begin))
+        rows, readings, stamps = [np.zeros(0, np.intp)], [np.zeros((0, len(self.found.channels)))], [np.zeros(0)]
+        for number in wanted.tolist():
+            try:
+                samples = read_block(self.file, self.found, number)
+            except (OSError, RuntimeError) as error:
+                raise ReadError(self.path, f"block {number + 1}", f"cannot be read: {error}") from None
+            if samples is None:
+                warn_quality(
+                    f"{self.name}: block {number + 1} of {len(blocks)} ({blocks['rows'][number]} samples) does not "
+                    "agree with its checksum: it is left out, and its samples count as missing"
+                )
+                continue
+            place = np.arange(samples.shape[0]) + int(first[number])
+            kept = slice(*np.searchsorted(place, (begin, end)))
+            rows.append(place[kept] - begin)
+            readings.append(samples[kept])
+            if self.found.timed:
+                row = number * self.found.slot
+                stamps.append(np.asarray(self.file["time"][row : row + samples.shape[0]], dtype=np.float64)[kept])
+        table, there = np.concatenate(readings), np.concatenate(rows)
+        table[np.isinf(table)] = np.nan
+        large = np.abs(table) > LARGEST
+        if large.any():
+            row, column = np.argwhere(large)[0]
+            where = f"{self.found.channels[column].name} at sample {there[row] + begin}"
+            warn_quality(f"{self.name}: {beyond_all_measure(int(np.count_nonzero(large)), where)}")
+            table[large] = np.nan
+        if not self.found.timed:
+            return there, table, self.start + (there + begin) / self.rate
+        change = conversion(self.found.time_unit, expected="s")
+        return there, table, np.asarray(change.inside(np.concatenate(stamps)))
+
+    def _whole_means(self) -> dict[str, float]:
+        """Mean of the temperature over the whole record, by name, where there is one."""
+        if self._means is None:
+            self._means = {}
+            places = [place for place, one in enumerate(self.found.channels) if one.name == "temperature"]
+            if places:
+                total, count = 0.0, 0
+                for begin in range(0, self.samples, ROWS):
+                    _, readings, _ = self._read(begin, min(begin + ROWS, self.samples))
+                    column = raw_column(self.found.channels[places[0]], readings[:, places[0]], places[0])
+                    raw = RawColumns(self.path, (column,), range(1, len(readings) + 1), rate=self.rate)
+                    values = table_from(raw, missing_allowed=True).values("temperature")
+                    total, count = total + float(np.nansum(values)), count + int(np.isfinite(values).sum())
+                self._means = {"temperature": total / max(count, 1)}
+        return self._means
+
+
+def _placed(channel: Channel, rows: NDArray[np.intp], size: int) -> Channel:
+    """Put the rows of a channel where they belong; what is between them is missing."""
+    if rows.size == size:
+        return channel
+    values = np.full(size, np.nan)
+    values[rows] = channel.values
+    return replace(channel, values=values)
+
+
+@contextlib.contextmanager
+def opened_record(path: Path) -> Iterator[Hdf5Record | None]:
+    """Open a recording to read parts of it; None where its time column is not that of a steady clock without gaps.
+
+    Raises
+    ------
+    ReadError
+        The file is damaged or no recording, or has gaps out of all proportion.
+
+    Warns
+    -----
+    DataQualityWarning
+        The record was broken off, or model and support touched.
+    """
+    reading = contextlib.ExitStack()
+    try:
+        file = reading.enter_context(opened(path))
+        record = _record(path, file)
+        if record is not None:
+            for text in remarks_on(record.found):
+                warn_quality(f"{path.name}: {text}")
+        yield record
+    finally:
+        reading.close()  # what went wrong with the record's parts is no fault of the file
+
+
+def _record(path: Path, file: h5py.File) -> Hdf5Record | None:
+    """The record in an open file; None where its time column is not that of a steady clock without gaps."""
+    found = contents_of(path, file)
+    total = int(found.blocks["rows"].sum())
+    if total < 2:
+        return None
+    if found.timed:
+        clock = _steady(file, found)
+    else:
+        clock = _Clock((int(found.blocks["tick"][0]) - found.origin) / found.rate, 1 / found.rate)
+    if clock is None:
+        return None
+    record = Hdf5Record(path, file, found, clock)
+    if not found.timed and record.samples > LARGEST_GAP * total:
+        raise ReadError(path, "gaps", "has gaps of more than 20 times its samples; use the part before or after them")
+    return record
+
+
+def _steady(file: h5py.File, found: Contents) -> _Clock | None:
+    """The steady clock that fits a time column by least squares; None where a stamp departs from it."""
+    samples = int(found.blocks["rows"].sum())
+    if (found.blocks["tick"] != np.arange(len(found.blocks)) * found.slot).any():
+        return None  # short blocks within the file
+    change = conversion(found.time_unit, expected="s")
+
+    def stamps() -> Iterator[tuple[int, Array]]:
+        for begin in range(0, samples, ROWS):
+            part = np.asarray(file["time"][begin : min(begin + ROWS, samples)], dtype=np.float64)
+            yield begin, np.asarray(change.inside(part))
+
+    origin = float(next(stamps())[1][0])
+    middle = (samples - 1) / 2
+    total = along = 0.0
+    for begin, part in stamps():
+        since = part - origin
+        total += float(since.sum())
+        along += float((np.arange(begin, begin + part.size) - middle) @ since)
+    interval = along / (samples * (samples**2 - 1.0) / 12)
+    start = total / samples - interval * middle
+    if not interval > 0:
+        return None
+    for begin, part in stamps():
+        departure = part - origin - start - interval * np.arange(begin, begin + part.size)
+        if not np.max(np.abs(departure)) < JITTER_ALLOWED * interval:
+            return None
+    return _Clock(origin + start, interval)

@@ -1,0 +1,302 @@
+"""Files of which no more is read than is worked on: the same numbers as from the whole file, written as they come."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aerobalance.app.cli import main
+from aerobalance.app.progress import Progress
+from aerobalance.dynamics.independent import dynamics_of
+from aerobalance.estimation.force import ForceWork, estimate_force
+from aerobalance.estimation.force_parts import DIVISION, Division
+from aerobalance.io import read, write_recording
+from aerobalance.io.dynamics_file import write_dynamics
+from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
+from aerobalance.io.hdf5_parts import opened_record
+from aerobalance.io.long_record import SHORT, open_record
+from aerobalance.io.results_file import writing
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
+from aerobalance.recording.recording import Recording
+from helpers.cable_cut import T128
+
+RATE = 5000.0
+SAMPLES, PART = 72_000, 40_960
+"""Samples of a record, and of its parts in most of these tests."""
+
+
+def load(seed: int, count: int = SAMPLES) -> np.ndarray:
+    """Balance load of a soft force with a step after two seconds, and its noise."""
+    generator = np.random.default_rng(seed)
+    frequency = np.fft.rfftfreq(count, 1 / RATE)
+    force = np.fft.irfft(np.fft.rfft(generator.normal(size=count)) / np.sqrt(1 + (frequency / 20) ** 4))
+    values = np.fft.irfft(np.fft.rfft(20 * force / force.std()) * T128.response(frequency)) + 50.0
+    values += 30.0 * T128.step_response(np.arange(count) / RATE - 2.0, duration=0.0)
+    return values + 2.0 * generator.normal(size=count)
+
+
+def ticking(path: Path, values: np.ndarray, *, rows: int, lost: tuple[int, int] = (0, 0)) -> Path:
+    """A recording as the recorder writes it, in blocks of so many rows; samples from one to another are lost."""
+    channels = (StoredChannel("AF", "N", zero_uncertainty=0.3), StoredChannel("pitch", "deg"))
+    writer = BlockWriter(path, channels, rate=RATE, rows=rows, provenance=Provenance("test"))
+    for begin, end in ((0, lost[0]), (lost[1], values.size)) if lost[1] else ((0, values.size),):
+        for first in range(begin, end, rows):
+            part = values[first : min(first + rows, end)]
+            writer.append(first + 1000, np.column_stack([part, np.zeros(part.size)]))
+    writer.finish("done")
+    return path
+
+
+def quiet(work):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        return work()
+
+
+def same(one: Recording, other: Recording) -> None:
+    assert one.channels.keys() == other.channels.keys()
+    for name, channel in one.channels.items():
+        np.testing.assert_array_equal(channel.values, other.channel(name).values)
+        assert channel.known() == other.channel(name).known()
+        assert channel.file_unit == other.channel(name).file_unit
+    np.testing.assert_array_equal(one.rows, other.rows)
+    np.testing.assert_allclose(one.stamps, other.stamps, rtol=1e-15)
+    assert one.start == pytest.approx(other.start, rel=1e-15)
+    assert one.extent.begin == pytest.approx(other.extent.begin)
+
+
+@pytest.mark.parametrize("rows", [1000, 8192])
+@pytest.mark.parametrize("lost", [(0, 0), (50_000, 50_500)])
+def test_parts_of_a_file_are_parts_of_what_is_read_whole(tmp_path, seed, rows, lost):
+    path = ticking(tmp_path / "run.h5", load(seed), rows=rows, lost=lost)
+    whole = quiet(lambda: read(path))
+    with open_record(path) as record:
+        assert not isinstance(record, Recording)
+        assert (record.samples, record.rate) == (whole.samples, whole.rate)
+        for begin, end in ((0, 1500), (49_000, 51_000), (50_100, 51_000), (whole.samples - 7, whole.samples)):
+            same(quiet(lambda b=begin, e=end: record.part(b, e)), whole.part(begin, end))
+
+
+def test_a_file_with_a_steady_time_column_is_read_in_parts(tmp_path, seed):
+    values = load(seed)
+    made = Recording.from_columns(3.0 + np.arange(values.size) / RATE, {"AF": Channel("AF", values, "N")})
+    write_recording(tmp_path / "run.h5", replace(made, time_unit="ms"))
+    whole = read(tmp_path / "run.h5")
+    with open_record(tmp_path / "run.h5") as record:
+        assert not isinstance(record, Recording)
+        assert record.rate == pytest.approx(whole.rate, rel=1e-13)
+        same(record.part(65_000, 70_000), whole.part(65_000, 70_000))
+
+
+@pytest.mark.parametrize("fault", ["gap", "jitter"])
+def test_a_file_with_another_time_column_is_read_whole(tmp_path, seed, fault):
+    values = load(seed)
+    stamps = np.arange(values.size) / RATE
+    stamps[50_000:] += {"gap": 10 / RATE, "jitter": 0.0}[fault]
+    stamps[5] += {"gap": 0.0, "jitter": 0.3 / RATE}[fault]
+    made = quiet(lambda: Recording.from_columns(stamps, {"AF": Channel("AF", values, "N")}))
+    write_recording(tmp_path / "run.h5", made)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        with open_record(tmp_path / "run.h5") as record:
+            assert isinstance(record, Recording)
+            same(record, read(tmp_path / "run.h5"))
+
+
+def test_short_and_foreign_files_are_read_whole(tmp_path, seed):
+    values = load(seed)[:SHORT]
+    with open_record(ticking(tmp_path / "run.h5", values, rows=4096)) as record:
+        assert isinstance(record, Recording)
+    (tmp_path / "run.csv").write_text("time [s],AF [N]\n0,1\n1,2\n2,3\n")
+    with open_record(tmp_path / "run.csv") as record:
+        assert isinstance(record, Recording)
+
+
+def test_a_damaged_block_is_missing_in_its_part_only(tmp_path, seed):
+    h5py = pytest.importorskip("h5py")
+    path = ticking(tmp_path / "run.h5", load(seed), rows=1000)
+    with h5py.File(path, "r+") as file:
+        file["samples"][55_500, 0] += 1.0
+    with open_record(path) as record:
+        assert np.isfinite(record.part(40_000, 55_000).channel("AF").values).all()
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            part = record.part(54_000, 57_000)
+    assert "block 56 of 72 (1000 samples) does not agree with its checksum" in str(said[0].message)
+    assert "1000 sample(s) are missing in 1 gap" in str(said[1].message)
+    assert np.array_equal(np.flatnonzero(~np.isfinite(part.channel("AF").values)), np.arange(1000, 2000))
+
+
+def test_what_goes_wrong_with_a_part_is_no_fault_of_the_file(tmp_path, seed):
+    path = ticking(tmp_path / "run.h5", load(seed), rows=8192)
+    with pytest.raises(FitError, match="of my own"), open_record(path):
+        raise FitError("of my own")
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(ReadError), open_record(path):
+        pass
+
+
+def test_temperature_is_less_its_mean_over_the_whole_record(tmp_path):
+    values = np.linspace(20.0, 30.0, 100_000)
+    channel = Channel("temperature", values, "degC")
+    made = Recording.from_columns(np.arange(values.size) / RATE, {"temperature": channel})
+    write_recording(tmp_path / "run.h5", made)
+    with opened_record(tmp_path / "run.h5") as record:
+        found = record.part(10, 20).extent.means["temperature"]
+    assert found == pytest.approx(25.0, rel=1e-12)
+    assert made.part(10, 20).extent.means["temperature"] == pytest.approx(25.0, rel=1e-12)
+
+
+# --- forces
+
+
+@pytest.fixture
+def in_parts(monkeypatch):
+    """Let parts be short, so that a short record has several."""
+    monkeypatch.setattr("aerobalance.estimation.force.DIVISION", Division(readings=PART))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("long")
+    values = load(7)
+    ticking(path / "run.h5", values, rows=8192)
+    ticking(path / "other_blocks.h5", values, rows=3000)
+    write_dynamics(path / "dynamics.json", {"AF": T128}, found={}, inputs=[], warnings=[])
+    return path
+
+
+def test_forces_do_not_depend_on_how_the_file_is_read(folder, in_parts):
+    found = []
+    for name in ("run.h5", "other_blocks.h5"):
+        with open_record(folder / name) as record:
+            found.append(quiet(lambda record=record: list(ForceWork(record, dynamics_of(T128)).parts())))
+    found.append(quiet(lambda: list(ForceWork(read(folder / "run.h5"), dynamics_of(T128)).parts())))
+    for one, other in pairwise(found):
+        assert len(one) == len(other) == 3
+        for part, again in zip(one, other, strict=True):
+            assert part.part == again.part
+            np.testing.assert_array_equal(part.values["AF"], again.values["AF"])
+            np.testing.assert_array_equal(part.uncertainty["AF"], again.uncertainty["AF"])
+
+
+@pytest.mark.parametrize("ending", ["h5", "csv"])
+def test_the_command_writes_what_the_call_gives(folder, in_parts, tmp_path, capsys, ending):
+    out, page = tmp_path / f"force.{ending}", tmp_path / "force.html"
+    words = ["force", str(folder / "run.h5"), "--dynamics", str(folder / "dynamics.json"), "-o", str(out), "--json"]
+    assert main([*words, "--report", str(page)]) == 0
+    captured = capsys.readouterr()
+    account = json.loads(captured.out)["components"]["AF"]
+    force = quiet(lambda: estimate_force(read(folder / "run.h5"), T128)).only
+    written = read(out)
+    tolerance = 0.0 if ending == "h5" else 1e-3 * force.uncertainty.min()
+    np.testing.assert_allclose(written.channel("AF").values, force.values, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(written.channel("u_AF").values, force.uncertainty, rtol=0, atol=tolerance)
+    assert account["mean"] == pytest.approx(force.values.mean(), rel=1e-9)
+    assert account["largest"] == force.values.max()
+    assert account["instant_of_largest"] == pytest.approx(1000 / RATE + np.argmax(force.values) / RATE)
+    assert account["uncertainty_rms"] == pytest.approx(np.sqrt(np.mean(force.uncertainty**2)), rel=1e-9)
+    assert [step["instant"] for step in account["steps"]] == pytest.approx([1000 / RATE + 2.0], abs=1e-3)
+    assert account["method"].startswith("in 3 parts, of which the first is by the smoother")
+    assert page.read_text().count("<svg") == 3
+
+
+def test_monte_carlo_of_a_long_record_is_of_one_part(folder, in_parts, tmp_path, capsys):
+    words = [
+        "force",
+        str(folder / "run.h5"),
+        "--dynamics",
+        str(folder / "dynamics.json"),
+        "-o",
+        str(tmp_path / "f.h5"),
+    ]
+    assert main([*words, "--monte-carlo", "10", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert "Monte Carlo is of the part with the largest uncertainty, part" in captured.err
+    assert json.loads(captured.out)["components"]["AF"]["monte_carlo"]["draws"] == 10
+
+
+def test_a_part_is_large_enough_for_one_component():
+    record = Recording.from_columns(np.arange(250_000) / RATE, {"AF": Channel("AF", np.zeros(250_000), "N")})
+    parts = DIVISION.parts(record, dynamics_of(T128))
+    assert len(parts) == 2
+    assert parts[0].end == 245_760
+
+
+# --- writing, progress, Ctrl-C
+
+
+@pytest.mark.parametrize("ending", ["h5", "csv", "txt"])
+def test_rows_written_bit_by_bit_make_the_same_file(tmp_path, ending, rng):
+    columns = {"time [s]": np.arange(20_000) / RATE, "AF [N]": rng.normal(size=20_000)}
+    columns["AF [N]"][[5, 9000]] = np.nan
+    files = []
+    for name, edges in (("one", [0, 20_000]), ("many", [0, 3, 8192, 8200, 19_999, 20_000])):
+        file = tmp_path / f"{name}.{ending}"
+        with writing(file, samples=20_000) as append:
+            for begin, end in pairwise(edges):
+                append({label: values[begin:end] for label, values in columns.items()})
+        files.append(file)
+    if ending == "h5":
+        same(*(quiet(lambda file=file: read(file)) for file in files))
+    else:
+        assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_nothing_is_left_of_a_file_whose_writing_fails(tmp_path):
+    for ending in ("h5", "csv"):
+        with pytest.raises(FitError), writing(tmp_path / f"out.{ending}", samples=10) as append:
+            append({"time [s]": np.arange(5.0), "AF [N]": np.ones(5)})
+            raise FitError("broken off")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_progress_tells_the_time_that_is_left():
+    said = []
+    progress = Progress(said.append)
+    progress.begin()
+    progress._since = time.monotonic() - 30.0
+    progress.done(1, 3)
+    progress._since = time.monotonic() - 300.0
+    progress.done(1, 101)
+    progress.done(3, 3)
+    assert said == ["part 1 of 3 done, about 60 s left", "part 1 of 101 done, about 8 h 20 min left"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals are those of POSIX")
+def test_ctrl_c_between_two_parts_leaves_no_half_file(folder, tmp_path):
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    ticking(folder / "longer.h5", load(8, 260_000), rows=8192)  # longer than a part
+    words = [
+        "force",
+        str(folder / "longer.h5"),
+        "--dynamics",
+        str(folder / "dynamics.json"),
+        "-o",
+        str(tmp_path / "f.h5"),
+    ]
+    try:
+        command = [sys.executable, "-m", "aerobalance.app.cli", *words]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+            until = time.monotonic() + 60
+            while not list(tmp_path.glob(".*.part")):  # it begins with the first rows that are certain
+                assert time.monotonic() < until
+                assert running.poll() is None
+                time.sleep(0.01)
+            running.send_signal(signal.SIGINT)
+            _, said = running.communicate(timeout=60)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert running.returncode == 130
+    assert said.strip().endswith("interrupted; nothing was written")
+    assert list(tmp_path.iterdir()) == []
