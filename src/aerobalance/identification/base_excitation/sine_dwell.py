@@ -317,9 +317,10 @@ def _sine(values: Array, frequency: float, *, start: int, rate: float) -> tuple[
     index = np.arange(values.size)
     phase = 2 * np.pi * frequency * (index + start) / rate
     ramp = index / max(values.size - 1, 1) - 0.5
-    basis = np.column_stack([np.cos(phase), -np.sin(phase), np.ones(values.size), ramp])
-    solution = np.linalg.lstsq(basis, values, rcond=None)[0]
-    residual = values - basis @ solution
+    basis = np.array([np.cos(phase), -np.sin(phase), np.ones(values.size), ramp])
+    # some periods, of which these four are all but orthogonal: their normal equations lose nothing
+    solution = np.linalg.solve(basis @ basis.T, basis @ values)
+    residual = values - solution @ basis
     return complex(solution[0], solution[1]), float(np.sqrt(residual @ residual / max(values.size - 4, 1)))
 
 
@@ -332,9 +333,9 @@ def _refined(values: Array, frequency: float, *, start: int, rate: float) -> tup
         amplitude, deviation = _sine(values, frequency, start=start, rate=rate)
         phase = 2 * np.pi * frequency * (index + start) / rate
         wave = amplitude * np.exp(1j * phase)
-        basis = np.column_stack([np.cos(phase), -np.sin(phase), np.ones(values.size), -2 * np.pi * time * wave.imag])
-        normal = basis.T @ basis
-        step = float(np.linalg.solve(normal, basis.T @ (values - wave.real))[3])
+        basis = np.array([np.cos(phase), -np.sin(phase), np.ones(values.size), -2 * np.pi * time * wave.imag])
+        normal = basis @ basis.T
+        step = float(np.linalg.solve(normal, basis @ (values - wave.real))[3])
         step = float(np.clip(step, -0.25 * rate / values.size, 0.25 * rate / values.size))
         frequency += step
         uncertainty = deviation * float(np.sqrt(np.linalg.inv(normal)[3, 3]))
