@@ -9,7 +9,6 @@ import time
 
 import numpy as np
 import pytest
-from test_estimator import RIG, RUNS, SHARP, SOFT, T128, WIDE, drawn, inner, rms_of, smooth_run, wiener_bound
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.decoupled_record import load_felt
@@ -20,6 +19,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.simulation import CableCut, Sensor
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_signals import Band, broadband
+from helpers.accuracy import RIG, RUNS, SHARP, SOFT, T128, WIDE, drawn, inner, rms_of, smooth_run, wiener_bound
 
 ALL = LiveSettings(samples_a_period=np.inf)
 """Without decimation."""
@@ -189,7 +189,7 @@ def test_six_coupled_components_on_one_core(rate: float, record, rng) -> None:
     for number, part in enumerate(np.array_split(readings, 240)):  # pushes of 33 ms
         if number == 60:
             for name in live.components:
-                live.adopt(live.snapshot(name).fit_prior())
+                live.adopt(live.snapshot(name).learn())
         begin = time.process_time()
         live.push(part)
         spent.append(time.process_time() - begin)
