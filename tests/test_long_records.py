@@ -10,6 +10,7 @@ from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.estimation.force import ForceWork, estimate_force
 from aerobalance.estimation.force_parts import JOINTS, Division
 from aerobalance.estimation.force_smoother import SmootherResult
+from aerobalance.estimation.forces import ForceSettings
 from aerobalance.estimation.record import IndependentRecord
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
@@ -147,6 +148,21 @@ def test_with_the_same_prior_little_is_left_of_the_ends_of_a_part(rng, soft):
             beyond = np.sqrt(2 / (2 * np.pi**2 * 2 * HIGHEST * part.margin / 2 / RATE))
             assert rms(apart[: part.margin]) < 3 * beyond * u
             assert rms(apart) < beyond * u
+
+
+@pytest.mark.parametrize(
+    ("settings", "rounding"), [(ForceSettings("paper"), 0.0), (ForceSettings(bandwidth=60.0), 1e-9)]
+)
+def test_direct_inverses_of_parts_are_that_of_the_whole(rng, settings, rounding):
+    """They know nothing of the record but the samples around, and give in parts what they give in one piece."""
+    record = run(rng)
+    whole = estimate_force(record, UNSURE, method=settings.method, bandwidth=settings.bandwidth).only
+    found = divided(record, UNSURE, settings=settings).force().only
+    np.testing.assert_allclose(found.values, whole.values, rtol=0, atol=rounding * rms(whole.uncertainty))
+    # each part judges the noise of its readings by itself
+    assert rms(found.uncertainty) == pytest.approx(rms(whole.uncertainty), rel=0.05)
+    name = "mass, stiffness, damping, delay"
+    assert found.budget[name] == pytest.approx(whole.budget[name], rel=1e-6)
 
 
 def test_steps_and_numbers_do_not_depend_on_where_the_record_ends(rng):
