@@ -1,5 +1,6 @@
 """What the estimator learns from a record: spectrum, noise and steps, each against the truth of a simulation."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -323,10 +324,34 @@ def test_shape_of_a_step():
     assert shape_of(Step(0.15, 0.2), reading) == pytest.approx([0, 0, 0.25, 0.75, 1, 1, 1, 1])
 
 
-def test_the_search_for_steps_ends_with_a_warning(rng, monkeypatch):
+@pytest.mark.parametrize(
+    ("second", "found", "told"), [(-STEP, 0, "more than 1 steps, too many"), (-20.0, 1, "no more")]
+)
+def test_the_search_for_steps_ends_with_a_warning(second, found, told, rng, monkeypatch):
     monkeypatch.setattr(step_search, "SETTINGS", replace(step_search.SETTINGS, fewest_steps=1, most_steps=1))
     time = np.arange(3200) / RATE
-    load = STEP * (T128.step_response(time - 0.5) - T128.step_response(time - 1.2))
-    with pytest.warns(DataQualityWarning, match="more than 1 steps"):
+    load = STEP * T128.step_response(time - 0.5) + second * T128.step_response(time - 1.2)
+    with pytest.warns(DataQualityWarning, match=told):
         steps, _ = find_steps(Observation(load + rng.normal(0, 2, time.size), 1 / RATE, T128))
-    assert len(steps) == 1
+    assert len(steps) == found
+
+
+@pytest.mark.parametrize("off", [1.002, 1.01])
+def test_what_a_wrong_model_leaves_is_no_step(off, rng):
+    time = np.arange(6400) / RATE
+    load = STEP * T128.step_response(time - 1.0002) + 30 * T128.step_response(time - 1.6)
+    wrong = replace(T128, stiffness=off * T128.stiffness)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        steps, _ = find_steps(Observation(load + rng.normal(0, 2, time.size), 1 / RATE, wrong))
+    # its frequency is up to 0.5 % off, a tenth of a sample in the phase of each period
+    assert [step.instant for step in steps] == pytest.approx([1.0002, 1.6], abs=1 / RATE)
+
+
+def test_a_search_in_a_record_of_another_balance_ends_with_a_warning(rng):
+    time = np.arange(6400) / RATE
+    load = STEP * T128.step_response(time - 1.0002)
+    wrong = replace(T128, stiffness=1.034 * T128.stiffness)
+    with pytest.warns(DataQualityWarning, match="rings after a step"):
+        steps, _ = find_steps(Observation(load + rng.normal(0, 2, time.size), 1 / RATE, wrong))
+    assert len(steps) <= 1 + step_search.SETTINGS.echoes

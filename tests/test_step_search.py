@@ -110,3 +110,13 @@ def test_sizes_of_the_scan_are_those_of_least_squares(rng):
     sizes, covariance, _ = generalised_least_squares(filter_, reading.filled, columns)
     assert scan.sizes == pytest.approx(sizes, rel=1e-9)
     assert np.sum(scan.inverse**2, axis=1) == pytest.approx(np.diag(covariance), rel=1e-6)
+
+
+def test_products_of_responses_at_neighbouring_samples(rng):
+    reading = reading_of([], rng, seconds=0.1)
+    scan = Scan.of(reading, filter_of(reading), columns_of([], reading))
+    count = scan.response.size
+    whole = np.array([np.append(np.zeros(place), scan.response[: count - place]) for place in range(count)])
+    for place in (1, 2, 77, count - 2):
+        expected = whole @ whole[place - 1 : place + 2].T
+        assert scan._products(place) == pytest.approx(expected, abs=1e-12 * np.max(expected))

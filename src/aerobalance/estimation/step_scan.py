@@ -164,9 +164,21 @@ class Scan:
     def _made_by(self, score: Array, place: int) -> Array:
         """Return the part of a score that steps at a sample and beside it make, and so one between, shape (n,)."""
         count = score.size
-        places = np.clip(place + np.arange(-1, 2), 0, count - 1)
-        columns = np.zeros((count, places.size))
-        for column, at in zip(columns.T, places, strict=True):
-            column[at:] = self.response[: count - at]
-        made = convolve(columns, self.response[::-1, None])[count - 1 :] - self.shown @ self.shown[places].T
+        places = np.clip(place + np.arange(-1, 2), 1, count - 2)
+        made = self._products(int(places[1])) - self.shown @ self.shown[places].T
         return np.asarray(made @ np.linalg.lstsq(made[places], score[places], rcond=ALIKE)[0])
+
+    def _products(self, place: int) -> Array:
+        """Products of the responses to steps at three samples with those to steps at all, shape (n, 3) [1/N^2]."""
+        r, count = self.response, self.response.size
+        column = np.zeros(count)
+        column[place:] = r[: count - place]
+        out = np.empty((count, 3))
+        out[:, 1] = convolve(column[:, None], r[::-1, None])[count - 1 :, 0]
+        # of two steps that are both a sample later, the last sample shows no more
+        last = r[::-1]
+        out[1:, 2] = out[:-1, 1] - last[place] * last[:-1]
+        out[0, 2] = r[: count - place - 1] @ r[place + 1 :]
+        out[:-1, 0] = out[1:, 1] + last[place - 1] * last[:-1]
+        out[-1, 0] = last[place - 1] * r[0]
+        return out

@@ -24,9 +24,9 @@ from aerobalance.estimation.prior import (
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
-from aerobalance.estimation.step_fit import fit_together, gains_of_ramps, refine_step
+from aerobalance.estimation.step_fit import fit_together, gain_of_another_model, gains_of_ramps, refine_step
 from aerobalance.estimation.step_scan import Scan
-from aerobalance.estimation.steps import SETTINGS, Step, columns_of, ringing_time
+from aerobalance.estimation.steps import SETTINGS, Step, columns_of, response_to, ringing_time
 from aerobalance.recording.errors import warn_quality
 
 TURNS: Final = 5
@@ -44,8 +44,29 @@ LINES: Final = 6
 LESS: Final = 20.0
 """Gain that steps of such a force promise less than they bring at last: each hides in the spectrum of the others."""
 
+SEVERAL: Final = 5
+"""Steps of such a force that are taken up together at least."""
+
 KEPT: Final = 4
 """Priors whose filters are kept."""
+
+RINGS: Final = (
+    "rings after a step as its dynamics do not: what they leave over is no steps and stays in the force, and smaller "
+    "steps of the record are not looked for any more; identify the dynamics again"
+)
+"""What is told where steps would only correct a wrong model."""
+
+MORE: Final = (
+    "has more than {} steps: no more of them are looked for, and the others are taken for a force that fluctuates; "
+    "divide the record"
+)
+"""What is told where further steps would be found."""
+
+TOO_MANY: Final = (
+    "has more than {} steps, too many for a record of this length: they are taken for a force that fluctuates; "
+    "divide the record"
+)
+"""What is told where so many show from the beginning."""
 
 Found = tuple[list[Step], SpectralPrior]
 """Steps, and the prior without them."""
@@ -66,10 +87,13 @@ class _Search:
         The record.
     filters
         Priors that were asked for last, with their filters.
+    end
+        What to tell the user where the search has ended before all was found.
     """
 
     reading: Observation
     filters: list[tuple[SpectralPrior, KalmanFilter]] = field(default_factory=list)
+    end: str = ""
 
     def run(self) -> Found:
         """Search."""
@@ -81,7 +105,7 @@ class _Search:
             # what returns, such as a square wave, is expected by such a prior, and no change shows
             smooth = fit_prior(reading, columns=columns, before=learned, smooth=True)
             steps, learned = self._proposed(learned, steps, prior=smooth, less=LESS) or (steps, learned)
-        while max(len(steps), rounds) < self.most:
+        while max(len(steps), rounds) < self.most and not self.end:
             rounds += 1
             found = self._proposed(learned, steps, prior=learned)
             if found is None and steps and tested != steps and learned.spectrum.levels.any():
@@ -97,22 +121,17 @@ class _Search:
             ):
                 found = self._proposed(learned, steps, prior=_without_force(learned))
                 faint += 1
-            if found is None:
+            if found is None or self.end:
                 break
             steps, learned = found
-            sound = _without_model_errors(steps, reading)
+            sound = _without_model_errors(steps, reach=self.reach)
             if len(sound) < len(steps):
-                warn_quality(
-                    f"{reading.dynamics.component} rings after a step as its dynamics do not: what they leave over is "
-                    "no steps and stays in the force, and smaller steps of the record are not looked for any more; "
-                    "identify the dynamics again"
-                )
-                return sound, fit_prior(reading, columns=columns_of(sound, reading))
+                self.end, steps = RINGS, sound
+                learned = fit_prior(reading, columns=columns_of(sound, reading))
         if len(steps) >= self.most and self._scan(learned, steps).promise >= self.threshold:
-            warn_quality(
-                f"{reading.dynamics.component} has more than {self.most} steps: no more of them are looked "
-                "for, and the others are taken for a force that fluctuates; divide the record"
-            )
+            self.end = self.end or MORE
+        if self.end:
+            warn_quality(f"{reading.dynamics.component} {self.end.format(self.most)}")
         return sorted(steps, key=lambda step: step.instant), learned
 
     @property
@@ -120,6 +139,12 @@ class _Search:
         """Number of steps that are searched at most."""
         numbers = SETTINGS.most_numbers // self.reading.values.size
         return int(np.clip(numbers, SETTINGS.fewest_steps, SETTINGS.most_steps))
+
+    @property
+    def reach(self) -> float:
+        """Time after a step in which what is left may be an error of the model [s]."""
+        periods = SETTINGS.echo_periods / self.reading.dynamics.natural_frequency
+        return max(ringing_time(self.reading), periods)
 
     @property
     def threshold(self) -> float:
@@ -154,15 +179,55 @@ class _Search:
         prior
             The prior under which others are proposed.
         less
-            How much less than the evidence, at which a step is taken up, it may promise.
+            How much less than the evidence, at which a step is taken up, it may promise where there are several.
         """
-        room = self.most - len(steps)
-        candidates = self._scan(prior, steps).likeliest(threshold=self.threshold - less, most=room, known=steps)
-        for most in [room, 1][len(candidates) < 2 :] if candidates else []:
+        room, scan = self.most - len(steps), self._scan(prior, steps)
+        candidates = scan.likeliest(threshold=self.threshold - less, most=room + 1, known=steps)
+        if candidates and self._is_the_models(prior, steps, candidates[0], promise=scan.promise):
+            self.end = RINGS
+            return None
+        if len(candidates) > 1 and not steps:
+            # many hide each other in what was learned with them
+            showing = scan.likeliest(threshold=SETTINGS.evidence - LESS, most=room + 1, known=steps)
+            if len(showing) > room:
+                self.end = TOO_MANY
+                return None
+        if less and len(candidates) < SEVERAL:
+            return None
+        candidates = candidates[:room]
+        if len(candidates) >= SEVERAL and not self._is_likely(learned, steps, candidates):
+            candidates = candidates[: 0 if less else 1]
+        for most in [room, 1][len(candidates) < 2 : 1 if less else 2] if candidates else []:
             found = self._accepted(learned, *self._settled(prior, steps, candidates[:most], most=most))
             if found is not None:
                 return found
         return None
+
+    def _is_likely(self, learned: SpectralPrior, steps: list[Step], candidates: list[Step]) -> bool:
+        """Whether many candidates may bring the evidence together, before they are located one by one.
+
+        A load that returns without any step, such as a triangular wave, shows many as well. Steps at a sample and on
+        either side of it stand for one between them.
+        """
+        reading, interval = self.reading, self.reading.interval
+        known = columns_of(steps, reading)
+        beside = [replace(step, instant=step.instant + k * interval) for step in candidates for k in (-1, 0, 1)]
+        columns = np.column_stack([known, *(response_to(step, reading) for step in beside)])
+        priors = (learned, fit_prior(reading, columns=columns))
+        with_them, without = (
+            max(log_likelihood(reading, self.filter(prior), columns=shapes) for prior in priors)
+            for shapes in (columns, known)
+        )
+        return 2 * (with_them - without) >= len(candidates) * self.threshold / 2
+
+    def _is_the_models(self, prior: SpectralPrior, steps: list[Step], candidate: Step, *, promise: float) -> bool:
+        """Whether a candidate explains less than another frequency and damping after a larger step before it would."""
+        before = [place for place, step in enumerate(steps) if 0 < candidate.instant - step.instant < self.reach]
+        if not before:
+            return False
+        largest = max(before, key=lambda place: abs(steps[place].height))
+        gain = gain_of_another_model(self.reading, self.filter(prior), steps, largest)
+        return gain > max(promise, self.threshold)
 
     def _settled(
         self, learned: SpectralPrior, older: list[Step], fresh: list[Step], *, most: int
@@ -186,10 +251,8 @@ class _Search:
             new = range(number, len(steps))
             slow = [*_neighbours(steps, number), *new] if turn == 1 else new
             for place in self._to_be_refined(learned, steps, slow) if turn else new:
-                others = steps[:place] + steps[place + 1 :]
                 # the first prior was learned with these steps in the record, and would show ramps where there are none
-                refined = refine_step(reading, whitening, others, steps[place], ramps=turn > 0)
-                steps[place] = replace(refined, evidence=steps[place].evidence)
+                steps[place] = refine_step(reading, whitening, steps, place, ramps=turn > 0)
             if turn > 0:
                 steps = fit_together(reading, whitening, steps)
             # the same prior would leave a part of the steps in the next one
@@ -234,10 +297,9 @@ class _Search:
         gains = gains_of_ramps(self.reading, strict, steps)
         for place in range(len(steps)):
             if gains[place] > SETTINGS.ramp_evidence / 2:
-                others = steps[:place] + steps[place + 1 :]
-                ramp = refine_step(self.reading, strict, others, steps[place], ramps=True)
+                ramp = refine_step(self.reading, strict, steps, place, ramps=True)
                 if ramp.duration > 0:
-                    ramps[place] = replace(ramp, evidence=steps[place].evidence)
+                    ramps[place] = ramp
         tried = len(ramps)
         while ramps:
             found, ramps = self._ramps_tested(steps, learned, ramps)
@@ -295,7 +357,7 @@ class _Search:
                 found = self._still_clear([*trial[:number], *fresh], better)
                 # of several the first were located with a prior that knew little of the last
                 return (fit_together(reading, self.filter(found[1]), found[0]), found[1]) if len(fresh) > 1 else found
-            if not clear:
+            if 2 * len(clear) < len(fresh):
                 return None
             trial = [*trial[:number], *clear]
             relearned = fit_prior(reading, columns=columns_of(trial, reading), before=relearned)
@@ -348,13 +410,12 @@ def _without_force(learned: SpectralPrior) -> SpectralPrior:
     return replace(learned, spectrum=Spectrum(np.zeros(0), np.zeros(0)), shaping=ShapingFilter.silent())
 
 
-def _without_model_errors(steps: list[Step], reading: Observation) -> list[Step]:
+def _without_model_errors(steps: list[Step], *, reach: float) -> list[Step]:
     """Return the steps without those that only correct a wrong model in the response to a larger one, if many do.
 
     Otherwise the search would go on for as long as the response lasts.
     """
     ordered = sorted(steps, key=lambda step: step.instant)
-    reach = max(ringing_time(reading), SETTINGS.echo_periods / reading.dynamics.natural_frequency)
     for step in sorted(ordered, key=lambda step: -abs(step.height)):
         echoes = [
             other

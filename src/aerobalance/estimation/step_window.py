@@ -44,12 +44,15 @@ class StepWindow:
         The known shapes whitened, orthogonal and of length 1, shape (n, q).
     left
         What they leave of the whitened readings, shape (n,).
+    before
+        Samples before the first instant that is tried at which others are expected.
     """
 
     reading: Observation
     filter: KalmanFilter
     basis: Array
     left: Array
+    before: int = 0
     _first: int = field(init=False, default=0)
     _edge: int = field(init=False, default=0)
     _fit: Array = field(init=False, default_factory=lambda: np.zeros((0, 0)))
@@ -58,11 +61,11 @@ class StepWindow:
     _told: Array = field(init=False, default_factory=lambda: np.zeros(0))
 
     @classmethod
-    def of(cls, reading: Observation, filter_: KalmanFilter, columns: Array) -> StepWindow:
+    def of(cls, reading: Observation, filter_: KalmanFilter, columns: Array, *, before: int = 0) -> StepWindow:
         """Return the window of a reading in which the sizes of known shapes (n, q) are free."""
         white = filter_.whiten(np.column_stack([reading.filled, columns]))
         basis, _ = np.linalg.qr(white[:, 1:])
-        return cls(reading, filter_, basis, white[:, 0] - basis @ (basis.T @ white[:, 0]))
+        return cls(reading, filter_, basis, white[:, 0] - basis @ (basis.T @ white[:, 0]), before)
 
     def squares(self, instant: float, duration: float) -> float:
         """Return the sum of squares [1] that a step of the best height leaves.
@@ -74,7 +77,7 @@ class StepWindow:
         """
         begin, end = instant / self.reading.interval, (instant + duration) / self.reading.interval
         if not self._covers(begin, end):
-            self._prepare(int(np.floor(begin)) - 2, int(np.ceil(end)) + MARGIN + int(end - begin))
+            self._prepare(int(np.floor(begin)) - 2 - self.before, int(np.ceil(end)) + MARGIN + int(end - begin))
         if self._told.size:
             values = self.reading.dynamics.step_response(self._time - instant, duration=duration)
             alone = self._edge - self._first

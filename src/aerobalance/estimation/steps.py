@@ -72,7 +72,7 @@ class StepSettings:
     ramps: tuple[float, ...] = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0)
     fewest_steps: int = 20
     most_steps: int = 200
-    most_numbers: int = 1 << 23
+    most_numbers: int = 1 << 22
     highest: float = 10.0
     faint: float = 0.05
     faint_steps: int = 2
