@@ -101,6 +101,16 @@ def test_a_part_of_a_recording_knows_its_clock_and_place():
     assert part.rows[-1] == 33  # the last sample is missing
 
 
+def test_parts_know_the_mean_temperature_of_the_record():
+    values = np.linspace(20.0, 30.0, 100)
+    values[3] = np.nan
+    channels = {"temperature": Channel("temperature", values, "degC")}
+    whole = Recording.from_columns(np.arange(100) / 10.0, channels)
+    for begin, end in ((0, 10), (50, 60)):
+        assert whole.part(begin, end).extent.means["temperature"] == pytest.approx(np.nanmean(values))
+    assert whole.part(0, 50).part(0, 10).extent.means["temperature"] == pytest.approx(np.nanmean(values))
+
+
 # --- the same answer
 
 

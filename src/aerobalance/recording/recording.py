@@ -62,6 +62,7 @@ class Recording:
     gravity_on_zero: GravityOnZero = field(default_factory=GravityOnZero)
     from_outputs: bool = False
     extent: Extent = field(default_factory=Extent)
+    _means: dict[str, float] = field(init=False, default_factory=dict, repr=False)
 
     @classmethod
     def from_columns(
@@ -250,14 +251,17 @@ class Recording:
             return self
         rows = slice(*np.searchsorted(self.rows, (begin, end)))
         last = max(self.samples - 1, 1)
-        means = {"temperature": float(np.nanmean(self.channel("temperature").values))} if "temperature" in self else {}
+        if not self._means and "temperature" in self:  # once for all parts
+            mean = float(np.nanmean(self.channel("temperature").values))
+            self._means["temperature"] = self.extent.means.get("temperature", mean)
+        begun, span = self.extent.begin, self.extent.end - self.extent.begin
         return replace(
             self,
             stamps=self.stamps[rows],
             rows=self.rows[rows] - begin,
             start=self.start + begin / self.rate,
             channels={key: replace(one, values=one.values[begin:end]) for key, one in self.channels.items()},
-            extent=Extent(begin / last, (end - 1) / last, means),
+            extent=Extent(begun + begin * span / last, begun + (end - 1) * span / last, dict(self._means)),
         )
 
     def __contains__(self, name: str) -> bool:
