@@ -612,14 +612,14 @@ def test_two_viewers_one_of_them_asleep(running) -> None:
     with running.client.websocket_connect(LIVE) as asleep, running.client.websocket_connect(LIVE) as awake:
         got, numbers = 0, 0
         limit = time.monotonic() + 120
-        while got < 30 and time.monotonic() < limit:
+        while (got < 30 or not numbers) and time.monotonic() < limit:  # a busy machine sends numbers late
             message = awake.receive()
             if message.get("bytes"):
                 got += 1
                 awake.send_json({"shown": struct.unpack_from("<I", message["bytes"], 4)[0]})
             else:
                 numbers += json.loads(message["text"])["type"] == "numbers"
-        assert got == 30 and numbers > 0
+        assert got >= 30 and numbers > 0
         frames = 0
         asleep.send_json({"ping": 1})
         while True:
