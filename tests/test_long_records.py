@@ -214,9 +214,16 @@ def test_regression_on_a_divided_force_has_the_uncertainty_of_the_whole(rng):
     assert other.measured[0, 0] == pytest.approx(one.measured[0, 0], rel=0.01)
 
 
-def test_monte_carlo_of_a_divided_force_is_refused(rng):
-    with pytest.raises(ValueError, match="worked out in parts"):
-        monte_carlo(divided(run(rng)).force())
+def test_monte_carlo_of_a_divided_force_is_of_its_worst_part(rng):
+    force = divided(run(rng)).force()
+    with pytest.warns(
+        DataQualityWarning, match=r"Monte Carlo is of the part with the largest uncertainty, part \d+ of"
+    ):
+        checked = monte_carlo(force, draws=50)["AF"]
+    part, _ = force.worst()
+    assert checked.deviation.size == part.recording.samples < force.recording.samples
+    whole = next(item for item in checked.contributions if item.name == "all together")
+    assert whole.agrees
 
 
 # --- gaps, silence, constants

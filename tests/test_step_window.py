@@ -20,16 +20,19 @@ BALANCES = {
 }
 
 
+@pytest.mark.parametrize("gap", [True, False], ids=["gap", "no gap"])
 @pytest.mark.parametrize("balance", BALANCES)
-def test_squares_are_those_of_the_whitened_response(balance, rng):
+def test_squares_are_those_of_the_whitened_response(balance, gap, rng):
     dynamics, time = BALANCES[balance], np.arange(N) * INTERVAL
     values = 100 * dynamics.step_response(time - 1.2345, duration=0.003) + rng.normal(0, 0.5, N)
-    values[1990:1995] = np.nan
+    if gap:
+        values[1990:1995] = np.nan
     reading = Observation(values, INTERVAL, dynamics)
     force = butterworth(4, cutoff=60.0, density=1.0)
     system = StateSpace.of_balance(dynamics, force, interval=INTERVAL, noise=0.5, swing=100.0)
     filter_ = KalmanFilter.of(system, reading.present)
     window = StepWindow.of(reading, filter_, np.ones((N, 1)))
+    assert filter_.has_no_gaps != gap
     white = filter_.whiten(np.column_stack([reading.filled, np.ones(N)]))
     basis = white[:, 1:] / np.linalg.norm(white[:, 1])
     left = white[:, 0] - basis @ (basis.T @ white[:, 0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -41,6 +41,9 @@ class Force(Mapping[str, ComponentForce]):
         The loads with their matrix, where they come from gauge outputs; None where loads were given.
     noises
         Spectra of the noise of the components' readings, where a record of noise was given.
+    worst
+        Gives the force of the part with the largest uncertainty, and what to say of that, where the record was worked
+        out in parts; else None.
     """
 
     parts: Mapping[str, ComponentForce]
@@ -48,6 +51,7 @@ class Force(Mapping[str, ComponentForce]):
     settings: ForceSettings = field(default_factory=ForceSettings)
     loads: Loads | None = None
     noises: Mapping[str, NoiseSpectrum] = field(default_factory=dict)
+    worst: Callable[[], tuple[Force, str]] | None = None
 
     def __getitem__(self, component: str) -> ComponentForce:
         return self.parts[component]

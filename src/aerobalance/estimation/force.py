@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.component_force import Method, noise_of_component
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force_collector import ForceCollector
-from aerobalance.estimation.force_parts import DIVISION, Division, ForcePart, Joiner
+from aerobalance.estimation.force_parts import DIVISION, Division, ForcePart, Joiner, WorstPart
 from aerobalance.estimation.forces import ForceRecord, ForceSettings, forces_of, with_matrix
 from aerobalance.estimation.record import FEWEST_SAMPLES, IndependentRecord
 from aerobalance.estimation.result import with_few
@@ -39,9 +39,6 @@ from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import LongRecord, Part
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps
-
-if TYPE_CHECKING:
-    pass
 
 SAME_WEIGHT: Final = 1e-3
 """Difference of two weights, over the largest, that attitudes which are averaged may make."""
@@ -171,12 +168,25 @@ class ForceWork:
         first = next(parts)
         if first.part.count == 1 and isinstance(first.force, Force):
             return first.force
-        found = ForceCollector(self.record.samples).collected(chain([first], parts))
+        worst = WorstPart()
+
+        def watched() -> Iterator[ForcePart]:
+            for given in chain([first], parts):
+                worst.add(given)
+                yield given
+
+        def force_of_worst() -> tuple[Force, str]:
+            if worst.part is None:
+                raise ValueError("no part of the record has a force")
+            return self.force_of(worst.part), worst.told(self.record)
+
+        found = ForceCollector(self.record.samples).collected(watched())
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DataQualityWarning)  # said of the parts
             given = self.made_ready(self.record.part(0, self.record.samples))
             record = force_record(given, self.dynamics, **self.settings.earth)
-        return Force(found, record, self.settings, given if isinstance(given, Loads) else None, {})
+        loads = given if isinstance(given, Loads) else None
+        return Force(found, record, self.settings, loads, worst=force_of_worst)
 
     def force_of(self, part: Part) -> Force:
         """Forces of one part with all that their uncertainty consists of; what is to be said of it was said before."""

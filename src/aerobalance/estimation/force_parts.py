@@ -120,6 +120,34 @@ class ForcePart:
         return slice(begin, begin + next(iter(self.values.values())).size)
 
 
+@dataclass(slots=True, eq=False)
+class WorstPart:
+    """The part of a record whose uncertainty is the largest beside the noise of its readings.
+
+    Attributes
+    ----------
+    part
+        The part; None before one with a force was added.
+    """
+
+    part: Part | None = None
+    _most: float = 0.0
+
+    def add(self, given: ForcePart) -> None:
+        """Take one more part."""
+        force = given.force
+        if force is None:
+            return
+        u = max(float(np.nanmean((given.uncertainty[name] / force[name].noise) ** 2)) for name in force)
+        if self.part is None or u > self._most:
+            self.part, self._most = given.part, u
+
+    def told(self, record: LongRecord[Any]) -> str:
+        """Say of which part of a record a Monte Carlo check is."""
+        where = "" if self.part is None else self.part.told(record).removeprefix("in ")
+        return f"{record.name}: Monte Carlo is of the part with the largest uncertainty, {where}"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ending:
     """What a part says of the samples about its joint with the next.

@@ -1,8 +1,11 @@
 """The likelihood of a step at any instant of a part of a record, for the price of a few whitened columns.
 
-After the force has changed, the balance swings freely: a constant and its modes, whatever the instant was. So every
-response is a sum of single samples, as long as the force may be changing, and of these few shapes from then on. They
-are whitened once, and each instant and duration that is tried takes a sum of squares of some thirty numbers.
+After the force has changed, the balance swings freely: a constant and its modes, whatever the instant was; while it
+changes evenly, a straight line is added. So every response is a sum of these few shapes from the samples on at which
+the change begins and ends. The steady filter does not change with time: the shapes are whitened once, and shifted, and
+what the start of the record has of them is taken off. Beside gaps a response is a sum of single samples, as long as
+the force may be changing, and of the shapes from then on, which are whitened together; each instant and duration that
+is tried then takes a sum of squares of some thirty numbers.
 """
 
 from __future__ import annotations
@@ -28,6 +31,68 @@ POINTS: Final = 16
 
 SAME_POLE: Final = 1e-4
 """Angle by which two poles of a mode part within the window, below which they are one [rad]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShiftedShapes:
+    """A constant, a straight line and free motions that begin at a sample, whitened by a filter without gaps.
+
+    Attributes
+    ----------
+    reading
+        The part of a record that is looked at.
+    whitened
+        The shapes from the first sample on by the steady filter, shape (s, n); those that begin later are the same.
+    times
+        Instants at which a sum of shapes is fitted to a response, from its first sample on, shape (p,) [s].
+    fit
+        Makes the sizes of the shapes from the response there, shape (s, p).
+    start
+        What the initial state that is not known shows in the whitened readings, orthogonal and of length 1, (r, m).
+    lost
+        Share of each that the readings do not tell, as the initial state may have made it, shape (r,).
+    """
+
+    reading: Observation
+    whitened: Array
+    times: Array
+    fit: Array
+    start: Array
+    lost: Array
+
+    @classmethod
+    def of(cls, reading: Observation, filter_: KalmanFilter) -> ShiftedShapes:
+        """Return the shapes of a reading and a filter of it."""
+        count = reading.values.size
+        time = reading.interval * np.arange(count, dtype=np.float64)
+        motions = [part for mode in reading.dynamics.modes for part in _free_motions(mode, time)]
+        shapes = np.column_stack([np.ones(count), time / time[-1], *motions])
+        points = np.unique(np.linspace(0, count - 1, min(POINTS * shapes.shape[1], count)).astype(int))
+        whitened = np.ascontiguousarray(filter_.settled.whiten(shapes).T)
+        start, seen = filter_.start_shown
+        return cls(reading, whitened, time[points], np.linalg.pinv(shapes[points]), start, 1 - (1 + seen**2) ** -0.5)
+
+    def response(self, instant: float, duration: float) -> Array:
+        """Return the whitened response to a step of 1 N, shape (n,) [1/N]."""
+        whole = self.whitened.shape[1] * self.reading.interval
+        column = np.zeros(self.whitened.shape[1])
+        if duration <= 0:
+            self._add(column, instant, 0.0, size=1.0)
+        else:  # one force that rises for longer than the window, less another
+            self._add(column, instant, 2 * whole, size=2 * whole / duration)
+            self._add(column, instant + duration, 2 * whole, size=-2 * whole / duration)
+        early = column[: self.start.shape[1]]
+        early -= (self.lost * (self.start @ early)) @ self.start
+        return column
+
+    def _add(self, column: Array, instant: float, duration: float, *, size: float) -> None:
+        """Add the response to a step of a size that is not over before the window ends [N]."""
+        first = int(np.ceil(instant / self.reading.interval))
+        if first >= column.size:
+            return
+        since = self.times + (first * self.reading.interval - instant)
+        sizes = size * (self.fit @ self.reading.dynamics.step_response(since, duration=duration))
+        column[first:] += sizes @ self.whitened[:, : column.size - first]
 
 
 @dataclass(slots=True, eq=False)
@@ -59,6 +124,7 @@ class StepWindow:
     _time: Array = field(init=False, default_factory=lambda: np.zeros(0))
     _gram: Array = field(init=False, default_factory=lambda: np.zeros((0, 0)))
     _told: Array = field(init=False, default_factory=lambda: np.zeros(0))
+    _shapes: ShiftedShapes | None = field(init=False, default=None)
 
     @classmethod
     def of(cls, reading: Observation, filter_: KalmanFilter, columns: Array, *, before: int = 0) -> StepWindow:
@@ -76,6 +142,13 @@ class StepWindow:
             When the force begins to change, and for how long [s].
         """
         begin, end = instant / self.reading.interval, (instant + duration) / self.reading.interval
+        if self.filter.has_no_gaps and begin >= 0:
+            if self._shapes is None:
+                self._shapes = ShiftedShapes.of(self.reading, self.filter)
+            column = self._shapes.response(instant, duration)
+            column -= self.basis @ (column @ self.basis)
+            power = float(column @ column)
+            return float(self.left @ self.left - float(self.left @ column) ** 2 / max(power, 1e-300))
         if not self._covers(begin, end):
             self._prepare(int(np.floor(begin)) - 2 - self.before, int(np.ceil(end)) + MARGIN + int(end - begin))
         if self._told.size:

@@ -39,7 +39,7 @@ from aerobalance.estimation.record import ComponentRecord, SingleRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import Step, shape_of
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DataQualityWarning, argument
+from aerobalance.recording.errors import DataQualityWarning, warn_quality
 from aerobalance.uncertainty.budget import noise_power, scalars
 from aerobalance.uncertainty.parameter_draws import Change, parameter_errors
 from aerobalance.uncertainty.sampling import UncertainCoupled, UncertainDynamics, drawn_numbers
@@ -171,15 +171,14 @@ def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, M
     FitError
         The parameters are so uncertain that a draw of them is not physical.
     ValueError
-        There are too few draws, or the force was worked out in parts: check that of a part of the record.
+        There are too few draws.
     """
     if draws < SETTINGS.fewest_draws:
         raise ValueError(f"draws must be at least {SETTINGS.fewest_draws}, not {draws}")
-    if any(one.summary is not None for one in force.values()):
-        raise ValueError(
-            f"{force.recording.name}: this force was worked out in parts, each with a prior of its own; check that of "
-            f"a part of the record ({argument('Recording.part')})"
-        )
+    if force.worst is not None:
+        part, said = force.worst()
+        warn_quality(said)
+        return monte_carlo(part, draws=draws, seed=seed)
     settings = force.settings
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)  # said when the force was worked out

@@ -26,7 +26,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.force_collector import SummaryOfParts
-from aerobalance.estimation.force_parts import ForcePart
+from aerobalance.estimation.force_parts import ForcePart, WorstPart
 from aerobalance.estimation.forces import ForceSettings
 from aerobalance.estimation.result import ForceSummary
 from aerobalance.estimation.spectra.line_noise import Hum
@@ -40,7 +40,6 @@ from aerobalance.io.results_file import force_columns, writing
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.part_warnings import PartWarnings
-from aerobalance.recording.parts import Part
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.monte_carlo import MonteCarlo, monte_carlo
 from aerobalance.validation.model_check import contradictions
@@ -146,8 +145,7 @@ class _Found:
     noises: dict[str, NoiseSpectrum] = field(default_factory=dict)
     loads: LoadsSummary | None = None
     curves: dict[str, ForceCurves] = field(default_factory=dict)
-    worst: Part | None = None
-    _most: float = 0.0
+    worst: WorstPart = field(default_factory=WorstPart)
 
     @property
     def origin(self) -> Recording:
@@ -181,9 +179,7 @@ class _Found:
         if force.loads is not None:
             self.loads = self.loads or LoadsSummary()
             self.loads.add(force.loads, given.own)
-        u = max(float(np.nanmean((given.uncertainty[name] / force[name].noise) ** 2)) for name in force)
-        if self.worst is None or u > self._most:
-            self.worst, self._most = given.part, u
+        self.worst.add(given)
 
 
 def _worked_out(work: ForceWork, out: Path, append: Append, *, pictured: bool) -> _Found:
@@ -206,14 +202,12 @@ def _worked_out(work: ForceWork, out: Path, append: Append, *, pictured: bool) -
 
 def _checked(work: ForceWork, found: _Found, check: Check | None) -> dict[str, MonteCarlo]:
     """Monte Carlo of a record; of one in parts that of the part that is known worst, which is said."""
-    if check is None or found.worst is None:
+    part = found.worst.part
+    if check is None or part is None:
         return {}
-    checked = monte_carlo(work.force_of(found.worst), draws=check.draws, seed=check.seed)
-    if found.worst.count > 1:
-        warn_quality(
-            f"{work.record.name}: Monte Carlo is of the part with the largest uncertainty, "
-            f"{found.worst.told(work.record).removeprefix('in ')}"
-        )
+    checked = monte_carlo(work.force_of(part), draws=check.draws, seed=check.seed)
+    if part.count > 1:
+        warn_quality(found.worst.told(work.record))
     for name, trial in checked.items():
         for text in trial.doubts:
             warn_quality(f"{work.record.name}: {name}: {text}")

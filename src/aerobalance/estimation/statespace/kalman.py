@@ -38,6 +38,9 @@ CLEAR: Final = 1e4
 PASSES: Final = 4
 """Times that such a state is found again."""
 
+NOTHING: Final = 1e-9
+"""Standard deviation of a part of the initial state in whitened readings, below which it shows nothing [1]."""
+
 LOAD, LOAD_RATE, FORCE = 0, 1, 2
 """Places in the state: the load felt AF, its rate AF'/w0, and the force F, the first state of its shaping filter.
 
@@ -237,6 +240,26 @@ class KalmanFilter:
     def over(self, present: NDArray[np.bool_]) -> KalmanFilter:
         """Return the same filter for other samples, such as a part of the record, from the same initial state."""
         return replace(self, present=present, stretches=self.planner.stretches(present))
+
+    @property
+    def has_no_gaps(self) -> bool:
+        """Whether all samples are present."""
+        (first, *others) = self.stretches
+        return not others and first.first == 0 and first.stop == self.present.size
+
+    @property
+    def start_shown(self) -> tuple[Array, Array]:
+        """What the initial state beyond the steady one shows in the innovations, by their standard deviation.
+
+        Returns
+        -------
+        shapes, seen
+            Orthogonal shapes of length 1, shape (r, m), and standard deviations of their sizes, shape (r,) [1].
+        """
+        one = self.stretches[0]
+        seen = one.seen[one.seen > NOTHING] if one.memory else np.zeros(0)
+        shown = self.forms.released(one.start.T[one.seen > NOTHING], one.memory)[1] if seen.size else np.zeros((0, 0))
+        return shown / (seen[:, None] * np.sqrt(self.forms.steady.variance)), seen
 
     @property
     def log_determinant(self) -> float:
