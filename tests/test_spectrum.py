@@ -8,7 +8,7 @@ from scipy.optimize import approx_fprime, minimize
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.spectra import _kernels
 from aerobalance.estimation.spectra.parametric_psd import _Averages, fit_roll_offs
-from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, Periodogram, Spectrum, _Grid, leaked
+from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, Periodogram, Spectrum, _Ordinates, leaked
 from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE, _cheapest
 from aerobalance.estimation.spectra.whittle import fit_spectrum
 from helpers.cable_cut import T128
@@ -53,7 +53,7 @@ def test_gain_is_smeared_by_the_window():
 def test_gain_is_the_mean_over_the_lobe(samples):
     # eight points an ordinate everywhere, the main lobe's weights
     balance = T128.with_modes(Mode(165.0, 0.004, 0.05))
-    grid = _Grid.of(balance, samples, 1 / RATE)
+    grid = _Ordinates.of(balance, samples, 1 / RATE)
     offset = np.arange(-15, 16) / 8
     lobe = (np.sinc(offset) + 0.5 * np.sinc(offset - 1) + 0.5 * np.sinc(offset + 1)) ** 2
     fine = np.abs(balance.response(grid.frequency[:, None] + offset * grid.step)) ** 2

@@ -62,6 +62,8 @@ class Division:
     def parts(self, record: LongRecord[Any], dynamics: IndependentDynamics | CoupledDynamics) -> tuple[Part, ...]:
         """Return the parts of a record."""
         length = max(self.readings // len(dynamics.components) // self.round_to, 1) * self.round_to
+        if record.samples <= length:
+            return parts_of(record.samples, length=length, margin=0)
         slowest = min(_decay(mode) for mode in _modes(dynamics))
         least, most = self.margin
         wanted = self.decay_times / max(slowest, 1e-300) * record.rate
