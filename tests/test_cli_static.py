@@ -269,7 +269,7 @@ def test_weight_in_a_zero_adds_no_doubt_at_its_attitude(here, capsys, truth, rng
         write(names[-1], time, gauges(truth, weight(pitch), rng) | {"pitch [deg]": np.degrees(pitch)})
     run(capsys, "weigh", *names, "--balance", "balance.json", "-o", "mass.json")
     weighed = read_weighing(Path("mass.json"))
-    weighing = replace(weighed, covariance=1e4 * weighed.covariance)  # as if weighed badly
+    weighing = replace(weighed, covariance=1e5 * weighed.covariance)  # as if weighed badly
     write_weighing(Path("mass.json"), weighing, inputs=[], settings={}, warnings=[])
     files = ["--balance", "balance.json", "--mass", "mass.json", "--zero", "off3.csv", "-o", "loads.csv"]
     column = weighing.components.index("AF")

@@ -26,6 +26,9 @@ MARGIN: Final = 28
 MOST_SAMPLES: Final = 512
 """Samples in which the force may be changing, up to which they are taken one by one."""
 
+TOGETHER: Final = 64
+"""Columns that are whitened together: the filter needs several times their room beside them."""
+
 POINTS: Final = 16
 """Samples, over the number of shapes, at which the shapes of a free motion are fitted to it."""
 
@@ -168,8 +171,12 @@ class StepWindow:
 
     def _left_of(self, columns: Array) -> Array:
         """What the known shapes leave of whitened columns (n, c)."""
-        white = self.filter.whiten(columns)
-        return white - self.basis @ (self.basis.T @ white)
+        white = np.empty_like(columns)
+        for first in range(0, columns.shape[1], TOGETHER):
+            part = slice(first, first + TOGETHER)
+            white[:, part] = self.filter.whiten(columns[:, part])
+            white[:, part] -= self.basis @ (self.basis.T @ white[:, part])
+        return white
 
     def _prepare(self, first: int, edge: int) -> None:
         """Whiten single samples from a first one to an edge, and the shapes of a free motion after it."""
