@@ -336,8 +336,8 @@ def test_the_search_for_steps_ends_with_a_warning(second, found, told, rng, monk
     assert len(steps) == found
 
 
-@pytest.mark.parametrize("off", [1.002, 1.005])
-def test_steps_are_found_with_a_frequency_a_little_off(off, rng):
+@pytest.mark.parametrize(("off", "most"), [(1.002, 2), (1.005, step_search.SETTINGS.fewest_steps)])
+def test_steps_are_found_with_a_frequency_a_little_off(off, most, rng):
     time = np.arange(6400) / RATE
     load = STEP * T128.step_response(time - 1.0002) + 30 * T128.step_response(time - 1.6)
     wrong = replace(T128, stiffness=off * T128.stiffness)
@@ -347,7 +347,7 @@ def test_steps_are_found_with_a_frequency_a_little_off(off, rng):
     # up to 0.25 %, a twentieth of a sample in the phase of each period; the phase fixes the middle of a step
     middles = np.array([step.instant + step.duration / 2 for step in steps])
     assert all(np.min(np.abs(middles - true)) < 1 / RATE for true in (1.0002, 1.6))
-    assert len(steps) <= step_search.SETTINGS.fewest_steps  # some draws in a hundred have a few that are none
+    assert len(steps) <= most  # at 0.25 % some draws in a hundred have a few that are none
 
 
 def test_a_search_in_a_record_of_another_balance_ends_with_a_warning(rng):
