@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from aerobalance.identification import find_dwells, harmonic_check, reference_fit
-from aerobalance.identification.base_excitation.sine_dwell import amplitudes
+from aerobalance.identification.base_excitation.paper_procedure import reference_fit
+from aerobalance.identification.base_excitation.sine_dwell import amplitudes, find_dwells, harmonic_check
 from aerobalance.recording.errors import FitError
 from aerobalance.simulation import Sensor, SteppedSine, Sweep, Unsteadiness, VibrationRig
 from aerobalance.simulation.published import VIBRATION_RIG

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.identification import ResponseTable, identify_frf
+from aerobalance.identification.base_excitation.frf_table import ResponseTable, identify_frf
 from aerobalance.recording.errors import DataQualityWarning, FitError
 
 TRUE = Dynamics("AF", mass=2.0, stiffness=2.0 * (2 * np.pi * 900.0) ** 2, damping=2 * 0.02 * 2.0 * 2 * np.pi * 900.0)

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
-from aerobalance.identification import identify_rig
+from aerobalance.identification.base_excitation.rig import identify_rig
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError

@@ -12,7 +12,7 @@ import pytest
 
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
-from aerobalance.identification import identify_rig
+from aerobalance.identification.base_excitation.rig import identify_rig
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.recording.components import COMPONENTS

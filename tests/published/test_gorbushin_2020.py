@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.single import stiffness_from_damped_frequency
-from aerobalance.identification import find_dwells, harmonic_check, identify_rig, reference_fit
+from aerobalance.identification.base_excitation.paper_procedure import reference_fit
+from aerobalance.identification.base_excitation.rig import identify_rig
+from aerobalance.identification.base_excitation.sine_dwell import find_dwells, harmonic_check
 from aerobalance.simulation import ARMATURE_MASS, Sensor, Simulation, SteppedSine, VibrationRig
 from aerobalance.simulation.published import (
     CABLE_CUT,

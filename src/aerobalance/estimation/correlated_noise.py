@@ -22,7 +22,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter1d
 
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.modal import EquivalentModel
@@ -252,6 +251,8 @@ def shared_noise(
     own = float(np.mean(np.real(spectra.own[:, place, place])))
     rest = np.maximum(left - shaken, least)
     white, color = _colored(spectra.frequency, rest, before=own, interval=interval)
+    from scipy.ndimage import minimum_filter1d  # noqa: PLC0415 - takes 30 ms, and few records need it
+
     inside = minimum_filter1d(present[:, [place, *others]].all(axis=1), 2 * EDGE + 1, mode="constant", cval=False)
     error = float(np.sqrt(after / before))
     return SharedNoise(

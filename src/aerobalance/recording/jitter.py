@@ -13,7 +13,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
-from scipy.ndimage import uniform_filter1d
 from scipy.sparse import csr_array
 
 from aerobalance.recording.channel import Array
@@ -78,6 +77,8 @@ def following(columns: Sequence[Array], late: Array) -> JitterCorrection:
     late
         Time by which each sample is later than the steady clock has it, shape (m,) [intervals].
     """
+    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - takes 30 ms, and few records need it
+
     weight = total = 0.0
     # A clock that wanders slowly moves a signal and its slope alike, which tells nothing: the fast part does.
     fast = late - uniform_filter1d(late, _FAST)

@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import FitError
@@ -37,6 +36,8 @@ EXACT: Final = 1e-9
 
 def upsample(series: Array) -> Array:
     """Return a band-limited series, shape (samples, ...), on a clock `FINE` times as fast; (FINE samples, ...)."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - takes 30 ms, and few records need it
+
     first = series[:1]
     fine = first + _between(series - first)
     # near the ends the window reaches beyond the record: a spline through the samples there knows better
@@ -94,6 +95,8 @@ def fractional_delay(series: Array, *, delay: float, interval: float) -> Array:
     """
     if not delay or not series.any():
         return series
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - takes 30 ms, and few records need it
+
     count = series.shape[0]
     fine = upsample(series)[: FINE * (count - 1) + 1]
     place = np.clip(np.arange(count) - delay / interval, -1.0, float(count))

@@ -19,7 +19,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 from scipy.optimize import minimize
 
 from aerobalance.dynamics.modal import ModalModel, Mode
@@ -231,6 +230,8 @@ def own_resonance(seen: Averaged, dynamics: ModalModel) -> tuple[Array, Array, f
 
 def _peaks(seen: Averaged, dynamics: ModalModel) -> list[float]:
     """Frequencies of the peaks that stand out of their surroundings, the strongest first [Hz]; not the modes known."""
+    from scipy.ndimage import median_filter  # noqa: PLC0415 - takes 30 ms, and few records need it
+
     count = seen.power.size
     width = np.clip((SETTINGS.band * np.arange(count)).astype(int), 12, None)
     level = np.log(np.maximum(seen.power, 1e-300))

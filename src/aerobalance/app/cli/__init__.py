@@ -22,10 +22,14 @@ def run() -> None:
     from aerobalance.app.cli import interrupt
 
     interrupt.watch()
+    from aerobalance.app.cli import loading  # nothing may take time before Ctrl-C is answered
+
+    loading.begin()
     # The matrices here are small: threads of the linear algebra get in each other's way, by a factor of ten on two
     # cores that are shared. Whoever sets these himself is heard.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     code = main()
     interrupt.leave()
+    loading.end()
     sys.exit(code)

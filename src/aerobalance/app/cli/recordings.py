@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from aerobalance.app.cli import loading
 from aerobalance.app.cli.options import (
     Json,
     Map,
@@ -108,6 +109,7 @@ def record(
     from aerobalance.app.commands import record as command
     from aerobalance.io.safe_write import OUTPUTS
 
+    loading.done()
     OUTPUTS.begin(replace=replace)
     options = command.RecordOptions(source=source, file=file, rig=rig, seconds=seconds, speed=speed, seed=seed)
     with Console(stderr=True).status("starting ...") as status:
@@ -130,6 +132,7 @@ def publish(
     from aerobalance.app.commands import publish as command
     from aerobalance.app.commands.record import RecordOptions
 
+    loading.done()
     typer.echo(command.publish(setup=setup, options=RecordOptions(rig=rig, seed=seed), port=port, say=typer.echo))
 
 
@@ -165,6 +168,7 @@ def monitor(
     def warn(text: str) -> None:
         typer.echo(f"warning: {text}", err=True)
 
+    loading.done()
     found = find_token(token, token_file, os.environ, warn)
     command.monitor(
         setup,

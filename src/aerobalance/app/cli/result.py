@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import typer
 from rich.console import Console
 
-from aerobalance.app.cli import streams
+from aerobalance.app.cli import loading, streams
 
 FOR_PEOPLE: Final = ("summary", "details")
 """Texts of a result: the short answer, and tables that go with all of it."""
@@ -50,6 +50,7 @@ def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> N
     from aerobalance.app.progress import telling
     from aerobalance.io.safe_write import OUTPUTS
 
+    loading.done()
     OUTPUTS.begin(replace=manner.replace)
     try:
         status = Console(stderr=True).status(f"{doing} ...")

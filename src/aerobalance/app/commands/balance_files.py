@@ -15,7 +15,6 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.weighing import Weighing
 from aerobalance.balance.zeros import CarriedWeight, Zero
-from aerobalance.identification.from_outputs import identification_loads
 from aerobalance.io.balance_file import read_matrix
 from aerobalance.io.mass_file import read_weighing
 from aerobalance.recording.components import STANDARD_GRAVITY
@@ -110,6 +109,10 @@ class BalanceFiles:
         calibration_counts: bool = True,
     ) -> list[Loads]:
         """Read the files, and work out the balance loads of recordings that dynamics are to be identified from."""
+        from aerobalance.identification.from_outputs import (  # noqa: PLC0415 - not for a force
+            identification_loads,
+        )
+
         tare = self.tares(channel_map)
         if isinstance(tare, Weighing):
             raise ValueError(  # noqa: TRY004 - two options that exclude each other

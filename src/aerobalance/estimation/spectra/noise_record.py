@@ -16,7 +16,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 from scipy.optimize import minimize
 from scipy.special import gammainc, gammaincc
 
@@ -209,7 +208,7 @@ class Ordinates:
         kept[:FIRST] = kept[-1] = False
         lines = _lines(power) & kept
         places = np.flatnonzero(lines)
-        kept &= ~maximum_filter1d(lines, 5)
+        kept &= np.convolve(lines, np.ones(5), mode="same") < 0.5
         if np.count_nonzero(kept) < FEWEST_SAMPLES // 8:
             raise FitError(
                 f"{name}: beside the modes of {dynamics.component} nothing is left to tell its noise from; "
