@@ -10,7 +10,8 @@ import pytest
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.error_sources import Systematic
-from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.forces import ForceSettings, forces_of
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
@@ -156,6 +157,38 @@ def test_parameters_are_felt_as_they_are_wrong(rng) -> None:
         rest = float(np.sqrt(np.mean((change - predicted) ** 2)))
         # second order in 1e-4 and the noise that other matrices let through
         assert rest < 0.05 * float(np.sqrt(np.mean(predicted**2))) + estimate.noise, name
+
+
+def test_few_directions_of_the_parameters_are_as_uncertain_as_all(rng) -> None:
+    balance, dynamics = _drawn(rng)
+    band = Band(2, 1.2 * max(mode.natural_frequency for mode in dynamics.modes))
+    rig = SixComponentRig(
+        balance,
+        applied=broadband(rng, band, rms=0.1 * balance.half_range, period=1.0),
+        base=random_motion(rng, Band(2, 40), rms=np.ones(6), period=1.0),
+        output="loads",
+    )
+    size = 1e-3 * np.sqrt(np.outer(np.diag(dynamics.inertia), np.diag(dynamics.inertia)))
+    unit = np.outer(balance.half_range, 1 / balance.half_range)
+    sizes = np.concatenate([(size * unit).ravel(), np.zeros(36)])
+    spread = np.diag((1e-3 * np.maximum(np.abs(balance.mass.values), 1e-2)) ** 2)
+    uncertain = replace(dynamics, covariance=np.diag(sizes**2), mass=replace(balance.mass, covariance=spread))
+    record = force_record(rig.run(DURATION, rng).recording, uncertain)
+    whole, few = (forces_of(record, ForceSettings(hum="keep"), noises={}, few=one) for one in (False, True))
+    for name, estimate in whole.items():
+        all_of_it, part = (
+            next(item for item in found[name].contributions if item.source == "dynamics") for found in (whole, few)
+        )
+        assert isinstance(all_of_it, Systematic)
+        assert isinstance(part, Systematic)
+        assert part.slopes.shape[1] < all_of_it.slopes.shape[1]
+        # what is left out is a thousandth of the rms at most, in the force and before in the reading
+        rms = float(np.sqrt(np.mean(all_of_it.deviation**2)))
+        assert np.sqrt(np.mean((part.deviation - all_of_it.deviation) ** 2)) < 2e-3 * rms, name
+        # the independent numbers are the same ones
+        shared = part.slopes @ part.numbers - all_of_it.slopes @ all_of_it.numbers
+        assert np.sqrt(np.mean(np.sum(shared**2, axis=1))) < 5e-3 * rms, name
+        np.testing.assert_array_equal(few[name].values, estimate.values)
 
 
 def test_a_gap_in_one_channel_is_bridged_by_the_dynamics(rng) -> None:

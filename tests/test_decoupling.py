@@ -11,9 +11,10 @@ from scipy.linalg import matrix_balance
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.recording.channel import Array
-from aerobalance.recording.resampling import fractional_delay, upsample_compensated
+from aerobalance.recording.resampling import EDGE, FINE, fractional_delay, upsample_compensated
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_bending import Bending, bending_dynamics
+from aerobalance.simulation.six_signals import Band, broadband
 from seeds import new_seed
 
 RATE = 25_000.0
@@ -83,6 +84,21 @@ def test_the_decoupled_reading_knows_its_own_force_only(drawn: Drawn, rng) -> No
         # interpolation up to 1e-4 of its rms where the loads of others are much larger than the component's own
         largest = np.abs(felt * (np.abs(dynamics.inertia[place, :6]) * (2 * np.pi * 700) ** 2 + 1)).max()
         assert np.abs(found - expected).max() < 2e-5 * largest, name
+
+
+def test_a_force_is_read_as_the_coupled_balance_felt_it(drawn: Drawn, rng) -> None:
+    """The response of the decoupled model alone is what the readings of all components give."""
+    balance, dynamics = drawn
+    net = broadband(rng, Band(2, 300), rms=balance.half_range, period=0.4)(np.arange(10_000) / RATE)
+    net[:2500] *= np.sin(np.linspace(0, np.pi / 2, 2500))[:, None] ** 2  # at rest before, whatever that is taken for
+    felt = dynamics.load_felt(upsample_compensated(net), interval=1 / RATE / FINE, every=FINE)
+    for place, name in enumerate(dynamics.components):
+        decoupled = DecoupledChannel.of(dynamics, name, noise=_noise(balance))
+        expected = decoupled.reading(felt, interval=1 / RATE)
+        found = decoupled.response_to(net, interval=1 / RATE)[:, place]
+        largest = np.abs(felt * (np.abs(dynamics.inertia[place, :6]) * (2 * np.pi * 300) ** 2 + 1)).max()
+        # as in the test before; beyond the end of the record the two go on in different ways
+        assert np.abs(found - expected)[:-EDGE].max() < 2e-5 * largest, name
 
 
 def test_slopes_are_those_of_differences(drawn: Drawn, rng) -> None:

@@ -55,15 +55,15 @@ def test_samples_between_samples_are_those_of_scipy(rng, count) -> None:
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_recursions_are_filters(rng, compiled) -> None:
-    first_order, second_order = (
-        one if compiled else one.py_func for one in (_kernels.first_order, _kernels.second_order)
-    )
+    first_order, driven = (one if compiled else one.py_func for one in (_kernels.first_order, _kernels.driven))
     growth, drive = 0.98 * np.exp(0.2j), rng.normal(size=300) + 1j * rng.normal(size=300)
     expected = signal.lfilter([1.0], [1.0, -growth], drive)
     np.testing.assert_allclose(first_order(growth, drive), expected, atol=ROUNDING * np.abs(expected).max())
-    denominator, state = np.array([1.0, -1.9, 0.95]), rng.normal(size=2)
-    expected, last = signal.lfilter([1.0], denominator, drive.real, zi=state)
-    found = second_order(denominator, np.ascontiguousarray(drive.real), state)
+    denominator, state, taps = np.array([1.0, -1.9, 0.95]), rng.normal(size=2), rng.normal(size=(3, 2))
+    series, found = rng.normal(size=(2, _kernels.BLOCK + 102)), np.empty(_kernels.BLOCK + 100)
+    push = sum(np.convolve(one, weights[::-1], "valid") for one, weights in zip(series, taps.T, strict=True))
+    expected, last = signal.lfilter([1.0], denominator, push, zi=state)
+    driven(denominator, taps, series, state, found)
     np.testing.assert_allclose(found, expected, atol=ROUNDING * np.abs(expected).max())
     np.testing.assert_allclose(state, last, atol=ROUNDING * np.abs(expected).max())
 

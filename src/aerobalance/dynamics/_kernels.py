@@ -6,6 +6,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+BLOCK = 512  # samples that are worked on together: they stay in the fastest memory
+
 
 @numba.njit(cache=True)
 def first_order(growth: complex, drive: NDArray[np.complex128]) -> NDArray[np.complex128]:
@@ -19,24 +21,45 @@ def first_order(growth: complex, drive: NDArray[np.complex128]) -> NDArray[np.co
 
 
 @numba.njit(cache=True)
-def second_order(
-    denominator: NDArray[np.float64], drive: NDArray[np.float64], state: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Run y[k] = drive[k] - a1 y[k-1] - a2 y[k-2], shape (n,); the state, shape (2,), is carried on.
+def driven(
+    denominator: NDArray[np.float64],
+    taps: NDArray[np.float64],
+    series: NDArray[np.float64],
+    state: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Run y[k] = sum over t and i of taps[t, i] series[i, k + t], - a1 y[k-1] - a2 y[k-2]; the state is carried on.
 
     Parameters
     ----------
     denominator : (3,)
         1, a1 and a2.
-    drive : (n,)
+    taps : (t, c)
+        Weights of the series.
+    series : (c, n + t - 1)
         What drives it.
     state : (2,)
         What earlier samples add to the next two.
+    out : (n,)
+        Where y is written.
     """
-    out = np.empty(drive.size, np.float64)
-    for k in range(drive.size):
-        y = drive[k] + state[0]
-        state[0] = state[1] - denominator[1] * y
-        state[1] = -denominator[2] * y
-        out[k] = y
-    return out
+    first, second = state[0], state[1]
+    work, near = np.empty(BLOCK), np.zeros(BLOCK + taps.shape[0])
+    for begin in range(0, out.size, BLOCK):
+        count = min(BLOCK, out.size - begin)
+        for k in range(BLOCK):
+            work[k] = 0.0
+        for i in range(taps.shape[1]):
+            for k in range(count + taps.shape[0] - 1):
+                near[k] = series[i, begin + k]
+            # one product a tap, so that the sum does not hang on how many samples come at once
+            for t in range(taps.shape[0]):
+                weight = taps[t, i]
+                for k in range(BLOCK):
+                    work[k] += weight * near[k + t]
+        for k in range(count):
+            y = work[k] + first
+            first = second - denominator[1] * y
+            second = -denominator[2] * y
+            out[begin + k] = y
+    state[0], state[1] = first, second

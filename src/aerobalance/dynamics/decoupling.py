@@ -27,10 +27,9 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.condensation import Condensed, modes_of, partial_fractions, spectral_factor
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.driven_modes import DrivenModes
+from aerobalance.dynamics.driven_modes import DrivenModes, values_and_rates
 from aerobalance.dynamics.modal import EquivalentModel, Mode
 from aerobalance.recording.channel import Array
-from aerobalance.recording.resampling import FINE, upsample_compensated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,21 +180,29 @@ class DecoupledChannel:
         """Change of `reading` with each element of `rows`: of A, equation by equation, then of D; (samples, k)."""
         internal = [self._inside(loads, place, interval=interval) for place in range(len(self.still))]
         coordinates = np.column_stack([loads, *internal])
-        fine, step = upsample_compensated(coordinates), interval / FINE
-        behind = []
-        for mode in self.dynamics.modes:
-            motion = [mode.driven(series, interval=step) for series in fine.T]
-            behind.append([np.column_stack([part[show][::FINE] for part in motion]) for show in (0, 1)])
-        columns: list[Array] = []
-        for power in (2, 1):
-            for error in self.carried:
+        behind = [values_and_rates(mode, coordinates, interval=interval) for mode in self.dynamics.modes]
+        count, number = coordinates.shape
+        columns = np.empty((2, len(self.carried), number, count))
+        for at, power in enumerate((2, 1)):
+            for place, error in enumerate(self.carried):
                 numerator = np.concatenate([np.zeros(power), error, np.zeros(2 - power)])
                 parts = Fractions.of(numerator[None, : self.row.shape[1]], self.dynamics.modes)
-                slopes = coordinates * parts.direct
+                columns[at, place] = parts.direct[0] * coordinates.T
                 for (value, rate), of_value, of_rate in zip(behind, parts.by_value, parts.by_rate, strict=True):
-                    slopes = slopes + of_value * value + of_rate * rate
-                columns.append(slopes)
-        return np.column_stack(columns)
+                    columns[at, place] += of_value * value + of_rate * rate
+        return columns.reshape(-1, count).T
+
+    def response_to(self, net: Array, *, interval: float) -> Array:
+        """Reading under forces of its own component that are band-limited, both of shape (samples, c) [N, N*m].
+
+        What the balance feels of forces on the other components is not in it: that is what it is decoupled from.
+        """
+        parts = Fractions.of(self.carried[:1], self.dynamics.modes)
+        whole = parts.direct[0] * net.T
+        for mode, of_value, of_rate in zip(parts.modes, parts.by_value, parts.by_rate, strict=True):
+            value, rate = values_and_rates(mode, net, interval=interval)
+            whole = whole + of_value * value + of_rate * rate
+        return np.asarray(whole.T)
 
     def _inside(self, loads: Array, place: int, *, interval: float) -> Array:
         """Load in an internal spring, shape (samples,)."""

@@ -17,11 +17,12 @@ modes.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import expm
 
-from aerobalance.dynamics._kernels import second_order
+from aerobalance.dynamics._kernels import driven
 from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import FINE, interpolation
@@ -105,17 +106,47 @@ class DrivenModes:
         push = np.zeros((count, self._weights.shape[2]))
         if not count:
             return push
-        # one product a tap, so that the sum does not hang on how many samples come at once
-        for tap, weights in enumerate(self._weights):
-            part = self._driving[tap : tap + count]
-            for kind in range(self.kinds):
-                push += part[:, kind] * weights[kind]
         for place, pole in enumerate(self._poles):
-            push[:, place] = second_order(pole, np.ascontiguousarray(push[:, place]), self._state[place])
+            series = np.ascontiguousarray(self._driving[:, :, place].T)
+            found = np.empty(count)
+            driven(pole, np.ascontiguousarray(self._weights[:, :, place]), series, self._state[place], found)
+            push[:, place] = found
         self._driving = self._driving[count:]
         return push
 
 
+def values_and_rates(mode: Mode, series: Array, *, interval: float) -> tuple[Array, Array]:
+    """Responses of a mode to several series, and their rates, as `DrivenModes` gives them, shape (c, n) each.
+
+    Parameters
+    ----------
+    mode
+        The mode; its shares are not used.
+    series
+        What drives it, shape (n, c): each column alone, from rest under its first sample.
+    interval
+        Time between samples [s].
+    """
+    pole, first, taps = _taps(mode, interval=interval, delay=0.0)
+    start = series[:1].T
+    whole = _beyond_ends((series - series[0]).T, before=-first, after=first + taps.shape[0] - 1)
+    found = np.empty((2, *series.shape[::-1]))
+    for column, one in enumerate(whole):
+        for kind in range(2):
+            driven(pole, np.ascontiguousarray(taps[:, [kind]]), one[None], np.zeros(2), found[kind, column])
+    found[0] += start
+    return found[0], found[1]
+
+
+def _beyond_ends(series: Array, *, before: int, after: int) -> Array:
+    """Series (c, n) that go on so many samples beyond their ends, turned about their end samples."""
+    last = series.shape[1] - 1
+    early = 2 * series[:, :1] - series[:, np.minimum(np.arange(before, 0, -1), last)]
+    late = 2 * series[:, -1:] - series[:, np.maximum(last - np.arange(1, after + 1), 0)]
+    return np.ascontiguousarray(np.concatenate([early, series, late], axis=1))
+
+
+@lru_cache(maxsize=64)  # every component of a record asks for its modes several times
 def _taps(mode: Mode, *, interval: float, delay: float) -> tuple[Array, int, Array]:
     """Recursion of a mode whose response is late, the first sample that drives it, and the weights of u and v.
 

@@ -123,8 +123,8 @@ class Fitted:
         signal = fit_signal_model(_with_noise(record), hum=hum)
         return cls(record, hum, signal, SmootherResult.of(signal.reading, learned=signal.learned, steps=signal.steps))
 
-    def estimate(self) -> ComponentForce:
-        """The force with its uncertainty; says what is doubtful about it."""
+    def estimate(self, *, few: bool = False) -> ComponentForce:
+        """The force with its uncertainty, by few numbers where that is enough; says what is doubtful about it."""
         record, signal, fit = self.record, self.signal, self.smoothed
         reading, steps, learned = signal.reading, signal.steps, signal.learned
         if signal.floor is not None:
@@ -159,7 +159,7 @@ class Fitted:
             [
                 *fit.noise_errors(level, sources=(record.dynamics.component, record.motion_source)),
                 *fit.step_errors(),
-                record.parameter_errors(through(reading.filled[:, None])[:, 0], again, through),
+                record.parameter_errors(through(reading.filled[:, None])[:, 0], again, through, few=few),
                 *record.motion_errors(moved),
                 *record.reading_errors(fit.force, through),
             ],

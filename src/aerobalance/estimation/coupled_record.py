@@ -16,7 +16,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.modal import EquivalentModel
 from aerobalance.estimation.correlated_noise import SharedNoise
-from aerobalance.estimation.decoupled_record import DecoupledRecord, MassErrors, load_felt
+from aerobalance.estimation.decoupled_record import DecoupledRecord, load_felt
 from aerobalance.estimation.record import FEWEST_SAMPLES
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.platform import PlatformMotion
@@ -54,8 +54,6 @@ class CoupledRecord:
         Weight in the loads that was taken out of their zero, shape (n,) [N, N*m].
     decoupled
         How each component is decoupled from the others.
-    of_mass
-        What they feel by an error of the mass.
     """
 
     recording: Recording
@@ -67,7 +65,6 @@ class CoupledRecord:
     from_ground: Array
     on_zero: Array
     decoupled: tuple[DecoupledChannel, ...]
-    of_mass: MassErrors
     _readings: dict[object, Array] = field(init=False, default_factory=dict, repr=False)
 
     @classmethod
@@ -103,8 +100,7 @@ class CoupledRecord:
         loads = np.column_stack([np.where(channel.at_limit, np.nan, channel.values) for channel in channels])
         noise = noise_covariance(channels, interpolate_gaps(loads)) if noise is None else noise
         nothing, on_zero = np.zeros_like(loads), _weight_on_zero(platform, dynamics)
-        of_mass = MassErrors(dynamics, platform, 1 / recording.rate)
-        made = cls(recording, dynamics, platform, channels, loads, noise, nothing, on_zero, (), of_mass)
+        made = cls(recording, dynamics, platform, channels, loads, noise, nothing, on_zero, ())
         return made.taken_with(dynamics)
 
     def taken_with(self, dynamics: CoupledDynamics, *, noise: Array | None = None) -> CoupledRecord:
@@ -118,7 +114,6 @@ class CoupledRecord:
             noise=noise,
             from_ground=fractional_delay(from_ground, delay=-self.platform.delay, interval=self.interval) + shift,
             decoupled=tuple(DecoupledChannel.of(dynamics, name, noise=noise) for name in dynamics.components),
-            of_mass=MassErrors(dynamics, self.platform, self.interval),
         )
 
     @property
@@ -189,7 +184,6 @@ class CoupledRecord:
             noise=noise,
             shared=shared,
             others=tuple(self.decoupled[place] for place in others),
-            of_mass=self.of_mass,
         )
 
     def reading(self, place: int, *, on_clock_of: int, filled: Array, model: EquivalentModel | None = None) -> Array:

@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from aerobalance.dynamics.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
 from aerobalance.dynamics.decoupling import DecoupledChannel
@@ -26,40 +27,11 @@ from aerobalance.recording.resampling import FINE, upsample_compensated
 FAINT: Final = 1e-3
 """Rms of an error in a reading over its noise that is nothing beside it."""
 
+UNSEEN: Final = 1e-4
+"""The same over the rms of all errors of a reading: an error that holds along a record shows in its mean."""
+
 SMALL: Final = 1e-6
 """Relative change of the mass's parameters over which its slopes are taken; the matrix is a polynomial in them."""
-
-
-@dataclass(slots=True, eq=False)
-class MassErrors:
-    """What coupled components feel of gravity and the ground's motion by an error of the moving mass.
-
-    Attributes
-    ----------
-    coupled
-        The components.
-    platform
-        What the ground end does.
-    interval
-        Time between samples [s].
-    """
-
-    coupled: CoupledDynamics
-    platform: PlatformMotion
-    interval: float
-    _felt: list[Array] | None = None
-
-    def felt(self) -> list[Array]:
-        """Balance loads by a unit of each of `MASS_PARAMETERS`, shape (samples, n) each; worked out once."""
-        if self._felt is None and self.coupled.mass is not None:
-            own = [COMPONENTS.index(component) for component in self.coupled.components]
-            # the loads count from a zero that was read under the weight: the mass is wrong there too
-            acting = self.platform.specific_force + self.platform.gravity_on_zero
-            self._felt = [
-                load_felt(self.coupled, -acting @ part[own].T, interval=self.interval)
-                for part in mass_slopes(self.coupled.mass)
-            ]
-        return self._felt or []
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -83,8 +55,6 @@ class DecoupledRecord(ComponentRecord):
         What the ground end does.
     others
         Those others whose noise is taken off its reading.
-    of_mass
-        What the balance feels of the ground's motion by an error of the mass, the same for all components.
     """
 
     coupled: CoupledDynamics
@@ -93,7 +63,6 @@ class DecoupledRecord(ComponentRecord):
     channels: tuple[Channel, ...]
     platform: PlatformMotion
     others: tuple[DecoupledChannel, ...] = ()
-    of_mass: MassErrors
 
     @property
     def input_noise(self) -> float:
@@ -118,46 +87,73 @@ class DecoupledRecord(ComponentRecord):
         return np.unique(np.concatenate(parts))
 
     def parameter_errors(
-        self, values: Array, again: Callable[[ComponentRecord], Array], through: Through
+        self, values: Array, again: Callable[[ComponentRecord], Array], through: Through, *, few: bool = False
     ) -> Systematic:
         """What a wrong element of inertia, damping or mass does to the force."""
-        rows = self.rows
-        name, mass = "inertia, damping and mass", self.coupled.mass
-        if not self.coupled.covariance.any() and (mass is None or not mass.covariance.any()):
+        name, uncertain = "inertia, damping and mass", self._uncertain
+        if uncertain is None:
             return Systematic(name, "dynamics", (), np.zeros((values.size, 0)), np.zeros((0, 0)))
-        in_reading = self._parameter_slopes(rows)
-        covariance = self.coupled.covariance[np.ix_(rows, rows)]
-        root = covariance_root(self.coupled.covariance, reduced=False)[rows]
-        names = [self.coupled.parameters[number] for number in rows]
-        if self.shared is not None:
-            # of all rows' parameters few directions show: the rest is neither worked out nor kept sample by sample
-            turned = _directions(in_reading, root, least=FAINT * self.shared.before)
-            in_reading, root = in_reading @ (root @ turned), turned.T
-            names = [f"direction {number} of inertia and damping" for number in range(1, in_reading.shape[1] + 1)]
-            covariance = np.eye(in_reading.shape[1])
-        slopes = through(in_reading)
-        root = np.pad(root, ((0, 0), (0, len(MASS_PARAMETERS))))
-        if mass is not None and mass.covariance.any() and self.platform.specific_force.any():
-            felt = [self._read(part) for part in self.of_mass.felt()]
-            slopes = np.column_stack([slopes, -through(np.column_stack(felt))])
-            zero = np.zeros((len(names), len(felt)))
-            covariance = np.block([[covariance, zero], [zero.T, mass.covariance]])
-            of_mass = covariance_root(mass.covariance, reduced=False)
-            root = np.vstack([root, np.pad(of_mass, ((0, 0), (root.shape[1] - len(felt), 0)))])
-            names += list(MASS_PARAMETERS)
-        return Systematic(name, "dynamics", tuple(names), slopes, covariance, root)
-
-    def _parameter_slopes(self, rows: NDArray[np.intp]) -> Array:
-        """Change of the reading with each of these parameters, shape (samples, k)."""
-        slopes = np.zeros((self.loads.shape[0], rows.size))
-        own = np.searchsorted(rows, self.decoupled.rows(self.coupled))
-        slopes[:, own] = self.decoupled.parameter_slopes(self.loads, interval=self.interval)
+        of_mass = uncertain.of_mass.size > 0
+        own = self._effects(self.decoupled, of_mass=of_mass)
+        if self.shared is None and not few:
+            names = [*(self.coupled.parameters[number] for number in self.rows), *(MASS_PARAMETERS if of_mass else ())]
+            quantities = uncertain.within(self.decoupled.rows(self.coupled))
+            slopes = through(own) @ self._by_parameters(self.decoupled, of_mass=of_mass)
+            return Systematic(name, "dynamics", tuple(names), slopes, quantities @ quantities.T, quantities)
+        # of all parameters few directions show: the rest is neither worked out nor kept sample by sample
+        series, numbers = own, self._numbers(self.decoupled, uncertain)
+        least = 0.0 if self.shared is None else FAINT * self.shared.before
         for other in self.others:
             # what is wrong in the row of another is taken for noise that it shows
-            theirs = np.searchsorted(rows, other.rows(self.coupled))
-            series = other.parameter_slopes(self.loads, interval=self.interval)
-            slopes[:, theirs] -= self._taken_off(series, other)
-        return slopes
+            theirs, of_theirs = _directions(
+                self._effects(other, of_mass=of_mass), self._numbers(other, uncertain), least=least / len(self.others)
+            )
+            series = np.column_stack([series, -self._taken_off(theirs, other)])
+            numbers = np.vstack([numbers, of_theirs])
+        in_reading, numbers = _directions(series, numbers, least=least)
+        names = [f"direction {number} of inertia, damping and mass" for number in range(1, in_reading.shape[1] + 1)]
+        return Systematic(name, "dynamics", tuple(names), through(in_reading), np.eye(len(names)), numbers)
+
+    @property
+    def _uncertain(self) -> _Uncertain | None:
+        """What the parameters are not known by; None if they are."""
+        mass, of_mass = self.coupled.mass, np.zeros((0, 0))
+        if mass is not None and mass.covariance.any() and self.platform.specific_force.any():
+            of_mass = covariance_root(mass.covariance, reduced=False)
+        if not of_mass.size and not self.coupled.covariance.any():
+            return None
+        return _Uncertain(covariance_root(self.coupled.covariance, reduced=False), of_mass)
+
+    def _effects(self, one: DecoupledChannel, *, of_mass: bool) -> Array:
+        """What changes the reading of a decoupled component, shape (samples, k) [N, N*m per unit of each].
+
+        That is a unit of each of its parameters and, where the mass is not known, of each acceleration under a mass of
+        one: forces of the ground's motion on its own component are all that it shows.
+        """
+        slopes = one.parameter_slopes(self.loads, interval=self.interval)
+        if not of_mass:
+            return slopes
+        # the loads count from a zero that was read under the weight: the mass is wrong there too
+        acting = self.platform.specific_force + self.platform.gravity_on_zero
+        return np.column_stack([slopes, one.response_to(acting, interval=self.interval)])
+
+    def _by_parameters(self, one: DecoupledChannel, *, of_mass: bool) -> Array:
+        """Those of `_effects` by a unit of each of its parameters and those of the mass, shape (k, p)."""
+        own = np.eye(one.rows(self.coupled).size)
+        return block_diag(own, self._acting_by_mass(one)) if of_mass else own
+
+    def _numbers(self, one: DecoupledChannel, uncertain: _Uncertain) -> Array:
+        """Those of `_effects` by each of the independent numbers that nothing is known of, shape (k, r)."""
+        quantities = uncertain.within(one.rows(self.coupled))
+        return np.asarray(self._by_parameters(one, of_mass=uncertain.of_mass.size > 0) @ quantities)
+
+    def _acting_by_mass(self, one: DecoupledChannel) -> Array:
+        """By how much each acceleration acts on a component for a unit of each of `MASS_PARAMETERS`, shape (6, p)."""
+        mass = self.coupled.mass
+        if mass is None:
+            return np.zeros((len(COMPONENTS), 0))
+        row = COMPONENTS.index(one.component)
+        return np.column_stack([-part[row] for part in mass_slopes(mass)])
 
     def _taken_off(self, series: Array, other: DecoupledChannel) -> Array:
         return np.zeros_like(series) if self.shared is None else self.shared.slopes(series, other.place)
@@ -171,7 +167,11 @@ class DecoupledRecord(ComponentRecord):
 
     def _felt(self, net: Array) -> Array:
         """Reading of the component under loads on the moving mass, shapes (samples,) and (samples, n) [N]."""
-        return self._read(load_felt(self.coupled, net, interval=self.interval))
+        own = self.decoupled.response_to(net[:, [self.decoupled.place]], interval=self.interval)
+        for other in self.others:
+            theirs = other.response_to(net[:, [other.place]], interval=self.interval)
+            own = own - self._taken_off(theirs, other)
+        return np.asarray(own[:, 0])
 
     def felt_under(self, item: SystematicParameter) -> Array:
         """Load felt under a unit of an unknown of the ground's motion, shape (samples,)."""
@@ -204,10 +204,44 @@ class DecoupledRecord(ComponentRecord):
         return parts
 
 
-def _directions(slopes: Array, root: Array, *, least: float) -> Array:
-    """Combinations (r, k) of independent quantities, slopes (n, p) times root (p, r), whose rms is above `least`."""
-    power, turned = np.linalg.eigh(root.T @ (slopes.T @ slopes) @ root / slopes.shape[0])
-    return np.asarray(turned[:, power > least**2])
+@dataclass(frozen=True, slots=True, eq=False)
+class _Uncertain:
+    """What the parameters of coupled dynamics are made of: independent numbers of variance 1.
+
+    Attributes
+    ----------
+    of_matrices
+        Root of the covariance of inertia and damping, shape (p, p).
+    of_mass
+        Root of that of the mass, shape (q, q); nothing where it makes no difference.
+    """
+
+    of_matrices: Array
+    of_mass: Array
+
+    def within(self, rows: NDArray[np.intp]) -> Array:
+        """Some of the parameters of the matrices, and those of the mass, by the numbers of both, (k, r).
+
+        There are as many numbers of the mass where it makes no difference, so that all parts of a record agree.
+        """
+        return block_diag(self.of_matrices[rows], self.of_mass)
+
+
+def _directions(series: Array, numbers: Array, *, least: float) -> tuple[Array, Array]:
+    """Independent combinations of series, and how they depend on the numbers, shapes (n, k) and (k, r).
+
+    Parameters
+    ----------
+    series
+        What changes a reading, shape (n, p).
+    numbers
+        By how much, for a unit of each of independent numbers, shape (p, r).
+    least
+        Rms that is nothing, beside `UNSEEN` of that of all together.
+    """
+    power, turned = np.linalg.eigh(numbers.T @ (series.T @ series / series.shape[0]) @ numbers)
+    kept = turned[:, power > max(least**2, UNSEEN**2 * max(float(power.sum()), 0.0))]
+    return series @ (numbers @ kept), kept.T.copy()
 
 
 def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Array:

@@ -29,7 +29,6 @@ from aerobalance.estimation.force_collector import ForceCollector
 from aerobalance.estimation.force_parts import DIVISION, Division, ForcePart, Joiner, WorstPart
 from aerobalance.estimation.forces import ForceRecord, ForceSettings, forces_of, with_matrix
 from aerobalance.estimation.record import FEWEST_SAMPLES, IndependentRecord
-from aerobalance.estimation.result import with_few
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
@@ -239,7 +238,7 @@ def _undivided(
     if isinstance(noise, Recording | Loads):
         noise = noise_spectra(noise, record, **settings.earth)
     noises = {} if noise is None else noise
-    parts = forces_of(record, settings, noises=noises, kept=(lambda one: one) if whole else with_few)
+    parts = forces_of(record, settings, noises=noises, few=not whole)
     if isinstance(given, Loads):
         parts = with_matrix(parts, given, model)
     return Force(parts, record, settings, given if isinstance(given, Loads) else None, noises)

@@ -22,7 +22,7 @@ from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.decoupled_record import mass_rows
 from aerobalance.estimation.record import ComponentRecord, IndependentRecord
-from aerobalance.estimation.result import ComponentForce, with_balance
+from aerobalance.estimation.result import ComponentForce, with_balance, with_few
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
@@ -94,13 +94,13 @@ def forces_of(
     settings: ForceSettings,
     *,
     noises: Mapping[str, NoiseSpectrum],
-    kept: Callable[[ComponentForce], ComponentForce],
+    few: bool,
 ) -> dict[str, ComponentForce]:
-    """The forces of all components of a record, of each what is kept of it."""
+    """The forces of all components of a record; if `few`, what holds along it is as few numbers as show."""
     if not by_smoother(method=settings.method, bandwidth=settings.bandwidth):
         inverse = partial(estimated, method=settings.method, bandwidth=settings.bandwidth, hum=settings.hum)
         found = _with_gaps_filled(record, inverse, lambda one: (one.values, one.noise), noises=noises)[0]
-        return {name: kept(one) for name, one in found.items()}
+        return {name: with_few(one) if few else one for name, one in found.items()}
     fitted = partial(Fitted.of, hum=settings.hum)
     fits, filled = _with_gaps_filled(
         record, fitted, lambda fit: (fit.smoothed.force, fit.signal.learned.noise), noises=noises
@@ -109,7 +109,9 @@ def forces_of(
         component = record.component_record(name, filled, shared=shared)
         if as_expected(component.reading(), fits[name].signal.learned):
             fits[name] = fitted(component)
-    return {name: kept(fits.pop(name).estimate()) for name in list(fits)}
+    if few:
+        return {name: with_few(fits.pop(name).estimate(few=True)) for name in list(fits)}
+    return {name: fits.pop(name).estimate() for name in list(fits)}
 
 
 Answer = TypeVar("Answer")

@@ -121,7 +121,7 @@ class ComponentRecord(ABC):
 
     @abstractmethod
     def parameter_errors(
-        self, values: Array, again: Callable[[ComponentRecord], Array], through: Through
+        self, values: Array, again: Callable[[ComponentRecord], Array], through: Through, *, few: bool = False
     ) -> Systematic:
         """Return the error of the force from errors of the dynamics' parameters [N].
 
@@ -133,6 +133,8 @@ class ComponentRecord(ABC):
             Works out the force of another record in the same way, shape (n,).
         through
             What the method makes of a change of the readings.
+        few
+            Whether it is enough to know it by as few independent quantities as show in the readings.
         """
 
     @abstractmethod
@@ -236,7 +238,7 @@ class SingleRecord(ComponentRecord):
         return replace(self, recording=recording, dynamics=other)
 
     def parameter_errors(
-        self, values: Array, again: Callable[[ComponentRecord], Array], through: Through
+        self, values: Array, again: Callable[[ComponentRecord], Array], through: Through, *, few: bool = False
     ) -> Systematic:
         """Return the error of the force from errors of the parameters [N]: each is changed, and the method run again.
 
