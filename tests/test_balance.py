@@ -15,6 +15,7 @@ from aerobalance.balance import _term_kernels as kernels
 from aerobalance.balance import inversion
 from aerobalance.balance.inversion import inverted
 from aerobalance.balance.load_formats import FORMS, Form, Geometry, between_forms, role_of, to_direct
+from aerobalance.balance.load_variance import load_variances
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.terms import KINDS, codes, terms_of
 from aerobalance.recording.components import COMPONENTS
@@ -284,6 +285,31 @@ def test_output_of_many_samples_is_that_of_few(monkeypatch: pytest.MonkeyPatch, 
     np.testing.assert_array_equal(matrix.load_covariance(loads), covariance)
     assert matrix.outputs(loads[:0]).shape == (0, 6)
     assert matrix.load_covariance(loads[:0]).shape == (0, 6, 6)
+
+
+@pytest.mark.parametrize(("way", "curved"), [("iterative", 1.0), ("iterative", 60.0), ("non-iterative", 1.0)])
+def test_variances_by_signs_are_those_of_the_covariance(way, curved, rng) -> None:
+    """Of a matrix in all terms, with loads of all signs and of none, and where rows have to change places."""
+    given = random_balance(int(rng.integers(2**31)), model="96")
+    plain = [term.kind == 0 for term in given.terms]
+    root = rng.normal(size=(6, len(given.terms), len(given.terms))) * 1e-4
+    matrix = replace(
+        given,
+        way=way,
+        coefficients=given.coefficients * np.where(plain, 1.0, curved)[:, None],
+        covariance=root @ root.transpose(0, 2, 1),
+        residual_deviation=rng.uniform(1e-4, 2e-4, 6),
+        residual_correlation=np.eye(6) + 0.3 * (np.eye(6, k=1) + np.eye(6, k=-1)),
+    )
+    loads, transform = some_loads(rng, 700), rng.normal(size=(4, 6))
+    loads[::50, 2] = 0.0
+    expected = np.einsum("ij,njk,ik->ni", transform, matrix.load_covariance(loads), transform)
+    found = load_variances(matrix, loads, transform=transform)
+    # rounding, and twice that of the inverse of the derivatives; without rows that change places it has no limit
+    bad = np.linalg.cond(matrix.sensitivity(loads) * matrix.output_scale / matrix.load_scale[:, None])
+    assert np.max(np.abs(found / expected - 1) / bad[:, None]) < 1e-12
+    assert curved == 1.0 or bad.max() > 100
+    assert load_variances(matrix, loads[:0], transform=transform).shape == (0, 4)
 
 
 def one_component(terms, coefficients) -> BalanceMatrix:

@@ -8,13 +8,14 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_forms
+from aerobalance.balance.load_variance import load_variances
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.matrix_errors import MatrixErrors
 from aerobalance.balance.zeros import SAY_HOW_READ, GaugeZero, gauge_table
@@ -42,15 +43,12 @@ class LoadSettings:
     points_apart
         Noise from row to row, over the scatter of the calibration's readings, from which rows are doubted to be
         samples.
-    rows
-        Samples whose covariance is in memory at once.
     """
 
     beyond: float = 0.02
     nearly_diverging: float = 0.5
     most_points: int = 500
     points_apart: float = 20.0
-    rows: int = 1 << 13
 
 
 SETTINGS: Final = LoadSettings()
@@ -75,8 +73,8 @@ class Loads:
         Shape (n, c) [N, N*m]; NaN where an output is missing.
     noise_covariance
         Covariance of one reading from the noise of the gauges, shape (c, c) [N^2, N^2*m, N^2*m^2].
-    calibration
-        Standard uncertainty of every sample from matrix, zero and tare, shape (n, c) [N, N*m].
+    apart
+        Variance of every sample from zeros, tares and gains of the bridges, shape (n, c) or, the same for all, (1, c).
     native
         Loads in the balance's own components, tares not removed, shape (n, c) [N, N*m].
     beyond
@@ -99,7 +97,7 @@ class Loads:
     units: tuple[str, ...]
     values: Array
     noise_covariance: Array
-    calibration: Array
+    apart: Array
     native: Array
     beyond: Mapping[str, int]
     contraction: float
@@ -113,6 +111,11 @@ class Loads:
     def noise(self) -> Array:
         """Standard uncertainty of one reading from the noise of the gauges, shape (c,) [N, N*m]."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.noise_covariance), 0.0)))
+
+    @property
+    def calibration(self) -> Array:
+        """Standard uncertainty from the matrix, zeros, gains and tares, shape (n, c) [N, N*m]; worked out anew."""
+        return np.asarray(np.sqrt(np.maximum(_from_matrix(self, self.native) + self.apart, 0.0)))
 
     @property
     def uncertainty(self) -> Array:
@@ -150,7 +153,7 @@ class Loads:
         return replace(
             self,
             values=self.values[own],
-            calibration=self.calibration[own],
+            apart=self.apart if len(self.apart) == 1 else self.apart[own],
             native=self.native[own],
             recording=self.recording.part(begin, end),
         )
@@ -271,17 +274,17 @@ def loads_of_outputs(
     slope = T @ middle
     scatter = np.sqrt(np.maximum(np.diag(slope @ np.diag(noise**2) @ slope.T), 0.0))
     values = native @ T.T if zero.operating_point is None else (native - zero.operating_point) @ T.T
-    calibration = _static_deviation(balance, native, zero, channels, transform=T)
+    apart = _apart(balance, native, zero, channels, transform=T)
     if tare is not None:
         values = values - tare[0]
-        calibration = np.hypot(calibration, tare[1])
+        apart = apart + tare[1] ** 2
     filled = np.column_stack([interpolate_gaps_linearly(column) for column in values.T])
     loads = Loads(
         components=components,
         units=tuple("N*m" if moment else "N" for moment in moments),
         values=values,
         noise_covariance=np.outer(scatter, scatter) * noise_correlation(filled),
-        calibration=calibration,
+        apart=apart,
         native=native,
         beyond=beyond,
         contraction=contraction,
@@ -412,35 +415,23 @@ def _check_rows(recording: Recording, balance: BalanceMatrix, channels: Sequence
         )
 
 
-def _static_deviation(
+def _apart(
     balance: BalanceMatrix, native: Array, zero: GaugeZero, channels: Sequence[Channel], *, transform: Array
 ) -> Array:
-    """Standard uncertainty of the loads from matrix, zeros and the bridges' gains, shape (n, c)."""
-    slope = balance.sensitivity(np.median(np.nan_to_num(native), axis=0)[None, :])[0]
-    of_zero = slope @ np.diag(zero.u**2 + zero.drift**2 / 12) @ slope.T
+    """Variance of the loads from zeros and the bridges' gains, shape (n, c), or (1, c) where no gain is uncertain."""
+    slope = transform @ balance.sensitivity(np.median(np.nan_to_num(native), axis=0)[None, :])[0]
+    of_zero = slope**2 @ (zero.u**2 + zero.drift**2 / 12)
     gains = np.array([channel.relative_uncertainty for channel in channels])
-
-    def variance(rows: Array) -> Array:
-        filled = np.nan_to_num(rows)
-        covariance = balance.load_covariance(filled) + of_zero
-        if gains.any():
-            own = filled * gains
-            covariance[:, np.arange(len(gains)), np.arange(len(gains))] += own**2
-        covariance[~np.isfinite(rows).all(axis=1)] = np.nan
-        return _variances(covariance, transform)
-
-    return np.sqrt(np.maximum(_by_rows(variance, native), 0.0))
+    if not gains.any():
+        return np.asarray(of_zero[None])
+    return np.asarray(of_zero + (np.nan_to_num(native) * gains) ** 2 @ transform.T**2)
 
 
-def _variances(covariance: Array, transform: Array) -> Array:
-    """Variances of transformed loads, shape (n, c), from covariances of shape (n, c, c)."""
-    return np.asarray(np.einsum("ij,njk,ik->ni", transform, covariance, transform))
-
-
-def _by_rows(work: Callable[[Array], Array], rows: Array) -> Array:
-    """Work on rows, shape (n, c), some at a time, as a covariance of every one of them takes much memory."""
-    found = [work(rows[first : first + SETTINGS.rows]) for first in range(0, rows.shape[0], SETTINGS.rows)]
-    return np.concatenate(found) if found else work(rows)
+def _from_matrix(felt: Loads, native: Array) -> Array:
+    """Variance that the matrix gives to loads in the balance's own components, shape (n, c); NaN where one is."""
+    found = load_variances(felt.balance, np.nan_to_num(native), transform=felt.transform)
+    found[~np.isfinite(felt.native).all(axis=1)] = np.nan
+    return found
 
 
 def wind_off_loads(
@@ -502,13 +493,9 @@ def static_uncertainty(felt: Loads, *, forces: Mapping[str, Array]) -> dict[str,
     # what zeros and tares add does not depend on the load
     T = felt.transform
     offset = felt.native @ T.T - felt.values
-    native = np.linalg.solve(T, (np.column_stack(columns) + np.nan_to_num(offset)).T).T
+    native = np.asarray(np.linalg.solve(T, (np.column_stack(columns) + np.nan_to_num(offset)).T).T)
 
-    def variance(rows: Array) -> Array:
-        return _variances(felt.balance.load_covariance(np.nan_to_num(rows)), T)
-
-    known = felt.calibration**2 - _by_rows(variance, felt.native)
-    u = np.sqrt(np.maximum(known, 0.0) + _by_rows(variance, np.asarray(native)))
+    u = np.sqrt(np.maximum(felt.apart, 0.0) + _from_matrix(felt, native))
     return {name: u[:, i] for i, name in enumerate(felt.components)}
 
 

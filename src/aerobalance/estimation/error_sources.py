@@ -74,12 +74,13 @@ class Systematic:
         if not root.size or not self.slopes.size:
             none = np.zeros((self.slopes.shape[0], 0))
             return replace(self, quantities=(), slopes=none, covariance=np.zeros((0, 0)), root=root[:0])
-        own = self.slopes @ root
-        power, turned = np.linalg.eigh(own.T @ own)
+        power, turned = np.linalg.eigh(root.T @ (self.slopes.T @ self.slopes) @ root)
         kept = turned[:, power > UNSEEN**2 * power.sum()]
         names = tuple(f"combination {number}" for number in range(1, kept.shape[1] + 1))
         covariance = np.eye(kept.shape[1])
-        return replace(self, quantities=names, slopes=own @ kept, covariance=covariance, root=kept.T.copy())
+        return replace(
+            self, quantities=names, slopes=self.slopes @ (root @ kept), covariance=covariance, root=kept.T.copy()
+        )
 
     def within(self, samples: slice) -> Systematic:
         """The same for some of the samples."""
