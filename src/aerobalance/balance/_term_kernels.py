@@ -5,9 +5,10 @@ A term is a kind (the ten of AIAA R-091, in its order) and the one or two variab
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from aerobalance.recording.compiled import compiled
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -21,7 +22,7 @@ SURE = 10.0  # by how much the iteration may slow down from one step to the next
 ROUNDING = 1e-15  # of a step that ends it at once
 
 
-@numba.njit(cache=True)
+@compiled(inner=True)
 def term(kind: int, a: float, b: float) -> tuple[float, float, float]:
     """Value of one term, and its derivatives by its first and second variable."""
     sa = float(np.sign(a))
@@ -47,7 +48,7 @@ def term(kind: int, a: float, b: float) -> tuple[float, float, float]:
     return abs(a * a * a), 3 * a * abs(a), 0.0
 
 
-@numba.njit(cache=True)
+@compiled()
 def design(kinds: Integers, first: Integers, second: Integers, x: Floats) -> Floats:
     """Values of all terms: x (n, c) gives (n, t)."""
     n, count = x.shape[0], kinds.size
@@ -58,7 +59,7 @@ def design(kinds: Integers, first: Integers, second: Integers, x: Floats) -> Flo
     return H
 
 
-@numba.njit(cache=True)
+@compiled(inner=True)
 def forward(kinds: Integers, first: Integers, second: Integers, C: Floats, x: Floats, y: Floats, J: Floats) -> None:
     """Put the polynomial y (c,) and its Jacobian J (c, c) at one x (c,) in place; C is (t, c)."""
     y[:] = 0.0
@@ -72,7 +73,7 @@ def forward(kinds: Integers, first: Integers, second: Integers, C: Floats, x: Fl
             J[m, j] += C[t, m] * db
 
 
-@numba.njit(cache=True)
+@compiled()
 def jacobians(kinds: Integers, first: Integers, second: Integers, C: Floats, x: Floats) -> Floats:
     """Jacobians of the polynomial at every x: (n, c) gives (n, c, c)."""
     n, c = x.shape
@@ -83,7 +84,7 @@ def jacobians(kinds: Integers, first: Integers, second: Integers, C: Floats, x: 
     return J
 
 
-@numba.njit(cache=True, inline="always")
+@compiled(inline="always")
 def multiply(left: Integers, right: Integers, z: Floats | Singles, terms: Floats | Singles, c: int) -> None:
     """Put the products of rows of z = (1, x, |x|, x^2), in which x alone is given, into terms (t, m)."""
     if z.shape[0] > 1 + c:
@@ -97,7 +98,7 @@ def multiply(left: Integers, right: Integers, z: Floats | Singles, terms: Floats
             terms[t, k] = z[i, k] * z[j, k]
 
 
-@numba.njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@compiled(fastmath={"contract"}, error_model="numpy")
 def invert(
     left: Integers,
     right: Integers,

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from aerobalance.recording.compiled import compiled
 
 BLOCK = 512  # samples that are worked on together: they stay in the fastest memory
 
 
-@numba.njit(cache=True)
+@compiled()
 def first_order(growth: complex, drive: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Run z[k] = growth z[k-1] + drive[k] from rest, shape (n,)."""
     out = np.empty(drive.size, np.complex128)
@@ -20,7 +21,7 @@ def first_order(growth: complex, drive: NDArray[np.complex128]) -> NDArray[np.co
     return out
 
 
-@numba.njit(cache=True)
+@compiled()
 def driven(
     denominator: NDArray[np.float64],
     taps: NDArray[np.float64],

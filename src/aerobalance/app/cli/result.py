@@ -16,6 +16,9 @@ from aerobalance.app.cli import loading, streams
 FOR_PEOPLE: Final = ("summary", "details")
 """Texts of a result: the short answer, and tables that go with all of it."""
 
+FIRST: Final = "compiling the estimator for this machine, once: this takes a few seconds"
+"""What is said where a command is the first that needs compiled loops."""
+
 NOT_LISTED: Final = frozenset(
     {"covariance", "warnings", "residuals", "model", "budget", "spectrum", "monte_carlo", "map"}
 )
@@ -49,11 +52,14 @@ def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> N
     """
     from aerobalance.app.progress import telling
     from aerobalance.io.safe_write import OUTPUTS
+    from aerobalance.recording.first_use import FIRST_USE
 
     loading.done()
     OUTPUTS.begin(replace=manner.replace)
     try:
-        status = Console(stderr=True).status(f"{doing} ...")
+        console = Console(stderr=True)
+        FIRST_USE.told = lambda: console.print(FIRST, markup=False, highlight=False, soft_wrap=True)
+        status = console.status(f"{doing} ...")
         with status, telling(lambda text: status.update(f"{doing}: {text}")):
             result = work()
     except Exception as problem:
@@ -61,6 +67,7 @@ def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> N
             problem.add_note(OUTPUTS.told())
         raise
     finally:
+        FIRST_USE.told = None
         OUTPUTS.end()
     try:
         _answer(result, manner)

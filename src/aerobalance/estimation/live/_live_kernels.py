@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from typing import Any, Final, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.estimation.statespace._kernels import Model, filter_covariance, filter_state
+from aerobalance.recording.compiled import compiled
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -191,7 +191,7 @@ class Scan(NamedTuple):
     patience: int
 
 
-@numba.njit(cache=True)
+@compiled()
 def solve(fit: ShapeFit, count: int) -> None:
     """Solve the normal equations of so many shapes by Cholesky's method."""
     information, target, sizes, root = fit.information, fit.target, fit.sizes, fit.root
@@ -217,7 +217,7 @@ def solve(fit: ShapeFit, count: int) -> None:
         sizes[i] = left / root[i, i]
 
 
-@numba.njit(cache=True)
+@compiled(inner=True)
 def variance_along(root: Floats, slope: Floats, count: int, work: Floats) -> float:
     """Return the variance of a sum of the sizes with these weights."""
     total = 0.0
@@ -230,7 +230,7 @@ def variance_along(root: Floats, slope: Floats, count: int, work: Floats) -> flo
     return total
 
 
-@numba.njit(cache=True)
+@compiled(inner=True)
 def _weigh(k: int, last: int, count: int, model: Model, history: History, fixed: FixedLag) -> None:
     """Compute what each innovation from sample k on adds to the force at k, and its variance with each lag.
 
@@ -250,7 +250,7 @@ def _weigh(k: int, last: int, count: int, model: Model, history: History, fixed:
         fixed.variance[j] = max(left, 0.0)
 
 
-@numba.njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+@compiled(fastmath={"reassoc", "nsz", "contract"}, inner=True)
 def _weighted_sum(weight: Floats, v: Floats, series: int, k: int, count: int) -> float:
     """Return the sum of the innovations of a series from sample k on, with their weights."""
     total = 0.0
@@ -259,7 +259,7 @@ def _weighted_sum(weight: Floats, v: Floats, series: int, k: int, count: int) ->
     return total
 
 
-@numba.njit(cache=True)
+@compiled()
 def emit(k: int, end: int, model: Model, state: State, history: History, fit: ShapeFit, fixed: FixedLag) -> None:
     """Compute the force at sample k, and its variance, from the observations up to sample end."""
     marks = state.marks[0]
@@ -284,7 +284,7 @@ def emit(k: int, end: int, model: Model, state: State, history: History, fit: Sh
     fixed.out[k, 1] = fixed.variance[count - 1] + variance_along(fit.root, slope, shapes, work)
 
 
-@numba.njit(cache=True, inline="always")
+@compiled(inline="always")
 def _expect_step(model: Model, K: Floats, S: float, scan: Scan) -> None:
     """Whiten the response to a step with this gain."""
     x, updated = np.zeros(model.h.size), np.empty(model.h.size)
@@ -296,7 +296,7 @@ def _expect_step(model: Model, K: Floats, S: float, scan: Scan) -> None:
         scan.inverse[place] = 1 / total if total > 0 else 0.0
 
 
-@numba.njit(cache=True, inline="always")
+@compiled(inline="always")
 def _take_gain(n: int, model: Model, state: State, history: History, fixed: FixedLag, scan: Scan) -> None:
     """Find gain and innovation variance of sample n, and predict the covariance of the next."""
     marks, K = state.marks[0], state.K
@@ -323,7 +323,7 @@ def _take_gain(n: int, model: Model, state: State, history: History, fixed: Fixe
     marks.taken += 1
 
 
-@numba.njit(cache=True, inline="always")
+@compiled(inline="always")
 def _take_observation(n: int, shapes: int, history: History, fit: ShapeFit, shown: Floats, work: Floats) -> None:
     """Find the residual of sample n, and the sizes of the shapes with it."""
     v, S = history.v, history.S[n]
@@ -343,7 +343,7 @@ def _take_observation(n: int, shapes: int, history: History, fit: ShapeFit, show
     solve(fit, shapes)
 
 
-@numba.njit(cache=True)
+@compiled()
 def advance(
     first: int,
     stop: int,
@@ -377,7 +377,7 @@ def advance(
     return stop, NOTHING
 
 
-@numba.njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+@compiled(fastmath={"reassoc", "nsz", "contract"}, inner=True)
 def _scan_instants(
     score: Floats, response: Floats, inverse: Floats, u: float, begin: int, stop: int, offset: int, newest: int
 ) -> float:
@@ -391,7 +391,7 @@ def _scan_instants(
     return best
 
 
-@numba.njit(cache=True, fastmath={"reassoc", "nsz", "contract"})
+@compiled(fastmath={"reassoc", "nsz", "contract"}, inner=True)
 def _squares(residual: Floats, begin: int, stop: int) -> tuple[float, float]:
     """Return the sum of squares, and the largest of them."""
     total, largest = 0.0, 0.0
@@ -402,7 +402,7 @@ def _squares(residual: Floats, begin: int, stop: int) -> tuple[float, float]:
     return total, largest
 
 
-@numba.njit(cache=True, inline="always")
+@compiled(inline="always")
 def _look(n: int, state: State, history: History, scan: Scan) -> int:
     """Look for a step and for observations that are not explained, now that sample n is there."""
     marks, residual = state.marks[0], history.residual
@@ -421,7 +421,7 @@ def _look(n: int, state: State, history: History, scan: Scan) -> int:
     return STRANGE if marks.strange > scan.patience else NOTHING
 
 
-@numba.njit(cache=True)
+@compiled()
 def rebuild(
     first: int, stop: int, place: int, model: Model, state: State, history: History, fit: ShapeFit, wanted: int
 ) -> None:
@@ -448,7 +448,7 @@ def rebuild(
         fit.information[s, row] = fit.information[row, s]
 
 
-@numba.njit(cache=True)
+@compiled()
 def innovate(first: int, values: Floats, model: Model, history: History) -> Floats:
     """Return the innovations of a load that begins at sample first, shape (values,)."""
     x, updated, v = np.zeros(model.h.size), np.empty(model.h.size), np.empty(values.size)

@@ -5,17 +5,17 @@ steps: `update_covariance`, `predict_covariance`, `filter_state` and `add_produc
 `aerobalance.estimation.live._live_kernels` uses the same.
 
 Loops over the elements are written out where numpy would be shorter: the compiler needs seconds for each copy of a
-slice. It keeps its work on disk by the file of each function: after a change of these four steps touch the file of the
-live kernels too. ``tests/test_kernels.py`` compares compiled and plain results, and finds machine code that is old.
+slice. ``tests/test_kernels.py`` compares compiled and plain results.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from aerobalance.recording.compiled import compiled
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -46,7 +46,7 @@ class Model(NamedTuple):
     R: float
 
 
-@numba.njit(cache=True, inline="always")
+@compiled(inner=True, forceinline=True)
 def add_product(columns: Floats, x: Floats, out: Floats) -> None:
     """Add the product of a matrix, given by its columns, and a vector to a vector."""
     for j in range(x.size):  # column by column, so that the inner loop is one vector operation
@@ -54,7 +54,7 @@ def add_product(columns: Floats, x: Floats, out: Floats) -> None:
             out[i] += columns[j, i] * x[j]
 
 
-@numba.njit(cache=True, inline="always")
+@compiled(inner=True, forceinline=True)
 def filter_state(value: float, here: bool, model: Model, K: Floats, x: Floats, updated: Floats) -> float:
     """Update a predicted state x by an observation and predict the next; return the innovation, 0 if it is missing."""
     for i in range(x.size):
@@ -72,7 +72,7 @@ def filter_state(value: float, here: bool, model: Model, K: Floats, x: Floats, u
     return v
 
 
-@numba.njit(cache=True)
+@compiled(inner=True)
 def update_covariance(P: Floats, h: Floats, Ph: Floats, K: Floats, R: float) -> None:
     """Turn P into (1 - K h) P (1 - K h)' + R K K', given P h'.
 
@@ -87,7 +87,7 @@ def update_covariance(P: Floats, h: Floats, Ph: Floats, K: Floats, R: float) -> 
             P[i, j] += (R * K[i] - across) * K[j]
 
 
-@numba.njit(cache=True)
+@compiled(inner=True)
 def predict_covariance(A: Floats, columns: Floats, P: Floats, half: Floats, out: Floats) -> None:
     """Write A P A' into out."""
     np.dot(A, P, half)
@@ -98,7 +98,7 @@ def predict_covariance(A: Floats, columns: Floats, P: Floats, half: Floats, out:
             out[j, i] = out[i, j]
 
 
-@numba.njit(cache=True)
+@compiled(inner=True)
 def filter_covariance(here: bool, model: Model, kept: int, P: Floats, K: Floats, work: Floats) -> tuple[float, float]:
     """Compute the gain K of a sample and turn its covariance P into that of the next sample.
 
@@ -154,7 +154,7 @@ def filter_covariance(here: bool, model: Model, kept: int, P: Floats, K: Floats,
     return S, change
 
 
-@numba.njit(cache=True)
+@compiled()
 def chain(columns: Floats, states: Floats, forward: bool) -> None:
     """Add to each state (c, m, d) of several series what a matrix makes of the one before it.
 

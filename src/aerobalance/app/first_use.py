@@ -1,0 +1,23 @@
+"""All that is compiled at the first use on a machine, compiled at once: what an installation may do beforehand."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aerobalance.app.monitor.engine import warm_up
+from aerobalance.balance.inversion import inverted
+from aerobalance.dynamics._kernels import first_order
+from aerobalance.estimation.force import estimate_force
+from aerobalance.simulation.cable_cut import CableCut
+
+
+def compile_all() -> None:
+    """Run every compiled loop once, on a balance that rings and on polynomials."""
+    warm_up()
+    rig = CableCut()
+    run = rig.run(1.5, np.random.default_rng(1))
+    estimate_force(run.recording, rig.dynamics)
+    first_order(0.5 + 0j, np.ones(2, dtype=complex))
+    terms = np.array([0, 0, 2, 2]), np.array([0, 1, 0, 1]), np.array([0, 1, 0, 1])
+    bent = np.array([[1.0, 0.0], [0.0, 1.0], [0.1, 0.0], [0.0, 0.1]])  # y = x + x^2 / 10
+    inverted(terms, bent, np.eye(2), np.array([[0.1, 0.1], [50.0, 50.0]]))  # the second by Newton's method
