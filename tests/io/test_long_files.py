@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from aerobalance.app.cli import main
-from aerobalance.app.progress import Progress
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.estimation.force import ForceWork, estimate_force
 from aerobalance.estimation.force_parts import DIVISION, Division
@@ -259,18 +258,6 @@ def test_nothing_is_left_of_a_file_whose_writing_fails(tmp_path):
             append({"time [s]": np.arange(5.0), "AF [N]": np.ones(5)})
             raise FitError("broken off")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_progress_tells_the_time_that_is_left():
-    said = []
-    progress = Progress(said.append)
-    progress.begin()
-    progress._since = time.monotonic() - 30.0
-    progress.done(1, 3)
-    progress._since = time.monotonic() - 300.0
-    progress.done(1, 101)
-    progress.done(3, 3)
-    assert said == ["part 1 of 3 done, about 60 s left", "part 1 of 101 done, about 8 h 20 min left"]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals are those of POSIX")

@@ -36,6 +36,7 @@ from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_ga
 from aerobalance.recording.errors import GAUGES_BECOME_LOADS, DataQualityWarning, FitError, warn_quality
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import LongRecord, Part
+from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps
 
@@ -139,7 +140,7 @@ class ForceWork:
         told = PartWarnings(record)
         joiner: Joiner | None = None
         silent: list[Part] = []
-        for part in parts:
+        for part in PROGRESS.each(parts, "part"):
             force: Force | None = None
             with told.of(part):
                 given = self._ready(part)

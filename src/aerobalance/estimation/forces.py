@@ -27,6 +27,7 @@ from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.resampling import align_channels, interpolate_gaps
 
 PASSES: Final = 2
@@ -102,16 +103,20 @@ def forces_of(
         found = _with_gaps_filled(record, inverse, lambda one: (one.values, one.noise), noises=noises)[0]
         return {name: with_few(one) if few else one for name, one in found.items()}
     fitted = partial(Fitted.of, hum=settings.hum)
-    fits, filled = _with_gaps_filled(
-        record, fitted, lambda fit: (fit.smoothed.force, fit.signal.learned.noise), noises=noises
-    )
-    for name, shared in predicted_noise(fits, record, filled=filled).items():
-        component = record.component_record(name, filled, shared=shared)
-        if as_expected(component.reading(), fits[name].signal.learned):
-            fits[name] = fitted(component)
-    if few:
-        return {name: with_few(fits.pop(name).estimate(few=True)) for name in list(fits)}
-    return {name: fits.pop(name).estimate() for name in list(fits)}
+    with PROGRESS.stage(0.0, 0.5, "spectrum and steps"):
+        fits, filled = _with_gaps_filled(
+            record, fitted, lambda fit: (fit.smoothed.force, fit.signal.learned.noise), noises=noises
+        )
+    with PROGRESS.stage(0.5, 0.8, "noise that is shared"):
+        for name, shared in PROGRESS.each(predicted_noise(fits, record, filled=filled).items(), "component"):
+            component = record.component_record(name, filled, shared=shared)
+            if as_expected(component.reading(), fits[name].signal.learned):
+                fits[name] = fitted(component)
+    with PROGRESS.stage(0.8, 1.0, "uncertainty"):
+        names = PROGRESS.each(list(fits), "component")
+        if few:
+            return {name: with_few(fits.pop(name).estimate(few=True)) for name in names}
+        return {name: fits.pop(name).estimate() for name in names}
 
 
 Answer = TypeVar("Answer")
@@ -138,7 +143,8 @@ def _with_gaps_filled(
         Spectra of the noise of the decoupled components, where they are known.
     """
     filled = interpolate_gaps(record.loads)
-    found = {name: work(component) for name, component in record.component_records(filled, noises=noises).items()}
+    components = PROGRESS.each(record.component_records(filled, noises=noises).items(), "component")
+    found = {name: work(component) for name, component in components}
     for _ in range(PASSES if record.has_gaps else 0):
         facts = {name: known(one) for name, one in found.items()}
         better = record.filled_by({name: force for name, (force, _) in facts.items()}, filled=filled)

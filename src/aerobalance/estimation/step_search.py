@@ -28,6 +28,7 @@ from aerobalance.estimation.step_fit import fit_together, gain_of_another_model,
 from aerobalance.estimation.step_scan import Scan
 from aerobalance.estimation.steps import SETTINGS, Step, columns_of, response_to, ringing_time
 from aerobalance.recording.errors import warn_quality
+from aerobalance.recording.progress import PROGRESS
 
 TURNS: Final = 5
 """Times at most that new steps are located and the prior is learned without them."""
@@ -107,6 +108,7 @@ class _Search:
             steps, learned = self._proposed(learned, steps, prior=smooth, less=LESS) or (steps, learned)
         while max(len(steps), rounds) < self.most and not self.end:
             rounds += 1
+            PROGRESS.note(f"{len(steps)} found so far" if steps else "")
             found = self._proposed(learned, steps, prior=learned)
             if found is None and steps and tested != steps and learned.spectrum.levels.any():
                 # what is taken for a fluctuating force may be what a ramp leaves that was fitted as a sudden step

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Generic, NamedTuple, TypeVar
 
+from aerobalance.recording.progress import PROGRESS
+
 State = TypeVar("State")
 
 FACTOR: Final = 10.0
@@ -105,7 +107,8 @@ def levenberg_marquardt(
         When the fit has settled.
     """
     damping, costs = settings.damping, list[float]()
-    for _ in range(settings.most_steps):
+    for number in range(settings.most_steps):
+        PROGRESS.note(f"step {number + 1} of a fit")
         costs.append(cost)
         if settings.valley and len(costs) > settings.valley and costs[-settings.valley] - cost < settings.flat:
             return Outcome(state, costs, settled=True)

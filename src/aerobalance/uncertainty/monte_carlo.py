@@ -40,6 +40,7 @@ from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import Step, shape_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import DataQualityWarning, warn_quality
+from aerobalance.recording.progress import PROGRESS
 from aerobalance.uncertainty.budget import noise_power, scalars
 from aerobalance.uncertainty.parameter_draws import Change, parameter_errors
 from aerobalance.uncertainty.sampling import UncertainCoupled, UncertainDynamics, drawn_numbers
@@ -184,7 +185,7 @@ def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, M
         warnings.simplefilter("ignore", DataQualityWarning)  # said when the force was worked out
         record, filled = force.record, force.filled
         found = {}
-        for name, estimate in force.items():
+        for name, estimate in PROGRESS.each(force.items(), "Monte Carlo of component"):
             component = record.component_record(name, filled, shared=estimate.shared)
             change = _change(record, component, filled)
             generator = np.random.Generator(np.random.SFC64(seed))  # the fastest for normal numbers
@@ -317,7 +318,7 @@ def _summed_up(
     """Standard uncertainties and intervals from the draws, beside those to first order."""
     whole = np.empty((draws, estimate.values.size))
     energies: dict[str, list[float]] = {}
-    for draw, parts in enumerate(errors):
+    for draw, parts in zip(PROGRESS.each(range(draws), "draw"), errors, strict=True):
         whole[draw] = 0.0
         for name, error in parts.items():
             whole[draw] += error

@@ -23,6 +23,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, acceleration_name
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.gravity import gravity_share
+from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import fractional_delay, interpolate_gaps_linearly
 from aerobalance.recording.sensors import corrected
@@ -309,7 +310,7 @@ def estimates(
     if settings.response is None:
         settings = replace(settings, response=model_response(dynamics, recording.rate))
     found = []
-    for name, rival in rivals.items():
+    for name, rival in PROGRESS.each(rivals.items(), "method"):
         customary = _attempt(name, rival, recording, dynamics, settings)
         found.append(customary)
         if truth is not None and customary.ran and name in tuned:

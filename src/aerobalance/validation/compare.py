@@ -15,6 +15,7 @@ from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, d
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, argument
+from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 from aerobalance.validation.baselines import BaselineEstimate, BaselineSettings, estimates
 from aerobalance.validation.coupled_baselines import estimates_of_coupled, own_response
@@ -134,7 +135,8 @@ def compare(
     if isinstance(model, CoupledDynamics):
         found |= estimates_of_coupled(recording, model, components=names, settings=settings, truths=truths)
     else:
-        found |= {name: estimates(recording, model[name], settings=settings, truth=truths.get(name)) for name in names}
+        alone = PROGRESS.each(names, "component")
+        found |= {name: estimates(recording, model[name], settings=settings, truth=truths.get(name)) for name in alone}
     return Comparison(found, recording, model, responses, truths, ready if isinstance(ready, Loads) else None)
 
 

@@ -26,6 +26,7 @@ from aerobalance.estimation.steps import columns_of
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.recording.errors import FitError
+from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 from aerobalance.validation.baselines import (
     THIS,
@@ -243,7 +244,7 @@ def estimates_of_coupled(
     if not isinstance(record, CoupledRecord):
         raise TypeError("the dynamics are not coupled")
     found = {}
-    for name in components:
+    for name in PROGRESS.each(components, "component"):
         part = _Component(record, filled, own, exact.components.index(name))
         found[name] = estimates(
             part.quiet,

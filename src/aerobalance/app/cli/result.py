@@ -50,9 +50,9 @@ def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> N
 
     Where the result itself goes to standard output, the answer goes to standard error.
     """
-    from aerobalance.app.progress import telling
     from aerobalance.io.safe_write import OUTPUTS
     from aerobalance.recording.first_use import FIRST_USE
+    from aerobalance.recording.progress import telling
 
     loading.done()
     OUTPUTS.begin(replace=manner.replace)

@@ -20,7 +20,6 @@ from aerobalance.app.commands.uncertainty import (
     monte_carlo_result,
     scalar_result,
 )
-from aerobalance.app.progress import PROGRESS
 from aerobalance.app.reports.force_curves import ForceCurves
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
@@ -186,7 +185,6 @@ def _worked_out(work: ForceWork, out: Path, append: Append, *, pictured: bool) -
     """Work out the forces of a record part by part, and write them as they come."""
     record = work.record
     found, said = _Found(record.samples), PartWarnings(record)
-    PROGRESS.begin()
     for given in work.parts():
         force, part = given.force, given.part
         if force is not None:
@@ -195,7 +193,6 @@ def _worked_out(work: ForceWork, out: Path, append: Append, *, pictured: bool) -
                 said.add(part, f"{record.name}: {text}")
         found.add(given, record.start, pictured=pictured)
         del given, force  # the next part needs the memory
-        PROGRESS.done(part.number, part.count)
     said.tell()
     return found
 

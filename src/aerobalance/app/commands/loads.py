@@ -20,7 +20,6 @@ from aerobalance.app.commands.shared import (
     recording_of,
     table_text,
 )
-from aerobalance.app.progress import PROGRESS
 from aerobalance.balance.inversion import TOLERANCE
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import Loads, beyond_range
@@ -34,6 +33,7 @@ from aerobalance.io.results_file import load_columns, writing
 from aerobalance.recording.channel import Array
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import parts_of
+from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
@@ -107,16 +107,14 @@ def loads(
         reduce = files.reduction(form=form, channel_map=channel_map)
         parts = parts_of(record.samples, length=PART, margin=MARGIN)
         told = PartWarnings(record)
-        PROGRESS.begin()
         with writing(out, samples=record.samples) as append:
-            for part in parts:
+            for part in PROGRESS.each(parts, "part"):
                 with told.of(part):
                     recording = corrected(record.part(part.begin, part.end))
                     felt = reduce(recording)
                 own = slice(part.first - part.begin, part.stop - part.begin)
                 append(load_columns(out, recording, own, felt))
                 found.add(felt, own)
-                PROGRESS.done(part.number, part.count)
         told.tell()
     result: Result = {"file": path.name, "written": out.name, **found.result(), "warnings": collected}
     return {**result, "summary": summary(result)}

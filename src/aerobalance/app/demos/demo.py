@@ -46,6 +46,7 @@ from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.io.safe_write import replacing
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.version import VERSION
 from aerobalance.simulation import ARMATURE_MASS, CableCut, Sensor, SteppedSine, Unsteadiness, VibrationRig
@@ -120,11 +121,15 @@ def run_demo(out: Path, *, seed: int | None = None) -> Result:
         "rig": _weigh(run, "rig", VIBRATION_RIG, pitch=np.arange(-90.0, 91.0, 15.0), generator=weighing),
         "cut": _weigh(run, "cut", CABLE_CUT, pitch=np.arange(-12.0, 13.0, 2.0), generator=weighing),
     }
-    steady = _shake(run, "steady", noise=(0.05, 0.05), unsteadiness=None, generator=shaking)
+    with PROGRESS.stage(0.1, 0.3, "rig, steady"):
+        steady = _shake(run, "steady", noise=(0.05, 0.05), unsteadiness=None, generator=shaking)
     noise = (VIBRATION_RIG.dynamic_deviation.value, VIBRATION_RIG.acceleration_deviation.value)
     wander = Unsteadiness(width=4.0, correlation_time=0.005, near=RESONANCES)
-    unsteady = _shake(run, "unsteady", noise=noise, unsteadiness=wander, generator=wandering)
-    cuts = [_cut(run, level, generator) for level, generator in zip(CUT_NOISES, cutting, strict=True)]
+    with PROGRESS.stage(0.3, 0.5, "rig, unsteady"):
+        unsteady = _shake(run, "unsteady", noise=noise, unsteadiness=wander, generator=wandering)
+    with PROGRESS.stage(0.5, 0.9, "cable cut"):
+        given = list(zip(CUT_NOISES, cutting, strict=True))
+        cuts = [_cut(run, level, generator) for level, generator in PROGRESS.each(given, "cut")]
     splits = [split_deviation(unsteady, frequency) for frequency in RESONANCES]
     agreements = agreements_of(masses, steady, cuts, splits)
     deviations = {

@@ -54,6 +54,7 @@ from aerobalance.motion.sensors import motion_name
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 
 NOISE_ROUNDS: Final = 2
@@ -173,7 +174,7 @@ def _check_moved(records: Sequence[ShakeRecord], sizes: Array) -> None:
 def _fitted(records: Sequence[ShakeRecord], sizes: Array) -> ShakeParameters:
     """Parameters and noise of maximum likelihood."""
     fit = settle(records, first_guess(records, sizes=sizes))
-    for _ in range(NOISE_ROUNDS):
+    for _ in PROGRESS.each(range(NOISE_ROUNDS), "fit"):
         fit = settle(records, with_noise(records, fit, least=ROUNDING * sizes))
     return fit
 

@@ -43,6 +43,7 @@ from aerobalance.identification.step_relaxation.stages import Units
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 
 
@@ -98,7 +99,8 @@ def identify_releases(
     records = [release_record(recording, names) for recording in recordings]
     sizes = _sizes(records, names, half_range)
     _check_moved(records, sizes, names)
-    chosen = fit_modes(records, sizes=sizes, modes=modes)
+    with PROGRESS.stage(0.0, 0.8, "modes"):
+        chosen = fit_modes(records, sizes=sizes, modes=modes)
     fit, units = chosen.fit, chosen.units
     colour = _colour(fit)
     if (colour > 1).any():
