@@ -16,7 +16,7 @@ from aerobalance.uncertainty.budget import scalars
 from aerobalance.uncertainty.monte_carlo import monte_carlo
 from helpers.accuracy import RIG, SHARP, SOFT, T128, WIDE, smooth_run
 
-DRAWS = 800
+DRAWS = 6400
 RUNS = 25
 
 CASES = {
@@ -52,7 +52,7 @@ def test_monte_carlo_and_first_order_agree(name: str, record, rng) -> None:
     recording, _ = run(rng, name, balance)
     force = estimate_force(recording, balance)
     found = monte_carlo(force, draws=DRAWS, seed=int(rng.integers(1 << 31)))[balance.component]
-    # 800 draws scatter by 2.5 % in the scalars, where the ten per cent are asked of the expectation
+    # 6400 draws scatter by 0.9 % in the scalars; the ten per cent are asked of the expectation
     for row in [found.contributions[-1], *(row for row in found.scalars if np.isfinite(row.analytic))]:
         apart = abs(row.ratio - 1)
         record(f"Monte Carlo beside first order, the less over the more, {name}, {row.name}", 1 - apart, 0.9)
@@ -60,6 +60,7 @@ def test_monte_carlo_and_first_order_agree(name: str, record, rng) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*noise alone")  # what uncertain dynamics leave over is rightly doubted
+@pytest.mark.filterwarnings("ignore:.*rings after a step as its dynamics do not")
 def test_intervals_of_the_scalars_cover(record, rng) -> None:
     inside: dict[str, list[bool]] = {}
     for name in CASES:
