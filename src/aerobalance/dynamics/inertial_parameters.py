@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import RigidMass
 from aerobalance.recording.channel import Array
@@ -29,6 +30,15 @@ def mass_basis() -> Array:
     for number, (i, j) in enumerate(SYMMETRIC):
         wholes[4 + number, 3 + i, 3 + j] = wholes[4 + number, 3 + j, 3 + i] = 1.0
     return FROM_VECTORS @ wholes @ FROM_VECTORS.T
+
+
+_BASIS: Final = mass_basis().transpose(2, 1, 0).reshape(6, -1)
+"""The same as a table that an acceleration is multiplied with, shape (6, 60)."""
+
+
+def inertial_loads(motion: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Loads of a unit of every number, shape (m, 6, 10), by accelerations of shape (m, 6) [m/s^2, rad/s^2]."""
+    return np.asarray((motion @ _BASIS).reshape(-1, 6, NUMBERS))
 
 
 def turning_basis(rate: Array) -> Array:

@@ -75,6 +75,20 @@ class GroundSensor:
         return self.kind == "acceleration" and self.channel.coupling == "dc"
 
 
+def ground_channels(recording: Recording) -> tuple[Channel, ...]:
+    """Channels of the sensors of the ground end's motion in a recording.
+
+    Raises
+    ------
+    FitError
+        A channel has no reading.
+    """
+    found = tuple(channel for name, channel in recording.channels.items() if sensor_kind(name) is not None)
+    for channel in found:
+        _check_read(channel, recording)
+    return found
+
+
 def ground_sensors(recording: Recording) -> tuple[GroundSensor, ...]:
     """Sensors of the ground end's motion in a recording, on the clock of the first of them.
 
@@ -89,11 +103,10 @@ def ground_sensors(recording: Recording) -> tuple[GroundSensor, ...]:
         An accelerometer has no axis, or a channel no reading.
     """
     found: list[GroundSensor] = []
-    for name, channel in recording.channels.items():
-        kind = sensor_kind(name)
+    for channel in ground_channels(recording):
+        kind = sensor_kind(channel.name)
         if kind is None:
             continue
-        _check_read(channel, recording)
         axis, place = np.zeros(3), np.zeros(3)
         if kind == "acceleration":
             axis, place = _mounting(channel, recording)

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics.inertial_parameters import NUMBERS, mass_basis
+from aerobalance.dynamics.inertial_parameters import NUMBERS, inertial_loads, mass_basis
 from aerobalance.identification.base_excitation.shaking_record import ShakeRecord
 from aerobalance.identification.levenberg_marquardt import DampedStep, Settings, levenberg_marquardt
 from aerobalance.identification.step_relaxation.free_response import Complex
@@ -149,7 +149,7 @@ def evaluate(record: ShakeRecord, parameters: ShakeParameters) -> Evaluation:
     for key, change in zip(parameters.unknowns, parameters.values[DELAY + 1 :], strict=True):
         if key in record.slopes:
             correction = correction + change * record.unknown[key] * record.slopes[key]
-    taken = record.taken + np.einsum("kij,mj->mik", mass_basis(), correction)
+    taken = record.taken + inertial_loads(correction)
     equation = loads + rates @ parameters.damping.T + seconds @ parameters.inertia.T + taken @ parameters.numbers
     unweighted = np.einsum("mij,mj->mi", response, equation)  # r
     through = response @ mass  # G M
@@ -171,7 +171,7 @@ def evaluate(record: ShakeRecord, parameters: ShakeParameters) -> Evaluation:
         seconds=seconds - s**2 * load_noise,
         read=record.motion + correction,
         motion=record.motion + correction - motion_noise,
-        taken=taken - np.einsum("kij,mj->mik", mass_basis(), motion_noise),
+        taken=taken - inertial_loads(motion_noise),
     )
 
 

@@ -92,9 +92,9 @@ class GroundReadings:
         grown = np.where(self.rates, np.abs(window.rates) ** 2, 1.0)
         rows = self.rows[:, list(self.columns)]
         weight = 1 / (self.deviation**2 * grown)
-        spread = np.linalg.inv(np.einsum("ki,mk,kj->mij", rows, weight, rows))
+        spread = np.linalg.inv((rows.T * weight[:, None]) @ rows)
         gains = np.zeros((read.shape[0], 6, rows.shape[0]))
-        gains[:, list(self.columns)] = np.einsum("mij,kj,mk->mik", spread, rows, weight)
+        gains[:, list(self.columns)] = (spread @ rows.T) * weight[:, None]
         noise = np.zeros((read.shape[0], 6, 6))
         places = np.array(self.columns)
         noise[:, places[:, None], places] = spread

@@ -8,13 +8,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.inertial_parameters import NUMBERS, mass_basis, turning_basis
+from aerobalance.dynamics.inertial_parameters import NUMBERS, inertial_loads, turning_basis
 from aerobalance.identification.base_excitation.shaking_ground import EXACT, GroundReadings
 from aerobalance.identification.base_excitation.shaking_window import Window
 from aerobalance.identification.base_excitation.spectra import longest_whole
 from aerobalance.identification.step_relaxation.free_response import Complex
 from aerobalance.motion.platform import PlatformMotion
-from aerobalance.motion.sensors import ground_sensors
+from aerobalance.motion.sensors import ground_channels
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError
@@ -158,7 +158,7 @@ def shake_record(recording: Recording, *, delay: float = 0.0, band: tuple[float,
         rates=first,
         seconds=second,
         motion=motion,
-        taken=np.einsum("kij,mj->mik", mass_basis(), motion) + _turning(platform, window),
+        taken=inertial_loads(motion) + _turning(platform, window),
         motion_noise=disturbed[chosen],
         slopes={key: slope for key, (slope, _) in unknowns.items()},
         unknown={key: u for key, (_, u) in unknowns.items()},
@@ -206,7 +206,7 @@ def _whole(recording: Recording) -> Recording:
             f"loads of all: {', '.join(COMPONENTS)}"
         )
     loads = [recording.channel(name) for name in COMPONENTS]
-    ground = [sensor.channel for sensor in ground_sensors(recording)]
+    ground = ground_channels(recording)
     if not ground:
         raise FitError(
             f"{recording.name}: no motion of the ground end is recorded (ground_acceleration and its like); record "

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.inertial_parameters import mass_basis
+from aerobalance.dynamics.inertial_parameters import inertial_loads
 from aerobalance.identification.base_excitation.shaking_fit import (
     DELAY,
     MATRICES,
@@ -197,7 +197,7 @@ def _told_by(
         rates=s * loads,
         seconds=s**2 * loads,
         motion=motion,
-        taken=np.einsum("kij,mj->mik", mass_basis(), motion),
+        taken=inertial_loads(motion),
         motion_noise=np.zeros((grid.size, 6, 6)),
         slopes={},
         unknown={},
