@@ -69,20 +69,20 @@ def _record(balance: CoupledBalance, simulation: SixSimulation) -> tuple[Coupled
 def _random_matrix(rng: np.random.Generator) -> NoiseMatrix:
     """Spectra of three components whose forces are all seen."""
     mixed = rng.normal(size=(5, 3, 3)) + 1j * rng.normal(size=(5, 3, 3))
-    whole = mixed @ mixed.conj().transpose(0, 2, 1) + 0.1 * np.eye(3)
+    whole = (mixed @ mixed.conj().transpose(0, 2, 1) + 0.1 * np.eye(3)).transpose(1, 2, 0)
     return NoiseMatrix(
         models=tuple(EquivalentModel(name, Mode(16.0, 0.005)) for name in ("NF", "PM", "AF")),
         frequency=np.linspace(0, 1, 5),
         whole=whole,
         own=whole,
-        force=rng.uniform(1, 100, (5, 3)) * np.real(np.einsum("mjj->mj", whole)),
+        force=rng.uniform(1, 100, (5, 3)) * np.real(np.einsum("jjm->mj", whole)),
         gain=np.ones((5, 3)),
     )
 
 
 def test_what_is_left_is_the_best_of_all_channels(rng) -> None:
     spectra = _random_matrix(rng)
-    inverse = np.linalg.inv(spectra.whole + spectra.force[:, :, None] * np.eye(3))
+    inverse = np.linalg.inv(spectra.whole.transpose(2, 0, 1) + spectra.force[:, :, None] * np.eye(3))
     for place in range(3):
         others = [other for other in range(3) if other != place]
         weights, left, least = spectra.left_of(place, others)
@@ -91,7 +91,7 @@ def test_what_is_left_is_the_best_of_all_channels(rng) -> None:
         np.testing.assert_allclose(left, 1 / diagonal - spectra.force[:, place], rtol=1e-9)
         expected = -inverse[:, place, others] / diagonal[:, None]
         np.testing.assert_allclose(weights, expected, rtol=1e-9, atol=1e-12)
-        unseen = np.linalg.inv(spectra.own)
+        unseen = np.linalg.inv(spectra.own.transpose(2, 0, 1))
         np.testing.assert_allclose(least, 1 / np.real(unseen[:, place, place]), rtol=1e-9)
         assert (least <= left).all()
 
@@ -99,7 +99,7 @@ def test_what_is_left_is_the_best_of_all_channels(rng) -> None:
 def test_a_force_that_is_not_seen_may_still_be_there(rng) -> None:
     spectra = _random_matrix(rng)
     silent = replace(spectra, force=np.zeros_like(spectra.force))
-    np.testing.assert_allclose(silent.felt, UNSEEN * np.real(np.einsum("mjj->mj", spectra.whole)))
+    np.testing.assert_allclose(silent.felt, UNSEEN * np.real(np.einsum("jjm->mj", spectra.whole)))
 
 
 def test_filters_are_centred_sums(rng) -> None:

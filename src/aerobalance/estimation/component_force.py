@@ -141,10 +141,10 @@ class Fitted:
         lines = fit.sized(signal.hum)
         if self.hum == "mains":
             _tell_of_hum(record, lines, large=signal.large)
-        estimator = fit.estimator
+        estimator, whole = fit.estimator, bool(reading.present.all())
 
         def through(series: Array) -> Array:
-            return estimator.run(np.where(reading.present[:, None], series, 0.0))
+            return estimator.run(series if whole else np.where(reading.present[:, None], series, 0.0))
 
         def again(other: ComponentRecord) -> Array:
             changed = other.reading(hum=reading.hum)

@@ -127,7 +127,7 @@ class NoiseMatrix:
     frequency
         Frequencies [Hz], shape (m,).
     whole
-        Two-sided cross-spectral densities of the noise, shape (m, n, n).
+        Two-sided cross-spectral densities of the noise, shape (n, n, m).
     own
         Those of the readings' noise alone, without that of the ground's motion.
     force
@@ -173,29 +173,31 @@ class NoiseMatrix:
         own = interval * (rows * size[:, None]) @ noise @ (rows * size[:, None]).conj().transpose(0, 2, 1)
         shaken = interval * answers[:, :, None] * ground * answers.conj()[:, None, :]
         force = np.stack([one.shaping.spectrum(frequency) for one in learned], axis=1)
-        return cls(tuple(one.dynamics for one in decoupled), frequency, own + shaken, own, force, np.abs(answers) ** 2)
+        whole, own = (np.ascontiguousarray(one.transpose(1, 2, 0)) for one in (own + shaken, own))
+        return cls(tuple(one.dynamics for one in decoupled), frequency, whole, own, force, np.abs(answers) ** 2)
 
     @property
     def felt(self) -> Array:
         """Spectral densities of the forces in the readings, what may have been missed included, shape (m, n)."""
-        noise = np.real(np.einsum("mjj->mj", self.whole))
+        noise = np.real(np.einsum("jjm->mj", self.whole))
         return np.asarray(np.maximum(self.gain * self.force, UNSEEN * noise))
 
     def left_of(self, place: int, others: Sequence[int]) -> tuple[NDArray[np.complex128], Array, Array]:
         """Weights of the others (m, c), density of the noise that is left (m,), and the least it could be [N^2/Hz]."""
-        pick = np.ix_(range(self.frequency.size), others, others)
-        shown = self.whole[pick] + self.felt[:, others, None] * np.eye(len(others))
-        weights = _weights(shown, self.whole[:, others, place])
-        left = self._left(self.whole, place, weights, others)
-        least = _weights(self.own[pick], self.own[:, others, place])
-        return weights, left, self._left(self.own, place, least, others)
+        pick = np.ix_(others, others)
+        shown = self.whole[pick]
+        shown[np.arange(len(others)), np.arange(len(others))] += self.felt[:, others].T
+        weights = _weights(shown, self.whole[others, place])
+        least = _weights(self.own[pick], self.own[others, place])
+        left, least_left = self._left(self.whole, place, weights, others), self._left(self.own, place, least, others)
+        return weights.T, left, least_left
 
     @staticmethod
     def _left(
         spectra: NDArray[np.complex128], place: int, weights: NDArray[np.complex128], others: Sequence[int]
     ) -> Array:
-        taken = np.einsum("mj,mj->m", weights, spectra[:, others, place])
-        return np.asarray(np.real(spectra[:, place, place] - taken))
+        taken = np.sum(weights * spectra[others, place], axis=0)
+        return np.asarray(np.real(spectra[place, place] - taken))
 
     def error_of(self, place: int, noise: Array) -> float:
         """Variance of the error that a noise of this density leaves [N^2]."""
@@ -205,7 +207,20 @@ class NoiseMatrix:
 
 
 def _weights(shown: NDArray[np.complex128], common: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    return np.linalg.solve(shown, common[..., None])[..., 0].conj().astype(np.complex128)
+    """Conjugate solutions of Hermitian equations at all frequencies at once, (c, m) from (c, c, m) and (c, m).
+
+    Elimination needs no exchange of rows, as all spectra are positive: a fifth of the time of one LU after the other.
+    """
+    whole = np.concatenate([shown, common[:, None]], axis=1)
+    count = whole.shape[0]
+    for place in range(count):
+        whole[place, place + 1 :] /= whole[place, place].real
+        for other in range(place + 1, count):
+            whole[other, place + 1 :] -= whole[other, place] * whole[place, place + 1 :]
+    for place in reversed(range(count)):
+        for other in range(place):
+            whole[other, count] -= whole[other, place] * whole[place, count]
+    return np.asarray(whole[:, count].conj())
 
 
 def shared_noise(
@@ -234,7 +249,7 @@ def shared_noise(
     others = [other for other in range(spectra.force.shape[1]) if other != place]
     if not others:
         return None
-    size = np.sqrt(np.real(np.einsum("mjj->mj", spectra.whole)))
+    size = np.sqrt(np.real(np.einsum("jjm->mj", spectra.whole)))
     weights, *_ = spectra.left_of(place, others)
     changes = np.abs(weights) * size[:, others] / size[:, [place]]
     others = [other for other, change in zip(others, changes.max(axis=0), strict=True) if change > NOTICEABLE]
@@ -246,9 +261,9 @@ def shared_noise(
         return None
     shown = 1 + spectra.felt[:, others] / size[:, others] ** 2
     # the white noise of the ground's motion is told to the estimator apart
-    shaken = size[:, place] ** 2 - np.real(spectra.own[:, place, place])
+    shaken = size[:, place] ** 2 - np.real(spectra.own[place, place])
     interval = 0.5 / float(spectra.frequency[-1])
-    own = float(np.mean(np.real(spectra.own[:, place, place])))
+    own = float(np.mean(np.real(spectra.own[place, place])))
     rest = np.maximum(left - shaken, least)
     white, color = _colored(spectra.frequency, rest, before=own, interval=interval)
     from scipy.ndimage import minimum_filter1d  # noqa: PLC0415 - takes 30 ms, and few records need it

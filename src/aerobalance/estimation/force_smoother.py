@@ -31,6 +31,9 @@ LARGEST_HUM: Final = 0.1
 SAME_LINE: Final = 0.02
 """Change of a line's frequency in ordinates for which the steps are not looked for again."""
 
+AT_ONCE: Final = 4
+"""Series that are smoothed together."""
+
 SHIFT: Final = 0.05
 """Change of a step's instant over which its slopes are taken, in sampling intervals."""
 
@@ -191,8 +194,9 @@ class SmootherResult:
         sources
             Channels of the load and of the ground's motion.
         """
-        load, ground = _error_spectra(self.reading, self.learned, factor=1.0)
-        halved = [_error_spectra(self.reading, self.learned, factor=0.5, only=index) for index in (0, 1)]
+        force, noises = _densities(self.reading, self.learned)
+        load, ground = _error_spectra(force, *noises)
+        halved = [_error_spectra(force, *(0.25 * one if one is half else one for one in noises)) for half in noises]
         both = float(np.mean(load + ground))
         if not both > 0:
             return [Noise("noise of the readings", sources[0], np.sqrt(self.variance), np.ones(1))]
@@ -278,9 +282,12 @@ class LinearSmoother:
         return self._shapes[1] @ self._shapes[1].T
 
     def run(self, series: Array) -> Array:
-        """The force that several series lead to, shape (n, c) [N]."""
-        force, sizes = self.apart(series)
-        return force - self.size_errors @ sizes
+        """The force that several series lead to, shape (n, c) [N]; a few at a time, as each takes room."""
+        out = np.empty(series.shape[::-1])
+        for first in range(0, series.shape[1], AT_ONCE):
+            force, sizes = self.apart(series[:, first : first + AT_ONCE])
+            out[first : first + AT_ONCE] = (force - self.size_errors @ sizes).T
+        return out.T
 
     def apart(self, series: Array) -> tuple[Array, Array]:
         """The force of several series (n, c) if they have no known shapes, (n, c) [N], and sizes of these, (p, c)."""
@@ -324,29 +331,15 @@ def instant_columns(
     return np.column_stack(columns), np.column_stack(forms)
 
 
-def _error_spectra(
-    reading: Observation, learned: SpectralPrior, *, factor: float, only: int | None = None
-) -> tuple[Array, Array]:
-    """Spectrum of the force's error, S_F N / (S_F + N), shared out over the two noises that make up N.
-
-    N = R / |G|^2 + U: the noise of the reading seen through the balance, and that of the ground's motion.
-
-    Parameters
-    ----------
-    factor
-        What the noises are multiplied by.
-    only
-        The one of them that is; both if None.
-    """
+def _densities(reading: Observation, learned: SpectralPrior) -> tuple[Array, tuple[Array, Array]]:
+    """Density of the force, and of its noises: that of the reading seen through the balance, and the ground's."""
     frequency = np.linspace(0, 0.5 / reading.interval, FREQUENCIES + 1)
-    force = learned.shaping.spectrum(frequency)
     gain = np.abs(reading.dynamics.response(frequency)) ** 2
-    noises = [
-        learned.noise_density(frequency, interval=reading.interval) / gain,
-        np.full(frequency.size, reading.input_density),
-    ]
-    for index in (0, 1):
-        if only in (None, index):
-            noises[index] = noises[index] * factor**2
-    whole = np.maximum(force + noises[0] + noises[1], 1e-300)
-    return force * noises[0] / whole, force * noises[1] / whole
+    seen = learned.noise_density(frequency, interval=reading.interval) / gain
+    return learned.shaping.spectrum(frequency), (seen, np.full(frequency.size, reading.input_density))
+
+
+def _error_spectra(force: Array, seen: Array, ground: Array) -> tuple[Array, Array]:
+    """Spectrum of the force's error, S_F N / (S_F + N), shared out over the two noises in N = R / |G|^2 + U."""
+    whole = np.maximum(force + seen + ground, 1e-300)
+    return force * seen / whole, force * ground / whole

@@ -1,4 +1,4 @@
-"""Compiled loop of the search for segments: arrays of float64, nothing checked."""
+"""Compiled loops of periodograms and of the search for segments: arrays of float64, nothing checked."""
 
 from __future__ import annotations
 
@@ -48,3 +48,29 @@ def cheapest(cost: Floats, price: float, total: Floats, moved: Flags, best: Inte
         path[row] = here
         if moved[row, here]:
             here = best[row]
+
+
+@numba.njit(cache=True)
+def averages(level: NDArray[np.float64], fewest: int, fineness: float, most: float) -> NDArray[np.int64]:
+    """First ordinate of each average: it ends where the level differs by more than `most`, or after enough of them.
+
+    Parameters
+    ----------
+    level : (n,)
+        Logarithm of the response's squares at the ordinates.
+    fewest, fineness
+        Ordinates of an average, at least, and over the number of its first one.
+    most
+        Change of the level within an average.
+    """
+    edges = np.empty(level.size, np.int64)
+    count, here = 0, 0
+    while here < level.size:
+        edges[count] = here
+        count += 1
+        end = min(here + max(fewest, int(fineness * here)), level.size)
+        last = here + 1
+        while last < end and abs(level[last] - level[here]) <= most:
+            last += 1
+        here = last
+    return edges[:count].copy()

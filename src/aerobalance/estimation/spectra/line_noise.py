@@ -141,9 +141,11 @@ def _comb(record: _Record, mains: float) -> Iterator[Line]:
     if not numbers or mains < (BESIDE[1] + 1) * record.ordinate:
         return
     found: dict[int, Line] = {}
-    for number in numbers:
-        reach = MAINS_TOLERANCE * number * mains + record.ordinate
-        if not record.promising(number * mains, reach=reach):
+    reaches = {number: MAINS_TOLERANCE * number * mains + record.ordinate for number in numbers}
+    places = np.array([record.strongest(number * mains, reach=reach) for number, reach in reaches.items()])
+    for number, promising in zip(numbers, record.promising(places), strict=True):
+        reach = reaches[number]
+        if not promising:
             continue
         line = record.line(number * mains, reach=reach)
         near = abs(line.frequency - number * mains) <= MAINS_TOLERANCE * number * mains + 4 * line.u_frequency
@@ -201,10 +203,16 @@ class _Record:
         last = min(int((middle + reach) / self.ordinate), self.power.size - 2)
         return first + int(np.argmax(self.power[first : last + 1]))
 
-    def promising(self, middle: float, *, reach: float) -> bool:
-        """Whether a line may be found within a reach of a frequency: an ordinate shows at least half of its power."""
-        place = self.strongest(middle, reach=reach)
-        return bool(2 * 2 * 1.5 * self.power[place] > LINE_EVIDENCE * self.surroundings(place * self.ordinate))
+    def promising(self, places: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether lines may be found beside ordinates: these show at least half of a line's power, shape (k,)."""
+        first, last = BESIDE
+        inner = (places - last >= 0) & (places + last <= self.power.size)
+        around = np.full(places.size, self.floor)
+        for side in (np.arange(1 - last, 1 - first), np.arange(first, last)) if inner.any() else ():
+            level = np.median(self.power[places[inner, None] + side], axis=1) / np.log(2)
+            around[inner] = np.maximum(around[inner], level)
+        around[~inner] = [self.surroundings(place * self.ordinate) for place in places[~inner]]
+        return np.asarray(2 * 2 * 1.5 * self.power[places] > LINE_EVIDENCE * around)
 
     def line(self, middle: float, *, reach: float) -> Line:
         """The strongest line within a reach of a frequency [Hz]."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.fft import rfft
 
 from aerobalance.dynamics.modal import ModalModel
+from aerobalance.estimation.spectra._kernels import averages
 from aerobalance.recording.channel import Array
 
 LONGEST: Final = 1 << 17
@@ -282,7 +283,7 @@ class _Ordinates:
         frequency = np.arange(length // 2 + 1) / (length * interval)
         gain = _smeared_gain(dynamics, frequency)[2:-1]
         frequency = frequency[2:-1]
-        edges = _averages(gain)
+        edges = averages(np.log(gain), FEWEST_ORDINATES, FINENESS, float(np.log(STEEPEST)))
         count = np.diff(np.append(edges, gain.size))
         middle = np.add.reduceat(frequency, edges) / count
         folded = np.abs(dynamics.response(1 / interval - middle)) ** 2
@@ -332,17 +333,3 @@ def _smeared_gain(dynamics: ModalModel, frequency: Array) -> Array:
         near = np.abs(dynamics.response(fine)) ** 2
         smeared[first:last] = np.convolve(near, lobe, mode="valid")[::8]
     return np.asarray(smeared)
-
-
-def _averages(gain: Array) -> NDArray[np.int64]:
-    """First ordinate of each average."""
-    level = np.log(gain)
-    edges = []
-    here, most = 0, np.log(STEEPEST)
-    while here < gain.size:
-        edges.append(here)
-        width = max(FEWEST_ORDINATES, int(FINENESS * here))
-        steep = np.abs(level[here : here + width] - level[here]) > most
-        first = int(steep.argmax())
-        here += first or width
-    return np.array(edges)

@@ -20,9 +20,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.fft import irfft, rfft
 from scipy.linalg import eigh_tridiagonal, solve_continuous_lyapunov
 
@@ -122,10 +124,17 @@ class ShapingFilter:
         """Two-sided power spectral density of the process at frequencies [Hz], [N^2/Hz]."""
         if not self.drive.any():
             return np.zeros(np.shape(frequency))
-        poles, modes = np.linalg.eig(self.drift)
-        residues = modes[0] * np.linalg.solve(modes, self.drive.astype(np.complex128))
+        poles, residues = _partial_fractions(self)
         transfer = np.sum(residues / (2j * np.pi * np.asarray(frequency)[..., None] - poles), axis=-1)
         return np.asarray(np.abs(transfer) ** 2)
+
+
+@lru_cache(maxsize=32)  # what was learned of a record's components is asked for at many frequencies
+def _partial_fractions(shaping: ShapingFilter) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Poles [rad/s] and residues of a shaping filter, shape (r,) each."""
+    poles, modes = np.linalg.eig(shaping.drift)
+    residues = modes[0] * np.linalg.solve(modes, shaping.drive.astype(np.complex128))
+    return poles.astype(np.complex128), residues
 
 
 def _bent_frequencies(centre: float) -> Array:
