@@ -10,7 +10,7 @@ from aerobalance.recording.compiled import compiled
 BLOCK = 512  # samples that are worked on together: they stay in the fastest memory
 
 
-@compiled()
+@compiled(nogil=True)
 def first_order(growth: complex, drive: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Run z[k] = growth z[k-1] + drive[k] from rest, shape (n,)."""
     out = np.empty(drive.size, np.complex128)
@@ -21,7 +21,7 @@ def first_order(growth: complex, drive: NDArray[np.complex128]) -> NDArray[np.co
     return out
 
 
-@compiled()
+@compiled(nogil=True)
 def driven(
     denominator: NDArray[np.float64],
     taps: NDArray[np.float64],

@@ -180,16 +180,21 @@ class DecoupledChannel:
         """Change of `reading` with each element of `rows`: of A, equation by equation, then of D; (samples, k)."""
         internal = [self._inside(loads, place, interval=interval) for place in range(len(self.still))]
         coordinates = np.column_stack([loads, *internal])
-        behind = [values_and_rates(mode, coordinates, interval=interval) for mode in self.dynamics.modes]
         count, number = coordinates.shape
-        columns = np.empty((2, len(self.carried), number, count))
-        for at, power in enumerate((2, 1)):
-            for place, error in enumerate(self.carried):
-                numerator = np.concatenate([np.zeros(power), error, np.zeros(2 - power)])
-                parts = Fractions.of(numerator[None, : self.row.shape[1]], self.dynamics.modes)
-                columns[at, place] = parts.direct[0] * coordinates.T
-                for (value, rate), of_value, of_rate in zip(behind, parts.by_value, parts.by_rate, strict=True):
-                    columns[at, place] += of_value * value + of_rate * rate
+        numerators = [
+            np.concatenate([np.zeros(power), error, np.zeros(2 - power)])[: self.row.shape[1]]
+            for power in (2, 1)
+            for error in self.carried
+        ]
+        parts = [Fractions.of(one[None], self.dynamics.modes) for one in numerators]
+        columns = np.empty((len(parts), number, count))
+        for one, column in zip(parts, columns, strict=True):
+            np.multiply(coordinates.T, one.direct[0], out=column)
+        for place, mode in enumerate(self.dynamics.modes):
+            for coordinate in range(number):  # one by one, as each takes room
+                value, rate = values_and_rates(mode, coordinates[:, [coordinate]], interval=interval)
+                for one, column in zip(parts, columns, strict=True):
+                    column[coordinate] += one.by_value[place, 0] * value[0] + one.by_rate[place, 0] * rate[0]
         return columns.reshape(-1, count).T
 
     def response_to(self, net: Array, *, interval: float) -> Array:
@@ -199,9 +204,10 @@ class DecoupledChannel:
         """
         parts = Fractions.of(self.carried[:1], self.dynamics.modes)
         whole = parts.direct[0] * net.T
-        for mode, of_value, of_rate in zip(parts.modes, parts.by_value, parts.by_rate, strict=True):
-            value, rate = values_and_rates(mode, net, interval=interval)
-            whole = whole + of_value * value + of_rate * rate
+        for place, mode in enumerate(parts.modes):
+            for column in range(net.shape[1]):
+                value, rate = values_and_rates(mode, net[:, [column]], interval=interval)
+                whole[column] += parts.by_value[place, 0] * value[0] + parts.by_rate[place, 0] * rate[0]
         return np.asarray(whole.T)
 
     def _inside(self, loads: Array, place: int, *, interval: float) -> Array:

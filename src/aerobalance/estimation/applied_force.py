@@ -33,12 +33,10 @@ class Force(Mapping[str, ComponentForce]):
     ----------
     parts
         The force of each component.
-    record
-        The balance loads, with the dynamics and the motion of the ground that go with them.
+    made_of
+        Gives `record` and `loads`.
     settings
         How the forces were worked out.
-    loads
-        The loads with their matrix, where they come from gauge outputs; None where loads were given.
     noises
         Spectra of the noise of the components' readings, where a record of noise was given.
     worst
@@ -47,9 +45,8 @@ class Force(Mapping[str, ComponentForce]):
     """
 
     parts: Mapping[str, ComponentForce]
-    record: ForceRecord
+    made_of: Callable[[], tuple[ForceRecord, Loads | None]]
     settings: ForceSettings = field(default_factory=ForceSettings)
-    loads: Loads | None = None
     noises: Mapping[str, NoiseSpectrum] = field(default_factory=dict)
     worst: Callable[[], tuple[Force, str]] | None = None
 
@@ -97,6 +94,16 @@ class Force(Mapping[str, ComponentForce]):
     def components(self) -> tuple[str, ...]:
         """Names of the n components."""
         return tuple(self.parts)
+
+    @property
+    def record(self) -> ForceRecord:
+        """The balance loads, with the dynamics and the motion of the ground that go with them."""
+        return self.made_of()[0]
+
+    @property
+    def loads(self) -> Loads | None:
+        """The loads with their matrix, where they come from gauge outputs; None where loads were given."""
+        return self.made_of()[1]
 
     @property
     def recording(self) -> Recording:

@@ -27,6 +27,9 @@ from aerobalance.recording.resampling import FINE, upsample_compensated
 FAINT: Final = 1e-3
 """Rms of an error in a reading over its noise that is nothing beside it."""
 
+AT_ONCE: Final = 4
+"""Directions of the parameters that are taken through the estimator together."""
+
 UNSEEN: Final = 1e-4
 """The same over the rms of all errors of a reading: an error that holds along a record shows in its mean."""
 
@@ -105,14 +108,17 @@ class DecoupledRecord(ComponentRecord):
         least = 0.0 if self.shared is None else FAINT * self.shared.before
         for other in self.others:
             # what is wrong in the row of another is taken for noise that it shows
-            theirs, of_theirs = _directions(
-                self._effects(other, of_mass=of_mass), self._numbers(other, uncertain), least=least / len(self.others)
-            )
-            series = np.column_stack([series, -self._taken_off(theirs, other)])
-            numbers = np.vstack([numbers, of_theirs])
-        in_reading, numbers = _directions(series, numbers, least=least)
-        names = [f"direction {number} of inertia, damping and mass" for number in range(1, in_reading.shape[1] + 1)]
-        return Systematic(name, "dynamics", tuple(names), through(in_reading), np.eye(len(names)), numbers)
+            theirs, of_theirs = self._effects(other, of_mass=of_mass), self._numbers(other, uncertain)
+            kept = _directions(theirs, of_theirs, least=least / len(self.others))
+            series = np.column_stack([series, -self._taken_off(theirs @ (of_theirs @ kept), other)])
+            numbers = np.vstack([numbers, kept.T])
+        kept = _directions(series, numbers, least=least)
+        names = [f"direction {number} of inertia, damping and mass" for number in range(1, kept.shape[1] + 1)]
+        sums, slopes = numbers @ kept, np.empty((len(names), values.size))
+        for first in range(0, len(names), AT_ONCE):
+            few_of_them = slice(first, first + AT_ONCE)
+            slopes[few_of_them] = through(series @ sums[:, few_of_them]).T
+        return Systematic(name, "dynamics", tuple(names), slopes.T, np.eye(len(names)), kept.T.copy())
 
     @property
     def _uncertain(self) -> _Uncertain | None:
@@ -135,7 +141,7 @@ class DecoupledRecord(ComponentRecord):
             return slopes
         # the loads count from a zero that was read under the weight: the mass is wrong there too
         acting = self.platform.specific_force + self.platform.gravity_on_zero
-        return np.column_stack([slopes, one.response_to(acting, interval=self.interval)])
+        return np.vstack([slopes.T, one.response_to(acting, interval=self.interval).T]).T
 
     def _by_parameters(self, one: DecoupledChannel, *, of_mass: bool) -> Array:
         """Those of `_effects` by a unit of each of its parameters and those of the mass, shape (k, p)."""
@@ -227,8 +233,8 @@ class _Uncertain:
         return block_diag(self.of_matrices[rows], self.of_mass)
 
 
-def _directions(series: Array, numbers: Array, *, least: float) -> tuple[Array, Array]:
-    """Independent combinations of series, and how they depend on the numbers, shapes (n, k) and (k, r).
+def _directions(series: Array, numbers: Array, *, least: float) -> Array:
+    """Combinations (r, k) of independent numbers of variance 1 whose effects are independent and show.
 
     Parameters
     ----------
@@ -240,8 +246,7 @@ def _directions(series: Array, numbers: Array, *, least: float) -> tuple[Array, 
         Rms that is nothing, beside `UNSEEN` of that of all together.
     """
     power, turned = np.linalg.eigh(numbers.T @ (series.T @ series / series.shape[0]) @ numbers)
-    kept = turned[:, power > max(least**2, UNSEEN**2 * max(float(power.sum()), 0.0))]
-    return series @ (numbers @ kept), kept.T.copy()
+    return np.asarray(turned[:, power > max(least**2, UNSEEN**2 * max(float(power.sum()), 0.0))])
 
 
 def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Array:

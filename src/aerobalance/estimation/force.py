@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache, partial
 from itertools import chain
 from typing import Final
 
@@ -181,12 +182,16 @@ class ForceWork:
             return self.force_of(worst.part), worst.told(self.record)
 
         found = ForceCollector(self.record.samples).collected(watched())
+        # the whole record is worked out where it is asked for: as much work as the forces of some of its parts
+        return Force(found, cache(self._whole), self.settings, worst=force_of_worst)
+
+    def _whole(self) -> tuple[ForceRecord, Loads | None]:
+        """The whole of a record that is in memory."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DataQualityWarning)  # said of the parts
             given = self.made_ready(self.record.part(0, self.record.samples))
             record = force_record(given, self.dynamics, **self.settings.earth)
-        loads = given if isinstance(given, Loads) else None
-        return Force(found, record, self.settings, loads, worst=force_of_worst)
+        return record, given if isinstance(given, Loads) else None
 
     def force_of(self, part: Part) -> Force:
         """Forces of one part with all that their uncertainty consists of; what is to be said of it was said before."""
@@ -242,7 +247,11 @@ def _undivided(
     parts = forces_of(record, settings, noises=noises, few=not whole)
     if isinstance(given, Loads):
         parts = with_matrix(parts, given, model)
-    return Force(parts, record, settings, given if isinstance(given, Loads) else None, noises)
+    return Force(parts, partial(_known, record, given if isinstance(given, Loads) else None), settings, noises)
+
+
+def _known(record: ForceRecord, loads: Loads | None) -> tuple[ForceRecord, Loads | None]:
+    return record, loads
 
 
 def force_record(

@@ -29,6 +29,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.resampling import align_channels, interpolate_gaps
+from aerobalance.recording.side_by_side import side_by_side
 
 PASSES: Final = 2
 """Most times that gaps are filled anew by what the forces found make the balance read."""
@@ -107,19 +108,29 @@ def forces_of(
         fits, filled = _with_gaps_filled(
             record, fitted, lambda fit: (fit.smoothed.force, fit.signal.learned.noise), noises=noises
         )
+
+    def anew(name: str) -> Fitted:
+        component = record.component_record(name, filled, shared=better[name])
+        return fitted(component) if as_expected(component.reading(), fits[name].signal.learned) else fits[name]
+
     with PROGRESS.stage(0.5, 0.8, "noise that is shared"):
-        for name, shared in PROGRESS.each(predicted_noise(fits, record, filled=filled).items(), "component"):
-            component = record.component_record(name, filled, shared=shared)
-            if as_expected(component.reading(), fits[name].signal.learned):
-                fits[name] = fitted(component)
+        better = predicted_noise(fits, record, filled=filled)
+        fits |= dict(zip(better, side_by_side(anew, better, what="component"), strict=True))
+
+    def estimated_with(name: str) -> ComponentForce:
+        found = fits.pop(name).estimate(few=few)
+        return with_few(found) if few else found
+
     with PROGRESS.stage(0.8, 1.0, "uncertainty"):
-        names = PROGRESS.each(list(fits), "component")
-        if few:
-            return {name: with_few(fits.pop(name).estimate(few=True)) for name in names}
-        return {name: fits.pop(name).estimate() for name in names}
+        names = list(fits)
+        return dict(zip(names, side_by_side(estimated_with, names, what="component"), strict=True))
 
 
 Answer = TypeVar("Answer")
+
+
+def _worked(work: Callable[[ComponentRecord], Answer], records: Mapping[str, ComponentRecord]) -> dict[str, Answer]:
+    return dict(zip(records, side_by_side(work, records.values(), what="component"), strict=True))
 
 
 def _with_gaps_filled(
@@ -143,15 +154,14 @@ def _with_gaps_filled(
         Spectra of the noise of the decoupled components, where they are known.
     """
     filled = interpolate_gaps(record.loads)
-    components = PROGRESS.each(record.component_records(filled, noises=noises).items(), "component")
-    found = {name: work(component) for name, component in components}
+    found = _worked(work, record.component_records(filled, noises=noises))
     for _ in range(PASSES if record.has_gaps else 0):
         facts = {name: known(one) for name, one in found.items()}
         better = record.filled_by({name: force for name, (force, _) in facts.items()}, filled=filled)
         if (np.abs(better - filled) < SETTLED * np.array([noise for _, noise in facts.values()])).all():
             break
         filled = better
-        found = {name: work(component) for name, component in record.component_records(filled, noises=noises).items()}
+        found = _worked(work, record.component_records(filled, noises=noises))
     return found, filled
 
 

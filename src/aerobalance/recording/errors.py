@@ -6,6 +6,9 @@ import contextlib
 import os
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Final
 
@@ -63,8 +66,29 @@ class DataQualityWarning(UserWarning):
     """Data that can be used but not trusted fully; the message says what it does to the result."""
 
 
+_kept: ContextVar[list[str] | None] = ContextVar("kept", default=None)
+
+
+@contextmanager
+def kept_warnings() -> Iterator[list[str]]:
+    """Collect what `warn_quality` is given, in this thread alone, to be said later.
+
+    `warnings.catch_warnings` takes what all threads say.
+    """
+    said: list[str] = []
+    token = _kept.set(said)
+    try:
+        yield said
+    finally:
+        _kept.reset(token)
+
+
 def warn_quality(text: str) -> None:
     """Issue a `DataQualityWarning` at the line outside the package that called it."""
+    kept = _kept.get()
+    if kept is not None:
+        kept.append(text)
+        return
     level = 2
     frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PASSED_BY):

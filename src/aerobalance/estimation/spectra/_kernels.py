@@ -12,7 +12,7 @@ Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
-@compiled()
+@compiled(nogil=True)
 def cheapest(cost: Floats, price: float, total: Floats, moved: Flags, best: Integers, path: Integers) -> None:
     """Write the column of each row of a table of costs for which all together, with a price a change, are least.
 
@@ -50,7 +50,7 @@ def cheapest(cost: Floats, price: float, total: Floats, moved: Flags, best: Inte
             here = best[row]
 
 
-@numba.njit(cache=True)
+@compiled(nogil=True)
 def averages(level: NDArray[np.float64], fewest: int, fineness: float, most: float) -> NDArray[np.int64]:
     """First ordinate of each average: it ends where the level differs by more than `most`, or after enough of them.
 

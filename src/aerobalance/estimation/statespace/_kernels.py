@@ -154,7 +154,7 @@ def filter_covariance(here: bool, model: Model, kept: int, P: Floats, K: Floats,
     return S, change
 
 
-@compiled()
+@compiled(nogil=True)
 def chain(columns: Floats, states: Floats, forward: bool) -> None:
     """Add to each state (c, m, d) of several series what a matrix makes of the one before it.
 

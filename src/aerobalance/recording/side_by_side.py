@@ -1,0 +1,53 @@
+"""Work on several things side by side, with the results and warnings of work on one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Final, TypeVar
+
+from aerobalance.recording.errors import kept_warnings, warn_quality
+from aerobalance.recording.progress import PROGRESS
+
+WORKERS: Final = 2
+"""Threads. Most of the work is in arrays, where Python's interpreter does not stand in the way of another thread; more
+than two would wait for it, and each takes room for what it works on."""
+
+Given = TypeVar("Given")
+Result = TypeVar("Result")
+
+
+def side_by_side(work: Callable[[Given], Result], given: Iterable[Given], *, what: str = "") -> list[Result]:
+    """Return what the work makes of each of them, in their order.
+
+    What is warned of is said afterwards in that order as well, so neither hangs on which is done first. Of faults the
+    first one's is raised.
+
+    Parameters
+    ----------
+    work
+        What is to be done; it must not change what another works on.
+    given
+        What it is done to.
+    what
+        What each of them is, where it is worth telling how many are done.
+    """
+
+    def done(one: Given) -> tuple[Result, list[str]]:
+        with kept_warnings() as said:
+            return work(one), said
+
+    every = list(given)
+    if len(every) == 1:
+        return [work(every[0])]
+    with ThreadPoolExecutor(WORKERS) as pool:
+        waiting = [pool.submit(done, one) for one in every]
+        try:
+            found = [one.result() for one in (PROGRESS.each(waiting, what) if what else waiting)]
+        finally:
+            for one in waiting:
+                one.cancel()
+    for _, said in found:
+        for text in said:
+            warn_quality(text)
+    return [result for result, _ in found]
