@@ -29,6 +29,12 @@ APART: Final = 2.0
 SHARE: Final = 0.1
 """Gain over that of a larger step whose response has not ended, below which a step waits until that one is known."""
 
+SHORTEST: Final = 1 << 12
+"""Samples of the response to a step that are looked at, at least."""
+
+FORGOTTEN: Final = 1e-10
+"""Change of that response over its largest one that is rounding."""
+
 ALIKE: Final = 1e-9
 """Singular value over the largest below which responses at neighbouring samples are one."""
 
@@ -46,7 +52,7 @@ class Scan:
     information
         Square of what the known shapes leave of that response, shape (n,) [1/N^2].
     response
-        The whitened response itself, shape (n,) [1/N].
+        The whitened response itself.
     shown
         Product of each of them with the known shapes, whitened and made orthogonal, shape (n, p) [1/N].
     inverse
@@ -58,7 +64,7 @@ class Scan:
     reading: Observation
     score: Array
     information: Array
-    response: Array
+    response: _Response
     shown: Array
     inverse: Array
     sizes: Array
@@ -72,13 +78,10 @@ class Scan:
         inverse = np.linalg.pinv(triangle / scale, rcond=ALIKE) / scale[:, None]
         told = basis.T @ series[:, 0]
         left = series[:, 0] - basis @ told
-        # the settled filter does not change with time: the whitened response to a later step is the first one, shifted
-        count = reading.values.size
-        late = reading.interval * (np.arange(count) + 1)
-        response = filter_.settled.whiten(reading.dynamics.step_response(late)[:, None])[:, 0]
-        products = convolve(np.column_stack([left, basis]), response[::-1, None])[count - 1 :]
+        response = _Response.of(reading, filter_.settled)
+        products = response.against(np.column_stack([left, basis]))
         score, shown = products[:, 0], products[:, 1:]
-        information = np.cumsum(response**2)[::-1] - np.einsum("np,np->n", shown, shown)
+        information = np.cumsum(response.whole(reading.values.size) ** 2)[::-1] - np.einsum("np,np->n", shown, shown)
         return cls(reading, score, information, response, shown, inverse, inverse @ told)
 
     def without(self, place: int) -> Scan:
@@ -170,11 +173,12 @@ class Scan:
 
     def _products(self, place: int) -> Array:
         """Products of the responses to steps at three samples with those to steps at all, shape (n, 3) [1/N^2]."""
-        r, count = self.response, self.response.size
+        count = self.score.size
+        r = self.response.whole(count)
         column = np.zeros(count)
         column[place:] = r[: count - place]
         out = np.empty((count, 3))
-        out[:, 1] = convolve(column[:, None], r[::-1, None])[count - 1 :, 0]
+        out[:, 1] = self.response.against(column[:, None])[:, 0]
         # of two steps that are both a sample later, the last sample shows no more
         last = r[::-1]
         out[1:, 2] = out[:-1, 1] - last[place] * last[:-1]
@@ -182,3 +186,46 @@ class Scan:
         out[:-1, 0] = out[1:, 1] + last[place - 1] * last[:-1]
         out[-1, 0] = last[place - 1] * r[0]
         return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Response:
+    """The whitened response to a step of 1 N at the first sample, which the filter's memory lets go to a constant.
+
+    Attributes
+    ----------
+    first
+        What it differs by from that constant, as long as it does, shape (m,) [1/N].
+    last
+        The constant [1/N].
+    """
+
+    first: Array
+    last: float
+
+    @classmethod
+    def of(cls, reading: Observation, settled: KalmanFilter) -> _Response:
+        """Whiten as many samples of the response as the memory of a settled filter is long."""
+        length, count = SHORTEST, reading.values.size
+        while True:
+            length = min(length, count)
+            late = reading.interval * (np.arange(length) + 1)
+            found = settled.over(np.ones(length, dtype=np.bool_)).whiten(
+                reading.dynamics.step_response(late)[:, None]
+            )[:, 0]
+            change = np.abs(found - found[-1])
+            if length == count or np.max(change[-length // 4 :]) < FORGOTTEN * np.max(change):
+                return cls(found - found[-1], float(found[-1]))
+            length *= 4
+
+    def whole(self, count: int) -> Array:
+        """The response over so many samples, shape (count,) [1/N]."""
+        whole = np.full(count, self.last)
+        whole[: self.first.size] += self.first[:count]
+        return whole
+
+    def against(self, series: Array) -> Array:
+        """Products of the responses to steps at each sample with several series, both of shape (n, c) [1/N]."""
+        # the settled filter does not change with time: the response to a later step is the first one, shifted
+        products = convolve(series, self.first[::-1, None])[self.first.size - 1 :]
+        return np.asarray(products + self.last * np.cumsum(series[::-1], axis=0)[::-1])
