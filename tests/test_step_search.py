@@ -1,7 +1,10 @@
 """Steps that are taken up several at a time: the scan, what it proposes, ramps among them, and a square wave."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy import signal
 
 from aerobalance.estimation.prior import Observation, fit_prior, generalised_least_squares, log_likelihood
 from aerobalance.estimation.statespace.kalman import KalmanFilter
@@ -112,11 +115,28 @@ def test_sizes_of_the_scan_are_those_of_least_squares(rng):
     assert np.sum(scan.inverse**2, axis=1) == pytest.approx(np.diag(covariance), rel=1e-6)
 
 
+def test_what_the_filter_has_forgotten_of_a_response_is_a_constant(rng, monkeypatch):
+    """Of a smooth spectrum a part of the whitened response is all of it, and the scan is that of the whole."""
+    reading = reading_of([], rng, seconds=2)
+    force = 300 * signal.lfilter(*signal.butter(2, 40.0, fs=RATE), rng.normal(size=reading.values.size))
+    reading = replace(reading, values=reading.values + T128.load_felt(force, interval=1 / RATE))
+    smooth, columns = fit_prior(reading, columns=columns_of([], reading), smooth=True), columns_of([], reading)
+    filter_ = KalmanFilter.of(reading.system(smooth), reading.present)
+    whole = Scan.of(reading, filter_, columns)
+    monkeypatch.setattr("aerobalance.estimation.step_scan.SHORTEST", 128)
+    short = Scan.of(reading, filter_, columns)
+    assert short.response.first.size < whole.response.first.size == reading.values.size
+    # the part that is left out, over the root of the number of samples, and rounding
+    np.testing.assert_allclose(short.score, whole.score, atol=1e-8 * np.abs(whole.score).max())
+    np.testing.assert_allclose(short.information, whole.information, atol=1e-8 * np.abs(whole.information).max())
+
+
 def test_products_of_responses_at_neighbouring_samples(rng):
     reading = reading_of([], rng, seconds=0.1)
     scan = Scan.of(reading, filter_of(reading), columns_of([], reading))
-    count = scan.response.size
-    whole = np.array([np.append(np.zeros(place), scan.response[: count - place]) for place in range(count)])
+    count = scan.score.size
+    response = scan.response.whole(count)
+    whole = np.array([np.append(np.zeros(place), response[: count - place]) for place in range(count)])
     for place in (1, 2, 77, count - 2):
         expected = whole @ whole[place - 1 : place + 2].T
         assert scan._products(place) == pytest.approx(expected, abs=1e-12 * np.max(expected))

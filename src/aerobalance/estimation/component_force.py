@@ -159,7 +159,7 @@ class Fitted:
             [
                 *fit.noise_errors(level, sources=(record.dynamics.component, record.motion_source)),
                 *fit.step_errors(),
-                record.parameter_errors(through(reading.filled[:, None])[:, 0], again, through, few=few),
+                record.parameter_errors(lambda: through(reading.filled[:, None])[:, 0], again, through, few=few),
                 *record.motion_errors(moved),
                 *record.reading_errors(fit.force, through),
             ],
@@ -252,8 +252,9 @@ def _tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, large: tup
 def _unexplained(record: ComponentRecord, white: Array) -> Array:
     """Variance of the innovations over what is expected, 1 where chance explains it, shape (n,); warns elsewhere."""
     count = max(white.size // EXPLAINED_BLOCK, 1)
-    blocks = np.array_split(white, count)
-    level = np.array([np.mean(block**2) for block in blocks])
+    size, larger = divmod(white.size, count)
+    sizes = np.where(np.arange(count) < larger, size + 1, size)
+    level = np.add.reduceat(white**2, np.cumsum(sizes) - sizes) / sizes
     # the mean square over m samples scatters by sqrt(2 / m); eight times that is never reached by chance
     strange = np.flatnonzero(level > 1 + 8 * np.sqrt(2 * count / white.size))
     if strange.size:
@@ -270,7 +271,7 @@ def _unexplained(record: ComponentRecord, white: Array) -> Array:
         )
     raised = np.ones(count)
     raised[strange] = level[strange]
-    return np.repeat(raised, [block.size for block in blocks])
+    return np.repeat(raised, sizes)
 
 
 def _resolved_bandwidth(reading: Observation, learned: SpectralPrior) -> float:

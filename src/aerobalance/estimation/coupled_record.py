@@ -164,14 +164,15 @@ class CoupledRecord:
         own = align_channels(filled, self.channels, to=channel, interval=self.interval)
         reading = self.reading(decoupled.place, on_clock_of=decoupled.place, filled=filled)
         others = () if shared is None else shared.others
-        gap = ~np.isfinite(self.loads[:, decoupled.partners]).all(axis=1)
         if shared is not None:
             theirs = [
                 self.reading(other, on_clock_of=decoupled.place, filled=filled, model=model)
                 for other, model in zip(others, shared.models, strict=True)
             ]
             reading = reading - shared.of(np.column_stack(theirs))
-        values = np.where(gap, np.nan, reading)
+        values = reading
+        if not np.isfinite(self.loads).all():
+            values = np.where(np.isfinite(self.loads[:, decoupled.partners]).all(axis=1), reading, np.nan)
         apart = Channel(name=channel.name, values=values, unit=channel.unit, noise=channel.noise)
         return DecoupledRecord(
             recording=replace(self.recording, channels={channel.name: apart}),

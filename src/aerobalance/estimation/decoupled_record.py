@@ -16,6 +16,8 @@ from scipy.linalg import block_diag
 
 from aerobalance.dynamics.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
 from aerobalance.dynamics.decoupling import DecoupledChannel
+from aerobalance.dynamics.driven_modes import values_and_rates
+from aerobalance.dynamics.modal import Mode
 from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.record import ComponentRecord, Through
 from aerobalance.motion.platform import PlatformMotion, SystematicParameter
@@ -90,12 +92,17 @@ class DecoupledRecord(ComponentRecord):
         return np.unique(np.concatenate(parts))
 
     def parameter_errors(
-        self, values: Array, again: Callable[[ComponentRecord], Array], through: Through, *, few: bool = False
+        self,
+        values: Callable[[], Array],
+        again: Callable[[ComponentRecord], Array],
+        through: Through,
+        *,
+        few: bool = False,
     ) -> Systematic:
         """What a wrong element of inertia, damping or mass does to the force."""
         name, uncertain = "inertia, damping and mass", self._uncertain
         if uncertain is None:
-            return Systematic(name, "dynamics", (), np.zeros((values.size, 0)), np.zeros((0, 0)))
+            return Systematic(name, "dynamics", (), np.zeros((len(self.loads), 0)), np.zeros((0, 0)))
         of_mass = uncertain.of_mass.size > 0
         own = self._effects(self.decoupled, of_mass=of_mass)
         if self.shared is None and not few:
@@ -114,7 +121,7 @@ class DecoupledRecord(ComponentRecord):
             numbers = np.vstack([numbers, kept.T])
         kept = _directions(series, numbers, least=least)
         names = [f"direction {number} of inertia, damping and mass" for number in range(1, kept.shape[1] + 1)]
-        sums, slopes = numbers @ kept, np.empty((len(names), values.size))
+        sums, slopes = numbers @ kept, np.empty((len(names), len(self.loads)))
         for first in range(0, len(names), AT_ONCE):
             few_of_them = slice(first, first + AT_ONCE)
             slopes[few_of_them] = through(series @ sums[:, few_of_them]).T
@@ -253,7 +260,22 @@ def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Arra
     """Loads felt under loads on the moving mass that are band-limited, both (samples, n)."""
     if not net.any():
         return np.zeros_like(net)
-    return dynamics.load_felt(upsample_compensated(net), interval=interval / FINE, every=FINE)
+    poles, shapes, weights = dynamics.modal_form
+    if not poles.imag.all():  # what does not swing has no partner
+        return dynamics.load_felt(upsample_compensated(net), interval=interval / FINE, every=FINE)
+    up = np.flatnonzero(poles.imag > 0)
+    motion, shown = np.empty((2 * up.size, net.shape[0])), np.empty((2 * up.size, net.shape[1]))
+    for at, place in enumerate(up):
+        pole, shape, weight = poles[place], shapes[:, place], weights[place]
+        mode = Mode(float(np.abs(pole)) / (2 * np.pi), float(-pole.real / np.abs(pole)))
+        push = net @ np.column_stack([weight.real, weight.imag])
+        # 1 / (s - p) is (s - p*) / |p|^2 of the mode's response
+        value, rate = values_and_rates(mode, push - push[0], interval=interval)
+        rate -= pole.real * value
+        motion[2 * at] = rate[0] - pole.imag * value[1]
+        motion[2 * at + 1] = rate[1] + pole.imag * value[0]
+        shown[2 * at : 2 * at + 2] = 2 / np.abs(pole) ** 2 * np.stack([shape.real, -shape.imag])
+    return np.asarray(motion.T @ shown + net[0])
 
 
 def mass_slopes(mass: RigidMass) -> list[Array]:

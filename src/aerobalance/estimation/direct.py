@@ -64,7 +64,7 @@ def central_differences(record: ComponentRecord) -> ComponentForce:
         Noise("noise of the readings", d.component, np.full(load.size, gain * noise), density / gain**2),
         Noise("noise of the ground motion", record.motion_source, np.full(load.size, record.input_noise), np.ones(1)),
         Noise("ends of the record", d.component, ends, np.ones(1)),
-        record.parameter_errors(values, lambda other: central_differences(other).values, through),
+        record.parameter_errors(lambda: values, lambda other: central_differences(other).values, through),
         *record.motion_errors(record.as_force),
         *record.reading_errors(values, through),
     ]
@@ -122,7 +122,7 @@ def band_limited(record: ComponentRecord, bandwidth: float) -> ComponentForce:
         Noise("noise of the readings", d.component, np.full(load.size, gain * noise), density / gain**2),
         Noise("noise of the ground motion", record.motion_source, of_ground, passed / np.mean(passed)),
         Noise("ends of the record", d.component, np.hypot(ends, ground_ends), np.ones(1)),
-        record.parameter_errors(values, lambda other: band_limited(other, bandwidth).values, through),
+        record.parameter_errors(lambda: values, lambda other: band_limited(other, bandwidth).values, through),
         *record.motion_errors(record.as_force),
         *record.reading_errors(values, through),
     ]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
-from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
+from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares, least_squares, whitened
 from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_lines, hum_lines
 from aerobalance.estimation.spectra.noise_floor import Floor, floor_of
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
@@ -126,6 +126,8 @@ class SmootherResult:
         Load, load rate and force that are left when they are taken out, shape (n, 3) [N].
     variance
         Variance of that force, the sizes taken as known, shape (n,) [N^2].
+    innovations
+        Innovations over their expected standard deviation, shape (n,); 0 where a reading is missing.
     """
 
     reading: Observation
@@ -137,6 +139,7 @@ class SmootherResult:
     sizes: Array
     states: Array
     variance: Array
+    innovations: Array
 
     @classmethod
     def of(cls, reading: Observation, *, learned: SpectralPrior, steps: Sequence[Step]) -> SmootherResult:
@@ -147,10 +150,12 @@ class SmootherResult:
         shapes[:, 0] = 1.0
         for place, step in enumerate(steps, start=1):
             shapes[:, place] = shape_of(step, reading)
-        sizes, _, _ = generalised_least_squares(filter_, reading.filled, columns)
+        white = whitened(filter_, reading.filled, columns)
+        sizes, _, _ = least_squares(white[:, 0], white[:, 1:])
         states = filter_.smooth((reading.filled - columns @ sizes)[:, None])[:, 0]
         variance = filter_.smoothed_variance
-        return cls(reading, learned, tuple(steps), filter_, columns, shapes, sizes, states, variance)
+        innovations = white[:, 0] - white[:, 1:] @ sizes
+        return cls(reading, learned, tuple(steps), filter_, columns, shapes, sizes, states, variance, innovations)
 
     @property
     def force(self) -> Array:
@@ -178,11 +183,6 @@ class SmootherResult:
         return LinearSmoother(
             self.filter.system, self.filter, *instant_columns(self.reading, self.steps, heights=heights)
         )
-
-    @property
-    def innovations(self) -> Array:
-        """Innovations over their expected standard deviation, shape (n,); 0 where a reading is missing."""
-        return self.filter.whiten((self.reading.filled - self.columns @ self.sizes)[:, None])[:, 0]
 
     def noise_errors(self, level: Array, *, sources: tuple[str, str]) -> list[Contribution]:
         """Errors from noise: of the readings, of the ground's motion, and what the model does not explain.

@@ -153,7 +153,7 @@ def fit_prior(
     if before is not None:
         return _learned_beside(reading, before, columns, smooth=smooth)
     shown = columns if present.all() else columns * present[:, None]
-    sizes, *_ = _least_squares(reading.filled, shown)
+    sizes, *_ = least_squares(reading.filled, shown)
     left = np.where(present, reading.values - columns @ sizes, np.nan)
     left = interpolate_gaps_linearly(left, beside=BESIDE_A_GAP)
     learned = _learn(reading, left, smooth=smooth)
@@ -275,13 +275,25 @@ def generalised_least_squares(filter_: KalmanFilter, readings: Array, columns: A
     FitError
         The readings cannot be whitened.
     """
+    series = whitened(filter_, readings, columns)
+    return least_squares(series[:, 0], series[:, 1:])
+
+
+def whitened(filter_: KalmanFilter, readings: Array, columns: Array) -> Array:
+    """Readings (n,) and known shapes (n, p) as columns that a filter has made white, shape (n, 1 + p) [1].
+
+    Raises
+    ------
+    FitError
+        The readings cannot be whitened.
+    """
     series = filter_.whiten(np.column_stack([readings, columns]))
     if not np.isfinite(series).all():
         raise FitError("the readings cannot be told from their model: they do not change, or their scale is absurd")
-    return _least_squares(series[:, 0], series[:, 1:])
+    return series
 
 
-def _least_squares(values: Array, shapes: Array) -> tuple[Array, Array, float]:
+def least_squares(values: Array, shapes: Array) -> tuple[Array, Array, float]:
     """Sizes (p,) of shapes (n, p) in values (n,), their covariance where values have variance 1, and the squares left.
 
     Normal equations, solved again for what they leave: that is as exact as a decomposition of the shapes themselves,

@@ -121,14 +121,19 @@ class ComponentRecord(ABC):
 
     @abstractmethod
     def parameter_errors(
-        self, values: Array, again: Callable[[ComponentRecord], Array], through: Through, *, few: bool = False
+        self,
+        values: Callable[[], Array],
+        again: Callable[[ComponentRecord], Array],
+        through: Through,
+        *,
+        few: bool = False,
     ) -> Systematic:
         """Return the error of the force from errors of the dynamics' parameters [N].
 
         Parameters
         ----------
         values
-            The force, shape (n,) [N].
+            Gives the force, shape (n,) [N].
         again
             Works out the force of another record in the same way, shape (n,).
         through
@@ -238,7 +243,12 @@ class SingleRecord(ComponentRecord):
         return replace(self, recording=recording, dynamics=other)
 
     def parameter_errors(
-        self, values: Array, again: Callable[[ComponentRecord], Array], through: Through, *, few: bool = False
+        self,
+        values: Callable[[], Array],
+        again: Callable[[ComponentRecord], Array],
+        through: Through,
+        *,
+        few: bool = False,
     ) -> Systematic:
         """Return the error of the force from errors of the parameters [N]: each is changed, and the method run again.
 
@@ -246,13 +256,15 @@ class SingleRecord(ComponentRecord):
         frequency, and too little where a wrong frequency makes a wrong step.
         """
         d = self.dynamics
-        slopes = np.zeros((values.size, len(d.parameters)))
-        for place, deviation in enumerate(np.sqrt(np.diag(d.covariance))):
+        slopes = np.zeros((self.recording.samples, len(d.parameters)))
+        deviations = np.sqrt(np.diag(d.covariance))
+        known = values() if (deviations > 0).any() else np.zeros(0)
+        for place, deviation in enumerate(deviations):
             if deviation > 0:
                 changed = d.values
                 changed[place] += PROBE * deviation
                 moved = again(self.with_dynamics(d.with_parameters(changed)))
-                slopes[:, place] = (moved - values) / (PROBE * deviation)
+                slopes[:, place] = (moved - known) / (PROBE * deviation)
         return Systematic(PARAMETERS_NAME, "dynamics", d.parameters, slopes, d.covariance)
 
     def felt_under(self, item: SystematicParameter) -> Array:
