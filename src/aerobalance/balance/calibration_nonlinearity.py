@@ -20,6 +20,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft
 
 from aerobalance.balance import _term_kernels as kernels
 from aerobalance.balance.loads import Loads
@@ -83,7 +84,7 @@ class NonlinearErrors:
         power = np.zeros((kept, len(matrix.components)))
         count = 0
         for part in _nonlinear_parts(native, matrix, size=size):
-            transform = np.fft.rfft(part, axis=0)[:kept]
+            transform = rfft(part, axis=0)[:kept]
             for bridge, covariance in enumerate(matrix.covariance):
                 power[:, bridge] += np.real(np.sum((transform @ covariance) * transform.conj(), axis=1))
             count += 1
@@ -157,7 +158,9 @@ def _nonlinear_parts(native: Array, matrix: BalanceMatrix, *, size: int) -> Iter
     """Yield the terms of the matrix less their linear parts, windowed, of segments of the loads, shape (size, t)."""
     x = _variables(native, matrix)
     some = np.ascontiguousarray(x[:: max(len(x) // FITTED, 1)])
-    slopes = np.linalg.lstsq(_with_one(some), kernels.design(*codes(matrix.terms), some), rcond=None)[0]
+    shapes = _with_one(some)
+    rounding = float(np.finfo(np.float64).eps) * len(shapes)
+    slopes = np.linalg.pinv(shapes, rcond=rounding) @ kernels.design(*codes(matrix.terms), some)
     window = hann(size)
     window /= np.sqrt(np.sum(window**2))
     count = min(SEGMENTS, max(2 * (len(x) // size) - 1, 1))

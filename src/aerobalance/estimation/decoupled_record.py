@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -16,8 +17,6 @@ from scipy.linalg import block_diag
 
 from aerobalance.dynamics.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
 from aerobalance.dynamics.decoupling import DecoupledChannel
-from aerobalance.dynamics.driven_modes import values_and_rates
-from aerobalance.dynamics.modal import Mode
 from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.record import ComponentRecord, Through
 from aerobalance.motion.platform import PlatformMotion, SystematicParameter
@@ -252,32 +251,21 @@ def _directions(series: Array, numbers: Array, *, least: float) -> Array:
     least
         Rms that is nothing, beside `UNSEEN` of that of all together.
     """
-    power, turned = np.linalg.eigh(numbers.T @ (series.T @ series / series.shape[0]) @ numbers)
-    return np.asarray(turned[:, power > max(least**2, UNSEEN**2 * max(float(power.sum()), 0.0))])
+    level, vectors = np.linalg.eigh(series.T @ series / series.shape[0])
+    root = vectors * np.sqrt(np.maximum(level, 0.0))
+    _, size, turned = np.linalg.svd(root.T @ numbers, full_matrices=False)
+    power = size**2
+    return np.asarray(turned.T[:, power > max(least**2, UNSEEN**2 * max(float(power.sum()), 0.0))])
 
 
 def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Array:
     """Loads felt under loads on the moving mass that are band-limited, both (samples, n)."""
     if not net.any():
         return np.zeros_like(net)
-    poles, shapes, weights = dynamics.modal_form
-    if not poles.imag.all():  # what does not swing has no partner
-        return dynamics.load_felt(upsample_compensated(net), interval=interval / FINE, every=FINE)
-    up = np.flatnonzero(poles.imag > 0)
-    motion, shown = np.empty((2 * up.size, net.shape[0])), np.empty((2 * up.size, net.shape[1]))
-    for at, place in enumerate(up):
-        pole, shape, weight = poles[place], shapes[:, place], weights[place]
-        mode = Mode(float(np.abs(pole)) / (2 * np.pi), float(-pole.real / np.abs(pole)))
-        push = net @ np.column_stack([weight.real, weight.imag])
-        # 1 / (s - p) is (s - p*) / |p|^2 of the mode's response
-        value, rate = values_and_rates(mode, push - push[0], interval=interval)
-        rate -= pole.real * value
-        motion[2 * at] = rate[0] - pole.imag * value[1]
-        motion[2 * at + 1] = rate[1] + pole.imag * value[0]
-        shown[2 * at : 2 * at + 2] = 2 / np.abs(pole) ** 2 * np.stack([shape.real, -shape.imag])
-    return np.asarray(motion.T @ shown + net[0])
+    return dynamics.load_felt(upsample_compensated(net), interval=interval / FINE, every=FINE)
 
 
+@lru_cache(maxsize=4)  # the same for all components and all parts of a record
 def mass_slopes(mass: RigidMass) -> list[Array]:
     """Derivatives of the mass matrix by mass, centre of gravity and the six elements of the inertia, (6, 6) each."""
     values = mass.values

@@ -54,8 +54,9 @@ class Systematic:
     @property
     def deviation(self) -> Array:
         """Standard uncertainty of every sample, shape (n,) [N]."""
-        variance = np.sum((self.slopes @ self.covariance) * self.slopes, axis=1)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        own = self.slopes.T
+        turned = own if np.array_equal(self.covariance, np.eye(len(own))) else self.covariance @ own
+        return np.asarray(np.sqrt(np.maximum(np.einsum("pn,pn->n", turned, own), 0.0)))
 
     @property
     def halved(self) -> float:
@@ -214,8 +215,3 @@ def undivided(contributions: Sequence[Contribution]) -> list[Systematic | Noise]
     if any(isinstance(part, Divided) for part in contributions):
         raise ValueError("the contributions of a force worked out in parts cannot be summed up again")
     return [part for part in contributions if not isinstance(part, Divided)]
-
-
-def total_deviation(contributions: tuple[Contribution, ...]) -> Array:
-    """Standard uncertainty of every sample from all contributions, shape (n,) [N]."""
-    return np.asarray(np.sqrt(np.sum([part.deviation**2 for part in contributions], axis=0)))

@@ -13,7 +13,7 @@ from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.correlated_noise import SharedNoise
-from aerobalance.estimation.error_sources import Contribution, Systematic, total_deviation
+from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
@@ -168,14 +168,16 @@ class ComponentRecord(ABC):
 
     def finish(self, values: Array, contributions: list[Contribution], **facts: object) -> ComponentForce:
         """Return the force; contributions of zero are left out, but for that of the dynamics."""
-        parts = tuple(part for part in contributions if part.deviation.any() or part.source == "dynamics")
+        found = [(part, part.deviation) for part in contributions]
+        found = [(part, own) for part, own in found if own.any() or part.source == "dynamics"]
+        variance = np.sum([own**2 for _, own in found], axis=0)
         return ComponentForce(
             component=self.dynamics.component,
             values=values,
-            uncertainty=total_deviation(parts),
+            uncertainty=np.asarray(np.sqrt(variance)),
             assumptions=self.assumptions,
-            budget={part.name: float(np.sqrt(np.mean(part.deviation**2))) for part in parts},
-            contributions=parts,
+            budget={part.name: float(np.sqrt(np.mean(own**2))) for part, own in found},
+            contributions=tuple(part for part, _ in found),
             **facts,  # type: ignore[arg-type]
         )
 
