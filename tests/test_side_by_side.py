@@ -8,7 +8,7 @@ import warnings
 import pytest
 
 from aerobalance.recording.errors import DataQualityWarning, warn_quality
-from aerobalance.recording.side_by_side import WORKERS, side_by_side
+from aerobalance.recording.side_by_side import WORKERS, both, side_by_side
 
 
 def test_results_and_warnings_are_in_order_whichever_is_done_first() -> None:
@@ -44,3 +44,7 @@ def test_the_first_fault_is_raised() -> None:
 
     with pytest.raises(ValueError, match="number 1"):
         side_by_side(work, range(4))
+
+
+def test_two_pieces_of_work_give_what_each_gives() -> None:
+    assert both(lambda: "one", lambda: 2) == ("one", 2)

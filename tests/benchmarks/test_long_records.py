@@ -21,7 +21,7 @@ LARGEST = 500.0
 
 CHANNELS = 12
 PARTS = (3, 8)
-PART, OWN = 40_960, 30_720
+PART, OWN = 57_344, 43_008
 """Samples of a part of six components, and those of them that it adds to a record."""
 
 

@@ -226,10 +226,10 @@ def test_monte_carlo_of_a_long_record_is_of_one_part(folder, in_parts, tmp_path,
 
 
 def test_a_part_is_large_enough_for_one_component():
-    record = Recording.from_columns(np.arange(250_000) / RATE, {"AF": Channel("AF", np.zeros(250_000), "N")})
+    record = Recording.from_columns(np.arange(360_000) / RATE, {"AF": Channel("AF", np.zeros(360_000), "N")})
     parts = DIVISION.parts(record, dynamics_of(T128))
     assert len(parts) == 2
-    assert parts[0].end == 245_760
+    assert parts[0].end == 344_064
 
 
 # --- writing, progress, Ctrl-C

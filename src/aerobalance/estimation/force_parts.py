@@ -53,7 +53,7 @@ class Division:
         distance [samples].
     """
 
-    readings: int = 6 * 40960
+    readings: int = 6 * 57344
     round_to: int = 1 << 12
     decay_times: float = 4.0
     margin: tuple[int, float] = (1 << 12, 1 / 8)

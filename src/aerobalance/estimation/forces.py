@@ -29,7 +29,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.resampling import align_channels, interpolate_gaps
-from aerobalance.recording.side_by_side import side_by_side
+from aerobalance.recording.side_by_side import both, side_by_side
 
 PASSES: Final = 2
 """Most times that gaps are filled anew by what the forces found make the balance read."""
@@ -75,9 +75,12 @@ def with_matrix(
     parts: Mapping[str, ComponentForce], loads: Loads, dynamics: IndependentDynamics | CoupledDynamics
 ) -> dict[str, ComponentForce]:
     """Return the forces with the errors of the balance matrix in their uncertainty."""
-    static = static_uncertainty(loads, forces={name: found.values for name, found in parts.items()})
     highest = max(found.bandwidth for found in parts.values())
-    curvature = NonlinearErrors.of(loads, rate=loads.recording.rate, highest=highest)
+    work = (
+        partial(static_uncertainty, loads, forces={name: found.values for name, found in parts.items()}),
+        partial(NonlinearErrors.of, loads, rate=loads.recording.rate, highest=highest),
+    )
+    static, curvature = both(*work)
     order = [dynamics.components.index(name) for name in parts]
     inverse = dynamics.inverse_response(curvature.resolved)[:, order][:, :, order]
     densities = curvature.in_force(inverse - np.eye(len(order)), list(parts))
@@ -190,15 +193,15 @@ def predicted_noise(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: 
     )
     residuals = np.column_stack([fit.smoothed.residuals for fit in fits.values()])
     present = np.column_stack([np.isfinite(record.loads[:, one.partners]).all(axis=1) for one in record.decoupled])
-    shared = {}
-    for place, channel in enumerate(record.channels):
-        one = shared_noise(
+
+    def taken_from(place: int) -> SharedNoise | None:
+        return shared_noise(
             spectra,
             place,
-            residuals=align_channels(residuals, record.channels, to=channel, interval=record.interval),
+            residuals=align_channels(residuals, record.channels, to=record.channels[place], interval=record.interval),
             present=present,
             readings=partial(record.reading, on_clock_of=place, filled=filled),
         )
-        if one is not None:
-            shared[channel.name] = one
-    return shared
+
+    found = side_by_side(taken_from, range(len(record.channels)))
+    return {channel.name: one for channel, one in zip(record.channels, found, strict=True) if one is not None}

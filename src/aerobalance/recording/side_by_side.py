@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final, TypeVar
+from typing import Final, TypeVar, cast
 
 from aerobalance.recording.errors import kept_warnings, warn_quality
 from aerobalance.recording.progress import PROGRESS
@@ -13,6 +13,8 @@ WORKERS: Final = 2
 """Threads. Most of the work is in arrays, where Python's interpreter does not stand in the way of another thread; more
 than two would wait for it, and each takes room for what it works on."""
 
+First = TypeVar("First")
+Second = TypeVar("Second")
 Given = TypeVar("Given")
 Result = TypeVar("Result")
 
@@ -38,8 +40,8 @@ def side_by_side(work: Callable[[Given], Result], given: Iterable[Given], *, wha
             return work(one), said
 
     every = list(given)
-    if len(every) == 1:
-        return [work(every[0])]
+    if len(every) < WORKERS:
+        return [work(one) for one in every]
     with ThreadPoolExecutor(WORKERS) as pool:
         waiting = [pool.submit(done, one) for one in every]
         try:
@@ -51,3 +53,14 @@ def side_by_side(work: Callable[[Given], Result], given: Iterable[Given], *, wha
         for text in said:
             warn_quality(text)
     return [result for result, _ in found]
+
+
+def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
+    """Return what two pieces of work give, done side by side."""
+    results: dict[int, First | Second] = {}
+
+    def work(number: int) -> None:
+        results[number] = second() if number else first()
+
+    side_by_side(work, range(2))
+    return cast("First", results[0]), cast("Second", results[1])

@@ -20,6 +20,7 @@ from aerobalance.app.commands.uncertainty import (
     monte_carlo_result,
     scalar_result,
 )
+from aerobalance.app.one_heap import share_one_heap
 from aerobalance.app.reports.force_curves import ForceCurves
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
@@ -75,6 +76,7 @@ def force(
     report: Path | None = None,
 ) -> Result:
     """Force applied, with its uncertainty, from balance loads or, with a balance, from gauge outputs."""
+    share_one_heap()
     check_output(out)
     known = dynamics_of(read_any_dynamics(dynamics))
     settings = ForceSettings() if settings is None else settings
