@@ -31,7 +31,7 @@ from aerobalance.simulation.six_signals import Band, broadband
 
 RATE = 5000.0
 BALANCES = 12
-RIGID = 50
+RIGID = 30
 GUSTS = 6
 SHARES = (0.03, 0.08)
 PLACES = (0.5, 1.5)

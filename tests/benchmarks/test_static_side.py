@@ -49,7 +49,7 @@ def test_residuals_beside_the_noise(record, rng) -> None:
 @pytest.mark.parametrize("truth", ["linear", "abs", "quadratic", "96"])
 def test_chosen_terms_beside_other_choices(record, truth: str, rng) -> None:
     ways = {"auto": [], "all of the 96": [], "elimination by Student's t": [], "the terms of the balance": []}
-    for _ in range(8):
+    for _ in range(6):
         balance = random_balance(seed_from(rng), model=truth)
         schedule = CalibrationStand(balance, noise=NOISE).run(seed_from(rng)).schedule
         loads = rng.uniform(-0.6, 0.6, (500, 6))
