@@ -158,7 +158,7 @@ class Fitted:
             fit.force,
             [
                 *fit.noise_errors(level, sources=(record.dynamics.component, record.motion_source)),
-                *fit.step_errors(),
+                *fit.step_errors(estimator),
                 record.parameter_errors(lambda: through(reading.filled[:, None])[:, 0], again, through, few=few),
                 *record.motion_errors(moved),
                 *record.reading_errors(fit.force, through),

@@ -211,8 +211,8 @@ class SmootherResult:
         beyond = np.sqrt(self.variance * np.maximum(level - 1, 0.0))
         return [*parts, Noise("what the model does not explain", sources[0], beyond, (load + ground) / both)]
 
-    def step_errors(self) -> list[Contribution]:
-        """Errors from the sizes of constant and steps and from the steps' instants."""
+    def step_errors(self, estimator: LinearSmoother) -> list[Contribution]:
+        """Errors from the sizes of constant and steps and from the steps' instants, with its `estimator`."""
         reading, filter_ = self.reading, self.filter
         heights = self.sizes[1 : 1 + len(self.steps)]
         time = np.arange(reading.values.size) * reading.interval
@@ -228,9 +228,8 @@ class SmootherResult:
             names += [
                 f"{part} of hum at {line:.4g} Hz" for part in ("sine", "cosine", "growing sine", "growing cosine")
             ]
-        X, forms = instant_columns(reading, self.steps, heights=heights)
-        covariance = generalised_least_squares(filter_, reading.filled, X)[1]
-        slopes = forms - self.estimator.smooth(X)
+        covariance = generalised_least_squares(filter_, reading.filled, estimator.columns)[1]
+        slopes = -estimator.size_errors
         source = self.reading.dynamics.component
         return [
             Systematic("size and instant of steps", source, tuple(names), slopes, covariance, local=True),
@@ -294,10 +293,6 @@ class LinearSmoother:
         shown = np.empty((series.shape[1], self.filter.shown))
         force = self.filter.smooth(series, [FORCE], shown=shown)[:, :, 0]
         return force, self._shapes[1] @ shown.T
-
-    def smooth(self, series: Array) -> Array:
-        """Smoothed force of several series whose shapes are taken out, shape (n, c) [N]."""
-        return self.filter.smooth(series, [FORCE])[:, :, 0]
 
 
 def instant_columns(
