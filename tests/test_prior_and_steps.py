@@ -13,9 +13,9 @@ from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import (
     Observation,
     SpectralPrior,
-    _least_squares,
     fit_prior,
     generalised_least_squares,
+    least_squares,
     log_likelihood,
     refine_edges,
 )
@@ -129,7 +129,7 @@ def test_sizes_are_those_of_singular_values(later, rng):
     shapes = np.column_stack([np.ones(4000), T128.step_response(time - 1), T128.step_response(time - 1 - later)])
     values = shapes @ [1e5, 300.0, -200.0] + rng.normal(size=4000)
     scale = np.linalg.norm(shapes, axis=0)
-    sizes, covariance, squares = _least_squares(values, shapes)
+    sizes, covariance, squares = least_squares(values, shapes)
     expected, _, rank, _ = np.linalg.lstsq(shapes / scale, values, rcond=1e-10)
     assert rank == (3 if later else 2)
     inverse = np.linalg.pinv(shapes / scale, rcond=1e-10) / scale[:, None]
