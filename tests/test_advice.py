@@ -16,6 +16,7 @@ from aerobalance.app.cli.program import app
 from aerobalance.app.options import OPTIONS, as_options
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.model_check import Misfit, misfit_of
 from aerobalance.estimation.force import force_record
 from aerobalance.identification.free_decay.event import first_look
 from aerobalance.identification.free_decay.fit import _kept_modes, _way_to_take_it_up, identify_decay
@@ -24,7 +25,6 @@ from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError, argument
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import damping_text, frequency_text, percent_text, share_text
-from aerobalance.validation.model_check import Misfit, misfit_of
 
 SOURCE = Path(aerobalance.__file__).parent
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")

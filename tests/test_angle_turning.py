@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
+from aerobalance.estimation.checks.model_check import contradictions
+from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS
@@ -17,8 +19,6 @@ from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_components import SixSimulation
 from aerobalance.simulation.six_signals import Band, random_motion
-from aerobalance.validation.model_check import contradictions
-from aerobalance.validation.unmeasured_rotation import turning_by_angles
 
 DURATION = 1.0
 RATE = 4000.0

@@ -10,16 +10,16 @@ import pytest
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks import release
+from aerobalance.estimation.checks.local_modes import SETTINGS, Averaged, missing_mode, own_resonance, smeared
+from aerobalance.estimation.checks.model_check import Misfit, misfit_of
+from aerobalance.estimation.checks.release import least_left
 from aerobalance.estimation.force import force_record
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
-from aerobalance.validation import release
-from aerobalance.validation.local_modes import SETTINGS, Averaged, missing_mode, own_resonance, smeared
-from aerobalance.validation.model_check import Misfit, misfit_of
-from aerobalance.validation.release import least_left
 
 RATE = 1600.0
 BARE = CableCut().dynamics

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.model_check import contradictions
 from aerobalance.estimation.force import Force, estimate_force
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
-from aerobalance.validation.model_check import contradictions
 from helpers.accuracy import RIG, SOFT, T128, rms_of, smooth_run
 
 RATE, SECONDS = 1600.0, 3.5

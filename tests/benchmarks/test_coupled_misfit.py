@@ -9,12 +9,12 @@ from scipy.signal import lfilter
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import Mode
+from aerobalance.estimation.checks.model_check import contradictions
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_signals import Band, broadband
-from aerobalance.validation.model_check import contradictions
 from seeds import new_seed
 
 BAND = Band(0, 900)

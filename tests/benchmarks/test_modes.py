@@ -9,13 +9,13 @@ import pytest
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.model_check import misfit_of
 from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor, Simulation
-from aerobalance.validation.model_check import misfit_of
 from helpers.accuracy import SHARP, SOFT, T128, inner, rms_of, smooth_run, wiener_bound
 
 HALF_RANGE = 2000.0

@@ -24,6 +24,7 @@ from aerobalance.app.one_heap import share_one_heap
 from aerobalance.app.reports.force_curves import ForceCurves
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
+from aerobalance.estimation.checks.model_check import contradictions
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.force_collector import SummaryOfParts
 from aerobalance.estimation.force_parts import ForcePart, WorstPart
@@ -42,7 +43,6 @@ from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.monte_carlo import MonteCarlo, monte_carlo
-from aerobalance.validation.model_check import contradictions
 
 DEFAULT_SEED: Final = 1
 """Seed of Monte Carlo where none is given, so that the same inputs give the same result."""

@@ -15,6 +15,10 @@ import numpy as np
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
+from aerobalance.estimation.checks.peaks import Peak, peak_sentences
+from aerobalance.estimation.checks.release import release_in
+from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord, SingleRecord
@@ -25,10 +29,6 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.errors import argument
 from aerobalance.recording.wording import frequency_text, share_text
-from aerobalance.validation.local_modes import Averaged, missing_mode, own_resonance
-from aerobalance.validation.peaks import Peak, peak_sentences
-from aerobalance.validation.release import release_in
-from aerobalance.validation.unmeasured_rotation import turning_by_angles
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,1 @@
+"""What a record says against what its force is worked out with."""
