@@ -1,0 +1,600 @@
+"""Records that are wrong in one thing each, and sound ones: what was done to them, and what should be said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
+from faults.scene import (
+    DAMPING,
+    FREQUENCY,
+    MASS,
+    RATIO,
+    STIFFNESS,
+    Array,
+    Clock,
+    Maker,
+    Modes,
+    Record,
+    Scene,
+    band,
+    constant,
+    level,
+    pieces,
+    shaped,
+    soft,
+    step,
+    together,
+)
+
+Change = Callable[[Record, np.random.Generator], Record]
+"""What is done to the readings."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kind of record.
+
+    Attributes
+    ----------
+    name, group
+        What it is called, and under which subject.
+    scene
+        How the record is made.
+    kinds
+        Kinds of doubt of which one names the fault rightly; none for a sound record.
+    change
+        What is done to the readings afterwards.
+    dynamics
+        The dynamics that the force is worked out with.
+    settings
+        How it is worked out.
+    shown
+        Whether the record can show the fault; what it cannot show is an assumption.
+    """
+
+    name: str
+    group: str
+    scene: Scene
+    kinds: tuple[str, ...] = ()
+    change: Change | None = None
+    dynamics: Dynamics = field(default_factory=lambda: dynamics())  # noqa: PLW0108 - defined below
+    settings: dict[str, Any] = field(default_factory=dict)
+    shown: bool = True
+
+    def record(self, seed: int) -> Record:
+        """Return the record of a seed."""
+        rng = np.random.default_rng([seed, *self.name.encode()])
+        made = self.scene.record(rng)
+        return made if self.change is None else self.change(made, rng)
+
+
+def dynamics(
+    *, frequency: float = FREQUENCY, ratio: float = RATIO, mass: float = MASS, modes: tuple[Mode, ...] = ()
+) -> Dynamics:
+    """Return the dynamics of the balance as a good release gives them: frequency to 2e-5, damping to 0.3 %."""
+    relative = np.array([2e-4, 2e-5, 3e-3])  # mass, natural frequency, damping ratio
+    stiffness = mass * (2 * np.pi * frequency) ** 2
+    damping = 2 * ratio * np.sqrt(stiffness * mass)
+    slopes = np.array([[1.0, 0.0, 0.0], [1.0, 2.0, 0.0], [1.0, 1.0, 1.0]]) * relative
+    size = 4 + 3 * len(modes)
+    covariance = np.zeros((size, size))
+    covariance[:3, :3] = slopes @ slopes.T * np.outer((mass, stiffness, damping), (mass, stiffness, damping))
+    return Dynamics("AF", mass, stiffness, damping, covariance=covariance, further_modes=modes)
+
+
+def changed(*, mass: float = 1.0, stiffness: float = 1.0, damping: float = 1.0) -> Dynamics:
+    """Return dynamics with mass, stiffness and damping wrong by these factors."""
+    m, k, b = MASS * mass, STIFFNESS * stiffness, DAMPING * damping
+    return dynamics(frequency=float(np.sqrt(k / m) / (2 * np.pi)), ratio=b / (2 * np.sqrt(k * m)), mass=m)
+
+
+BROAD = band(200.0, 0, 100)
+SLOW = band(60.0, 0, 20)
+MIDDLE = band(60.0, 0, 60)
+STEP = together(step(500.0), band(12.0, 0, 30))
+LOADS: dict[str, Maker] = {"broad": BROAD, "slow": SLOW, "step": STEP}
+LONG = Clock(samples=16000)
+GROUND = band(2.0, 5, 100)
+
+
+def all_cases() -> list[Case]:
+    """Return all cases, the sound ones first."""
+    return [*sound(), *wrong()]
+
+
+def wrong() -> list[Case]:
+    """Return the cases that are wrong in something."""
+    makers = (
+        wrong_dynamics,
+        missing_modes,
+        bent_springs,
+        ground_channels,
+        wild_samples,
+        limited_channels,
+        faint_forces,
+        colors_of_noise,
+        loads_that_change,
+        oversampled,
+        filters_not_told,
+        clocks,
+        direct_inverses,
+    )
+    return [one for make in makers for one in make()]
+
+
+def sound() -> list[Case]:
+    """Return records with nothing wrong."""
+    kinds: dict[str, Maker] = {
+        "0-100 Hz, 200 N": BROAD,
+        "0-20 Hz, 60 N": SLOW,
+        "0-60 Hz, 60 N": MIDDLE,
+        "soft 30 Hz, 100 N": soft(100.0, 30.0),
+        "soft 10 Hz second order, 100 N": soft(100.0, 10.0, 2.0),
+        "step": STEP,
+        "step alone": step(1000.0),
+        "two steps": together(step(400.0, at=0.7), step(-300.0, at=1.7), band(5.0, 0, 20)),
+        "constant": constant(300.0),
+        "faint 2 N": band(2.0, 0, 40),
+        "narrow at 66 Hz": band(5.0, 60, 72),
+        "narrow at 40 Hz": together(band(20.0, 37, 43), band(10.0, 0, 15)),
+        "sine 17 Hz": together(shaped(lambda t: 40 * np.sin(2 * np.pi * 17.3 * t)), band(10.0, 0, 30)),
+    }
+    found = [Case(name, "sound", Scene(force)) for name, force in kinds.items()]
+    long = ("0-100 Hz, 200 N", "soft 30 Hz, 100 N", "step", "narrow at 40 Hz")
+    found += [Case(f"{name}, 10 s", "sound", Scene(kinds[name], LONG)) for name in long]
+    for name in ("0-100 Hz, 200 N", "step", "soft 30 Hz, 100 N"):
+        force = kinds[name]
+        found += [
+            Case(f"{name}, shaken", "sound", Scene(force, ground=GROUND)),
+            Case(f"{name}, shaken faintly", "sound", Scene(force, ground=band(0.05, 5, 100))),
+            Case(f"{name}, pitching", "sound", Scene(force, pitch=band(0.02, 0, 3))),
+            Case(f"{name}, 20 bit", "sound", Scene(force), change=partial(quantized, step=0.01)),
+            Case(f"{name}, a short gap", "sound", Scene(force), change=partial(with_gap, seconds=0.01)),
+            Case(f"{name}, 0.6 s", "sound", Scene(force, Clock(samples=960))),
+            Case(f"{name}, 400 Hz", "sound", Scene(force, Clock(rate=400.0, samples=1000))),
+            Case(f"{name}, 8 kHz", "sound", Scene(force, Clock(rate=8000.0, samples=16000, fine=8))),
+        ]
+    return found
+
+
+def wrong_dynamics() -> Iterator[Case]:
+    """Return dynamics that are not those of the balance."""
+    right = ("natural frequency", "damping ratio")
+    for name, force in LOADS.items():
+        for clock, seconds in ((Clock(), "2.5 s"), (LONG, "10 s")):
+            scene = partial(Case, group="dynamics", scene=Scene(force, clock), kinds=right)
+            given = {
+                "mass 1 %": changed(mass=1.01),
+                "stiffness 0.5 %": changed(stiffness=1.005),
+                "stiffness -5 %": changed(stiffness=0.95),
+                "stiffness +20 %": changed(stiffness=1.2),
+                "damping 20 %": changed(damping=1.2),
+                "damping x3": changed(damping=3.0),
+                "damping /3": changed(damping=1 / 3),
+            }
+            for what, model in given.items():
+                yield scene(f"{what}, {name}, {seconds}", dynamics=model)
+        for f in (20.0, 30.0, 50.0, 80.0, 150.0, 400.0):
+            yield Case(
+                f"f0 {f:g} Hz, {name}", "dynamics", Scene(force), right, dynamics=dynamics(frequency=f, ratio=0.008)
+            )
+    short = Clock(samples=960)
+    for f in (30.0, 57.0, 100.0):
+        yield Case(f"f0 {f:g} Hz, step, 0.6 s", "dynamics", Scene(STEP, short), right, dynamics=dynamics(frequency=f))
+
+
+def missing_modes() -> Iterator[Case]:
+    """Return balances with a further mode that the dynamics lack."""
+    kinds = ("missing mode",)
+    for factor, share in ((2.3, 0.03), (2.3, -0.03), (1.5, 0.1), (1.05, 0.03), (6.0, 0.02)):
+        modes = Modes(((FREQUENCY, RATIO, 1 - share), (factor * FREQUENCY, 0.008, share)))
+        for name, force in {"0-200 Hz": band(200.0, 0, 200), "0-100 Hz": BROAD, "step": STEP}.items():
+            for clock, seconds in ((Clock(), "2.5 s"), (LONG, "10 s")):
+                yield Case(
+                    f"mode at {factor:g} f0, {100 * share:g} %, {name}, {seconds}",
+                    "missing mode",
+                    Scene(force, clock, balance=modes),
+                    kinds,
+                )
+
+
+def bent_springs() -> Iterator[Case]:
+    """Return balances that are not linear."""
+    clock = Clock(fine=8)
+    span = 2000.0 / STIFFNESS
+
+    def hardening(share: float) -> Callable[[float, float], tuple[float, float]]:
+        return lambda x, v: (STIFFNESS * x * (1 + share * (x / span) ** 2), DAMPING * v)
+
+    def friction(size: float) -> Callable[[float, float], tuple[float, float]]:
+        return lambda x, v: (STIFFNESS * x, DAMPING * v + size * float(np.tanh(v / 1e-5)))
+
+    def more_damped(share: float) -> Callable[[float, float], tuple[float, float]]:
+        return lambda x, v: (STIFFNESS * x, DAMPING * v * (1 + share * abs(STIFFNESS * x) / 1000.0))
+
+    springs = {
+        "hardening 1 % at 2 kN": (hardening(0.01), ("nonlinear spring", "natural frequency")),
+        "hardening 5 % at 2 kN": (hardening(0.05), ("nonlinear spring", "natural frequency")),
+        "friction 0.5 N": (friction(0.5), ("damping ratio", "nonlinear spring")),
+        "friction 5 N": (friction(5.0), ("damping ratio", "nonlinear spring")),
+        "damping +50 % at 1 kN": (more_damped(0.5), ("damping ratio", "nonlinear spring")),
+    }
+    loads = {"0-60 Hz": MIDDLE, "0-100 Hz": BROAD, "step": STEP}
+    for name, (spring, kinds) in springs.items():
+        for load, force in loads.items():
+            yield Case(f"{name}, {load}", "spring", Scene(force, clock, spring=spring), kinds)
+
+
+def low_pass(corner: float) -> Callable[[Array], np.ndarray[Any, Any]]:
+    """A Butterworth filter of second order."""
+    return lambda f: 1 / (1 - (f / corner) ** 2 + 1j * np.sqrt(2) * f / corner)
+
+
+def ground_channels() -> Iterator[Case]:
+    """Return faults of the channels of the ground's motion."""
+    shaken = partial(Scene, ground=GROUND)
+    loads = {"0-60 Hz": MIDDLE, "step": STEP, "0-20 Hz": SLOW}
+    for name, force in loads.items():
+        made = {
+            "5 ms late": (shaken(force, ground_late=5e-3), ("ground delay", "ground filter")),
+            "1 ms late": (shaken(force, ground_late=1e-3), ("ground delay", "ground filter")),
+            "0.1 ms late": (shaken(force, ground_late=1e-4), ("ground delay", "ground filter")),
+            "0.5 ms early": (shaken(force, ground_late=-5e-4), ("ground delay", "ground filter")),
+            "clock 100 ppm": (
+                shaken(force, ground_late=lambda t: 1e-4 + 1e-4 * t),
+                ("ground clock", "ground delay"),
+            ),
+            "clock 1000 ppm": (shaken(force, ground_late=lambda t: 1e-3 * t), ("ground clock", "ground delay")),
+            "filter 300 Hz": (shaken(force, ground_filter=low_pass(300.0)), ("ground filter", "ground delay")),
+            "gain 10 %": (shaken(force, ground_gain=1.1), ("ground gain",)),
+            "gain 2 %": (shaken(force, ground_gain=1.02), ("ground gain",)),
+            "sign": (shaken(force, ground_gain=-1.0), ("ground gain",)),
+            "in g": (shaken(force, ground_gain=1 / 9.80665), ("ground gain",)),
+            "dead": (shaken(force, ground_gain=0.0), ("ground gain", "dead channel", "stuck channel")),
+        }
+        for what, (scene, kinds) in made.items():
+            yield Case(f"accelerometer {what}, {name}", "ground", scene, kinds)
+        yield Case(
+            f"accelerometer 3 deg across, {name}",
+            "ground",
+            shaken(force, ground_beside=0.05),
+            ("ground noise",),
+            shown=False,
+        )
+        yield Case(
+            f"accelerometer with a gap of 60 ms, {name}",
+            "ground",
+            shaken(force),
+            ("ground gap",),
+            change=partial(with_gap, seconds=0.06, channel="ground_acceleration"),
+        )
+        pitching = partial(Scene, force, pitch=band(0.05, 0, 4))
+        yield Case(f"pitch 20 ms late, {name}", "ground", pitching(pitch_late=0.02), ("attitude delay",))
+        yield Case(f"pitch 100 ms late, {name}", "ground", pitching(pitch_late=0.1), ("attitude delay",))
+        yield Case(f"pitch sign, {name}", "ground", pitching(pitch_gain=-1.0), ("attitude gain",))
+        yield Case(f"pitch gain 5 %, {name}", "ground", pitching(pitch_gain=1.05), ("attitude gain",))
+
+
+def with_gap(record: Record, rng: np.random.Generator, *, seconds: float, channel: str = "AF") -> Record:
+    """Return the record with a gap in a channel."""
+    values = record.columns[channel].copy()
+    size = round(seconds * record.rate)
+    first = int(rng.integers(values.size // 4, 3 * values.size // 4 - size))
+    values[first : first + size] = np.nan
+    return record.with_column(channel, values)
+
+
+def quantized(record: Record, rng: np.random.Generator, *, step: float) -> Record:
+    """Return the record with readings of a resolution."""
+    return record.with_column("AF", step * np.round(record.columns["AF"] / step))
+
+
+def with_spikes(
+    record: Record, rng: np.random.Generator, *, count: int, size: float, together: int = 1, channel: str = "AF"
+) -> Record:
+    """Return the record with single wild samples of either sign."""
+    values = record.columns[channel].copy()
+    for place in rng.choice(np.arange(20, values.size - 20, 10), count, replace=False):
+        values[place : place + together] += size * rng.choice([-1.0, 1.0])
+    return record.with_column(channel, values)
+
+
+def with_dropouts(record: Record, rng: np.random.Generator, *, count: int, to: float, together: int = 1) -> Record:
+    """Return the record with single samples that fall to a value."""
+    values = record.columns["AF"].copy()
+    for place in rng.choice(np.arange(20, values.size - 20, 10), count, replace=False):
+        values[place : place + together] = to
+    return record.with_column("AF", values)
+
+
+def stuck(record: Record, rng: np.random.Generator, *, seconds: float) -> Record:
+    """Return the record with a channel that holds its last reading for some time."""
+    values = record.columns["AF"].copy()
+    size = min(round(seconds * record.rate), values.size - 1)
+    first = int(rng.integers(0, values.size - size))
+    values[first : first + size] = values[first]
+    return record.with_column("AF", values)
+
+
+def clipped(record: Record, rng: np.random.Generator, *, share: float, sides: str = "both") -> Record:
+    """Return the record cut off at the limit that a share of the readings is beyond."""
+    values = record.columns["AF"]
+    if sides == "both":
+        limit = float(np.quantile(np.abs(values), 1 - share))
+        return record.with_column("AF", np.clip(values, -limit, limit))
+    limit = float(np.quantile(values, 1 - share))
+    return record.with_column("AF", np.minimum(values, limit))
+
+
+def wild_samples() -> Iterator[Case]:
+    """Return single wild samples."""
+    loads = {"0-100 Hz": BROAD, "0-20 Hz": SLOW, "step": STEP}
+    for name, force in loads.items():
+        for count, size in ((1, 99999.0), (5, 1000.0), (5, 100.0), (5, 20.0), (40, 300.0)):
+            yield Case(
+                f"{count} spikes of {size:g} N, {name}",
+                "samples",
+                Scene(force),
+                ("wild samples",),
+                change=partial(with_spikes, count=count, size=size),
+            )
+        yield Case(
+            f"5 spikes of 3 samples, {name}",
+            "samples",
+            Scene(force),
+            ("wild samples",),
+            change=partial(with_spikes, count=5, size=1000.0, together=3),
+        )
+        yield Case(
+            f"5 dropouts to zero, {name}",
+            "samples",
+            Scene(together(force, constant(800.0))),
+            ("wild samples",),
+            change=partial(with_dropouts, count=5, to=0.0),
+        )
+        yield Case(
+            f"5 spikes in the accelerometer, {name}",
+            "samples",
+            Scene(force, ground=GROUND),
+            ("wild samples",),
+            change=partial(with_spikes, count=5, size=50.0, channel="ground_acceleration"),
+        )
+
+
+def limited_channels() -> Iterator[Case]:
+    """Return channels that stick, rest on a limit or have few steps."""
+    loads = {"0-100 Hz": BROAD, "0-20 Hz": SLOW, "step": STEP}
+    for name, force in loads.items():
+        for seconds in (0.02, 0.2):
+            yield Case(
+                f"stuck for {seconds:g} s, {name}",
+                "limits",
+                Scene(force),
+                ("stuck channel",),
+                change=partial(stuck, seconds=seconds),
+            )
+        yield Case(
+            f"stuck all the time, {name}",
+            "limits",
+            Scene(force),
+            ("stuck channel",),
+            change=partial(stuck, seconds=1e9),
+        )
+        for share in (0.003, 0.02):
+            for sides in ("both", "above"):
+                yield Case(
+                    f"{100 * share:g} % clipped {sides}, {name}",
+                    "limits",
+                    Scene(force),
+                    ("clipping",),
+                    change=partial(clipped, share=share, sides=sides),
+                )
+    for rms, lsb, noise in ((0.6, 1.0, 0.1), (2.0, 1.0, 0.2), (0.6, 1.0, 0.3), (5.0, 10.0, 1.0)):
+        yield Case(
+            f"{rms:g} N in steps of {lsb:g} N, noise {noise:g} N",
+            "limits",
+            Scene(band(rms, 0, 40), noise=noise),
+            ("resolution",),
+            change=partial(quantized, step=lsb),
+        )
+
+
+def faint_forces() -> Iterator[Case]:
+    """Return forces that the noise hides."""
+    for rms in (0.1, 0.2, 0.4, 0.8):
+        yield Case(f"{rms:g} N, 0-40 Hz, in 2 N of noise", "faint", Scene(band(rms, 0, 40)), ("faint force",))
+    for size in (0.2, 0.4, 0.8):
+        yield Case(
+            f"sine of {size:g} N at 20 Hz in 2 N of noise",
+            "faint",
+            Scene(shaped(lambda t, size=size: size * np.sin(2 * np.pi * 20 * t))),
+            ("faint force",),
+        )
+    yield Case("5 s, 0.2 N in 2 N of noise", "faint", Scene(band(0.2, 0, 40), Clock(samples=8000)), ("faint force",))
+
+
+def colors_of_noise() -> Iterator[Case]:
+    """Return noise that is not white, and hum that drifts."""
+    loads = {"0-100 Hz": BROAD, "0-20 Hz": SLOW, "step": STEP, "none": constant(100.0)}
+    for name, force in loads.items():
+        yield Case(
+            f"1/f from 20 Hz, {name}", "noise", Scene(force, more_noise=soft(1.5, 1.0, 1.0)), ("colored noise",)
+        )
+        yield Case(
+            f"hump 250-350 Hz, {name}", "noise", Scene(force, more_noise=band(5.0, 250, 350)), ("colored noise",)
+        )
+        yield Case(
+            f"noise to 500 Hz, {name}",
+            "noise",
+            Scene(force, noise=0.2, more_noise=soft(2.0, 500.0, 8.0)),
+            ("colored noise",),
+        )
+        yield Case(
+            f"noise in bursts, {name}",
+            "noise",
+            Scene(force, more_noise=level(band(15.0, 0, 790), bursts)),
+            ("unexplained", "changing noise"),
+        )
+        for drift in (0.0, 0.05, 0.3):
+            yield Case(
+                f"hum of 5 N at 50 Hz that drifts by {drift:g} Hz, {name}",
+                "noise",
+                Scene(force, more_noise=partial(hum, size=5.0, drift=drift)),
+                ("hum",),
+            )
+
+
+def bursts(clock: Clock, time: Array) -> Array:
+    """Return 1 in a fifth of the record, else 0."""
+    return np.asarray((np.mod(time, clock.end / 2) < clock.end / 10).astype(float))
+
+
+def hum(clock: Clock, rng: np.random.Generator, *, size: float, drift: float) -> Array:
+    """Return a line at 50 Hz whose frequency swings by so much [Hz] within some seconds."""
+    time = clock.time
+    phase = 2 * np.pi * 50 * time + drift / 0.3 * np.sin(2 * np.pi * 0.3 * time + rng.random() * 6)
+    return np.asarray(size * np.sin(phase + 6 * rng.random()))
+
+
+def loads_that_change() -> Iterator[Case]:
+    """Return forces that are not of one kind all along."""
+    half = lambda clock, time: (time > 0.68 * clock.end).astype(float)  # noqa: E731
+    yield Case("quiet, then 300 N", "load", Scene(level(band(300.0, 0, 80), half)), ("changing load",))
+    yield Case(
+        "5 N, then 300 N",
+        "load",
+        Scene(together(band(5.0, 0, 30), level(band(300.0, 0, 80), half))),
+        ("changing load",),
+    )
+    yield Case("2 to 4 f0 alone, 200 N", "load", Scene(band(200.0, 2 * FREQUENCY, 4 * FREQUENCY)), ())
+    yield Case(
+        "20 N slow and 200 N at 2 to 3 f0",
+        "load",
+        Scene(together(band(20.0, 0, 20), band(200.0, 2 * FREQUENCY, 3 * FREQUENCY))),
+        (),
+    )
+    yield Case("square wave of 5 Hz, 200 N", "load", Scene(pieces(square)), ("too many steps",))
+    yield Case("telegraph, 200 N", "load", Scene(pieces(telegraph)), ())
+    yield Case(
+        "half sine of 3 ms, 1000 N",
+        "load",
+        Scene(shaped(lambda t: 1000 * np.sin(np.pi * (t - 1) / 3e-3) * ((t > 1) & (t < 1.003)))),
+        ("unexplained", "shock"),
+    )
+    yield Case(
+        "half sine of 20 ms, 1000 N",
+        "load",
+        Scene(shaped(lambda t: 1000 * np.sin(np.pi * (t - 1) / 2e-2) * ((t > 1) & (t < 1.02)))),
+        ("unexplained", "shock"),
+    )
+    yield Case(
+        "blast of 20 ms, 1000 N",
+        "load",
+        Scene(shaped(lambda t: 1000 * np.exp(-np.maximum(t - 1, 0) / 0.02) * (t > 1))),
+        ("unexplained", "shock"),
+    )
+    yield Case(
+        "chirp of 10 to 200 Hz, 100 N",
+        "load",
+        Scene(shaped(lambda t: 100 * np.sin(2 * np.pi * (10 * t + 38 * np.clip(t, 0, 2.5) ** 2)) * (t > 0))),
+        (),
+    )
+    yield Case("sine at f0, 20 N", "load", Scene(shaped(lambda t: 20 * np.sin(2 * np.pi * FREQUENCY * t))), ())
+    yield Case("ramp to 1000 N", "load", Scene(shaped(lambda t: 400 * np.clip(t, 0, 2.5))), ())
+
+
+def square(clock: Clock, rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Return the edges of a square wave of 5 Hz."""
+    first = 0.1 * rng.random()
+    edges = np.arange(first, clock.end, 0.1)
+    return [(float(t), 200.0 * (1 if i == 0 else 2) * (-1) ** i) for i, t in enumerate(edges)]
+
+
+def telegraph(clock: Clock, rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Return edges at random distances of 50 to 200 ms."""
+    edges, t, sign = [], 0.05, 1
+    while t < clock.end - 0.05:
+        edges.append((t, 200.0 * sign * (2 if edges else 1)))
+        t, sign = t + rng.uniform(0.05, 0.2), -sign
+    return edges
+
+
+def oversampled() -> Iterator[Case]:
+    """Return records sampled far above the natural frequency, with noise that is not white there."""
+    for times in (20, 50, 100):
+        clock = Clock(rate=times * FREQUENCY, samples=int(2.0 * times * FREQUENCY), fine=4)
+        nyquist = times * FREQUENCY / 2
+        for name, force in {"0-100 Hz": BROAD, "step": STEP, "0-20 Hz": SLOW}.items():
+            yield Case(f"{times} f0, white, {name}", "oversampled", Scene(force, clock), ())
+            yield Case(
+                f"{times} f0, noise rolled off, {name}",
+                "oversampled",
+                Scene(force, clock, noise=0.05, more_noise=soft(2.0, 0.4 * nyquist, 8.0)),
+                ("colored noise",),
+            )
+            yield Case(
+                f"{times} f0, noise rising, {name}",
+                "oversampled",
+                Scene(force, clock, noise=1.0, more_noise=band(4.0, 0.5 * nyquist, 0.98 * nyquist, fall=-4.0)),
+                ("colored noise",),
+            )
+
+
+def filters_not_told() -> Iterator[Case]:
+    """Return analog filters that nothing is said of."""
+    for name, force in {"0-100 Hz": BROAD, "step": STEP}.items():
+        for corner in (640.0, 300.0):
+            yield Case(
+                f"load behind a filter of {corner:g} Hz, {name}",
+                "filter",
+                Scene(force, load_filter=low_pass(corner)),
+                ("load filter",),
+                shown=False,
+            )
+            yield Case(
+                f"both behind a filter of {corner:g} Hz, {name}",
+                "filter",
+                Scene(force, load_filter=low_pass(corner), ground=GROUND, ground_filter=low_pass(corner)),
+                ("load filter",),
+                shown=False,
+            )
+
+
+def clocks() -> Iterator[Case]:
+    """Return sampling rates that are wrong."""
+    for name, force in LOADS.items():
+        for factor in (0.2, 0.5, 0.99, 1.02, 2.0, 1000.0):
+
+            def other(record: Record, rng: np.random.Generator, factor: float = factor) -> Record:
+                return replace(record, rate=record.rate * factor)
+
+            yield Case(
+                f"rate {factor:g} times the true one, {name}",
+                "clock",
+                Scene(force),
+                ("natural frequency", "record too short", "clock"),
+                change=other,
+            )
+
+
+def direct_inverses() -> Iterator[Case]:
+    """Return the inverses that are not optimal."""
+    for name, force in {"0-60 Hz": MIDDLE, "step": STEP}.items():
+        yield Case(f"bandwidth 100 Hz, {name}", "direct", Scene(force), ("bandwidth",), settings={"bandwidth": 100.0})
+        yield Case(f"bandwidth 300 Hz, {name}", "direct", Scene(force), ("bandwidth",), settings={"bandwidth": 300.0})
+        yield Case(f"three points, {name}", "direct", Scene(force), ("three points",), settings={"method": "paper"})
+        yield Case(
+            f"bandwidth 100 Hz, stiffness +5 %, {name}",
+            "direct",
+            Scene(force),
+            ("natural frequency",),
+            dynamics=changed(stiffness=1.05),
+            settings={"bandwidth": 100.0},
+        )

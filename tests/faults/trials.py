@@ -1,0 +1,153 @@
+"""Works out the forces of the cases and compares them with the truth.
+
+python -m faults.trials [--seeds 20] [--groups ground,samples] [--out build/faults.json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+import warnings
+from multiprocessing import Pool
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.force import estimate_force
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.recording import Recording
+from faults.cases import Case, all_cases
+from faults.scene import Record
+
+UNITS = {"AF": "N", "ground_acceleration": "m/s^2", "pitch": "rad"}
+
+
+def recording_of(record: Record, name: str = "record") -> Recording:
+    """Return the readings as a recording."""
+    channels = {key: Channel(key, values, UNITS[key]) for key, values in record.columns.items()}
+    return Recording.from_columns(np.arange(record.force.size) / record.rate, channels, name=name)
+
+
+def worked_out(record: Record, dynamics: Dynamics, settings: dict[str, Any]) -> tuple[Force | None, list[str]]:
+    """Return the force, or None where it is refused, and what was said."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DataQualityWarning)
+        try:
+            found: Force | None = estimate_force(recording_of(record), dynamics, **settings)
+        except (FitError, ValueError) as refused:
+            return None, [str(refused)]
+    return found, [str(one.message) for one in caught if issubclass(one.category, DataQualityWarning)]
+
+
+def scores(force: Array, u: Array, truth: Array) -> dict[str, float]:
+    """Return how far a force is off [N], and how well its uncertainty holds."""
+    error = force - truth
+    z = np.abs(error) / np.maximum(u, 1e-300)
+    return {
+        "error": float(np.sqrt(np.mean(error**2))),
+        "u": float(np.sqrt(np.mean(u**2))),
+        "cover": float(np.mean(z < 1.96)),
+        "largest_z": float(np.max(z)),
+        "load": float(np.std(truth)),
+    }
+
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+
+def trial(given: tuple[Case, int]) -> dict[str, Any]:
+    """Return what came of one record."""
+    case, seed = given
+    record = case.record(seed)
+    began = time.process_time()
+    force, said = worked_out(record, case.dynamics, case.settings)
+    spent = time.process_time() - began
+    result: dict[str, Any] = {
+        "name": case.name,
+        "group": case.group,
+        "seed": seed,
+        "shown": case.shown,
+        "expected": list(case.kinds),
+        "said": said,
+        "seconds": spent,
+        "refused": force is None,
+    }
+    if force is not None:
+        one = force.only
+        result |= scores(one.values, one.uncertainty, record.force)
+        result["verdict"] = str(getattr(force, "verdict", "fit for use"))
+        result["kinds"] = [doubt.kind for doubt in getattr(force, "doubts", ())]
+    return result
+
+
+def run(cases: list[Case], seeds: int, *, processes: int = 2) -> list[dict[str, Any]]:
+    """Return what came of all cases, so many records of each."""
+    numbered = {case.name: place for place, case in enumerate(cases)}
+    assert len(numbered) == len(cases), "two cases have one name"
+    todo = [(place, seed) for place in range(len(cases)) for seed in range(seeds)]
+    if processes == 1:
+        return [by_place(one) for one in todo]
+    with Pool(processes) as pool:
+        return pool.map(by_place, todo, chunksize=4)
+
+
+def by_place(place: tuple[int, int]) -> dict[str, Any]:
+    """Return what came of one record, its case named by its place in the list."""
+    return trial((all_cases()[place[0]], place[1]))
+
+
+def main() -> None:
+    """Run the trials and print a line for each case."""
+    parser = argparse.ArgumentParser(description="Forces of faulty records against the truth.")
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--groups", default="")
+    parser.add_argument("--match", default="")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args()
+    groups = set(given.groups.split(",")) - {""}
+    everything = all_cases()
+    places = [
+        i for i, case in enumerate(everything) if (not groups or case.group in groups) and given.match in case.name
+    ]
+    todo = [(place, seed) for place in places for seed in range(given.seeds)]
+    if given.processes == 1:
+        rows = [by_place(one) for one in todo]
+    else:
+        with Pool(given.processes) as pool:
+            rows = pool.map(by_place, todo, chunksize=2)
+    if given.out is not None:
+        given.out.parent.mkdir(parents=True, exist_ok=True)
+        given.out.write_text(json.dumps(rows), encoding="utf-8")
+    for place in places:
+        name = everything[place].name
+        print(line(name, [row for row in rows if row["name"] == name]))
+
+
+def line(name: str, rows: list[dict[str, Any]]) -> str:
+    """Return what came of a case in one line."""
+    seen = [row for row in rows if not row["refused"]]
+    refused = len(rows) - len(seen)
+    if not seen:
+        return f"{name:55s} refused: {rows[0]['said'][0][:100]}"
+    error, u, cover = (float(np.median([row[key] for row in seen])) for key in ("error", "u", "cover"))
+    large = [row for row in seen if row["error"] > 3 * row["u"]]
+    missed = sum(row["verdict"] == "fit for use" for row in large)
+    doubted = sum(row["verdict"] != "fit for use" for row in seen)
+    named = sum(bool(set(row["kinds"]) & set(row["expected"])) for row in seen)
+    spent = float(np.median([row["seconds"] for row in seen]))
+    kinds = sorted({kind for row in seen for kind in row["kinds"]})
+    return (
+        f"{name:55s} err {error:9.3g} u {u:9.3g} ratio {error / max(u, 1e-12):7.2f} cover {cover:.2f} "
+        f"large {len(large):2d} missed {missed:2d} doubted {doubted:2d} named {named:2d} refused {refused} "
+        f"{spent:5.2f} s {','.join(kinds)}"
+    )
+
+
+if __name__ == "__main__":
+    main()
