@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from aerobalance.estimation.checks.model_check import contradictions
 from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Channel
@@ -68,13 +67,14 @@ def test_turning_that_an_angle_shows_is_told_with_its_size(angle, rng):
     told = replace(channel, values=noisy(channel.values, rng))
     recording = replace(recording, channels={**recording.channels, angle: told})
     estimates = forces(recording, dynamics)
-    (text,) = turning_by_angles(recording, dynamics, estimates)
+    (doubt,) = turning_by_angles(recording, dynamics, estimates)
+    text = str(doubt)
     moment = "PM" if angle == "pitch" else "RM"
     assert text.startswith(f"{angle} shows turning, and no sensor")
     assert f"ground_turn_{moment}" in text
     assert "unless" not in text, text
-    assert text in contradictions(estimates)
-    stated = float(text.split(f" N*m rms in {moment}")[0].split()[-1])
+    assert doubt in estimates.doubts
+    stated = float(text.split(f" N*m rms in {moment}", maxsplit=1)[0].rsplit(maxsplit=1)[-1])
     error = float(np.std(estimates[moment].values - run.applied[:, COMPONENTS.index(moment)]))
     # the window passes half of the turning at the frequency that is named, which is above the band; the number has
     # two digits, and the force is found a little less than whole
@@ -98,7 +98,7 @@ def test_noise_of_an_angle_behind_a_filter_is_told_as_what_it_may_be(rng):
     moved = dict(estimates) | {"PM": replace(estimates["PM"], values=estimates["PM"].values + gust)}
     texts = turning_by_angles(recording, dynamics, moved)
     assert len(texts) == 1
-    assert "unless it is noise of pitch that a filter has coloured" in texts[0]
+    assert "unless it is noise of pitch that a filter has coloured" in texts[0].text
 
 
 def test_turning_too_small_to_matter_is_not_told(rng):

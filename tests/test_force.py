@@ -178,6 +178,7 @@ def test_noise_gain_of_the_band_limited_inverse(bandwidth, gain, rng):
     assert rms(middle(estimate.values)) == pytest.approx(closed, rel=error)
 
 
+@pytest.mark.filterwarnings("ignore:.* that the dynamics lack")  # without noise, what a wrong delay leaves of a tone
 @pytest.mark.parametrize("how", ["smoother", "paper", "band"])
 @pytest.mark.parametrize("delay", [0.9e-3, -0.9e-3])
 def test_delay_of_the_load_is_applied_with_the_right_sign(delay, how, rng):
@@ -238,6 +239,7 @@ def test_others_refuse_missing_samples(options):
         estimate_force(record(AF=load), T128, **options)
 
 
+@pytest.mark.filterwarnings("ignore:.* times .* what (ground_acceleration|pitch) reads")  # no load goes with it here
 def test_dc_coupled_accelerometer_is_kinematic_and_pitch(rng):
     n = 4000
     t = np.arange(n) / RATE

@@ -9,7 +9,6 @@ from scipy.signal import lfilter
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import Mode
-from aerobalance.estimation.checks.model_check import contradictions
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import SixComponentRig
@@ -32,7 +31,7 @@ def _record() -> tuple[Recording, CoupledDynamics, np.random.Generator, int]:
 def test_the_right_dynamics_are_not_doubted() -> None:
     recording, dynamics, _, entropy = _record()
     found = estimate_force(recording, dynamics, bandwidth=BAND.high)
-    assert contradictions(found) == [], f"seed {entropy}"
+    assert found.doubts == (), f"seed {entropy}"
 
 
 def test_a_mode_beyond_the_six_is_named() -> None:
@@ -50,7 +49,7 @@ def test_a_mode_beyond_the_six_is_named() -> None:
         channels[name] = replace(channel, values=channel.values + size * ringing)
     bent = replace(recording, channels=channels)
     found = estimate_force(bent, dynamics, bandwidth=BAND.high)
-    told = [text for text in contradictions(found) if "no mode of the dynamics" in text]
+    told = [doubt.text for doubt in found.doubts if doubt.kind == "missing mode"]
     frequencies = [float(text.split(" ring at ")[1].split(" Hz")[0]) for text in told]
     # within 1 % is what is promised of a mode that is left out
     assert any(abs(frequency / 760 - 1) < 0.01 for frequency in frequencies), f"{told}, seed {entropy}"

@@ -112,11 +112,11 @@ def test_smooth_loads_and_releases_raise_no_doubt(record, rng) -> None:
         for noise in (0.5, 2.0, 10.0):
             for _ in range(5):
                 run, _ = smooth_run(rng, shape, dynamics=T128, rate=1600.0, rms=60.0, noise=noise, seconds=8.0)
-                false += bool(misfit_of(force_record(run, T128).component_record("AF"), noise=noise).sentences(T128))
+                false += bool(misfit_of(force_record(run, T128).component_record("AF"), noise=noise).doubts(T128))
     for _ in range(10):
         found = identified(T128, rng, noise=2.0)
         again = force_record(released(T128, rng, noise=2.0).recording, found)
-        false += bool(misfit_of(again.component_record("AF"), noise=2.0).sentences(found))
+        false += bool(misfit_of(again.component_record("AF"), noise=2.0).doubts(found))
     record("records without a false doubt about the dynamics, of 100", (100 - false) / 100, 1.0)
     assert false == 0
 

@@ -85,17 +85,6 @@ def trial(given: tuple[Case, int]) -> dict[str, Any]:
     return result
 
 
-def run(cases: list[Case], seeds: int, *, processes: int = 2) -> list[dict[str, Any]]:
-    """Return what came of all cases, so many records of each."""
-    numbered = {case.name: place for place, case in enumerate(cases)}
-    assert len(numbered) == len(cases), "two cases have one name"
-    todo = [(place, seed) for place in range(len(cases)) for seed in range(seeds)]
-    if processes == 1:
-        return [by_place(one) for one in todo]
-    with Pool(processes) as pool:
-        return pool.map(by_place, todo, chunksize=4)
-
-
 def by_place(place: tuple[int, int]) -> dict[str, Any]:
     """Return what came of one record, its case named by its place in the list."""
     return trial((all_cases()[place[0]], place[1]))
@@ -115,18 +104,17 @@ def main() -> None:
     places = [
         i for i, case in enumerate(everything) if (not groups or case.group in groups) and given.match in case.name
     ]
-    todo = [(place, seed) for place in places for seed in range(given.seeds)]
-    if given.processes == 1:
-        rows = [by_place(one) for one in todo]
-    else:
-        with Pool(given.processes) as pool:
-            rows = pool.map(by_place, todo, chunksize=2)
+    rows: list[dict[str, Any]] = []
+    with Pool(given.processes) as pool:
+        seeds = range(given.seeds)
+        jobs = {place: [pool.apply_async(by_place, ((place, seed),)) for seed in seeds] for place in places}
+        for place, waited in jobs.items():
+            own = [one.get() for one in waited]
+            rows += own
+            print(line(everything[place].name, own), flush=True)
     if given.out is not None:
         given.out.parent.mkdir(parents=True, exist_ok=True)
         given.out.write_text(json.dumps(rows), encoding="utf-8")
-    for place in places:
-        name = everything[place].name
-        print(line(name, [row for row in rows if row["name"] == name]))
 
 
 def line(name: str, rows: list[dict[str, Any]]) -> str:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from aerobalance.balance.loads import Loads
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics
@@ -14,6 +16,7 @@ from aerobalance.estimation.forces import ForceRecord, ForceSettings
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
+from aerobalance.recording.doubts import Doubt, Size, Verdict, verdict_of
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps
 
@@ -91,6 +94,16 @@ class Force(Mapping[str, ComponentForce]):
         return next(iter(self.parts.values()))
 
     @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """What the record says against the forces of all components."""
+        return tuple(doubt for part in self.parts.values() for doubt in part.doubts)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the forces may be used: fit for use, doubtful or not usable."""
+        return verdict_of(self.doubts, {name: size_of(part) for name, part in self.parts.items()})
+
+    @property
     def components(self) -> tuple[str, ...]:
         """Names of the n components."""
         return tuple(self.parts)
@@ -122,3 +135,10 @@ class Force(Mapping[str, ComponentForce]):
         if not self.record.has_gaps:
             return filled
         return self.record.filled_by({name: one.values for name, one in self.parts.items()}, filled=filled)
+
+
+def size_of(force: ComponentForce) -> Size:
+    """Return how large a force is that is held in memory."""
+    values = force.values[np.isfinite(force.values)]
+    u = force.uncertainty[np.isfinite(force.uncertainty)]
+    return Size(float(np.sqrt(np.mean(u**2))), float(np.std(values)), float(np.mean(values)))

@@ -11,18 +11,21 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
+from aerobalance.estimation.checks.ground_channels import ground_doubts
 from aerobalance.estimation.direct import band_limited, central_differences
 from aerobalance.estimation.force_smoother import LinearSmoother, SignalModel, SmootherResult, fit_signal_model
 from aerobalance.estimation.prior import Observation, SpectralPrior
-from aerobalance.estimation.record import ComponentRecord
+from aerobalance.estimation.record import ComponentRecord, SingleRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.line_noise import Hum, Line
 from aerobalance.estimation.spectra.noise_floor import departure_of
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, NoiseSpectrum
+from aerobalance.estimation.step_search import RINGS, StepSearch
 from aerobalance.motion.platform import SystematicParameter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
+from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, argument, warn_quality
 
 Method = Literal["smoother", "paper"]
@@ -103,12 +106,15 @@ class Fitted:
         What the record is made of: hum, steps, and the spectral prior of the rest.
     smoothed
         The force.
+    doubts
+        What the record said against the noise that was given.
     """
 
     record: ComponentRecord
     hum: Hum
     signal: SignalModel
     smoothed: SmootherResult
+    doubts: tuple[Doubt, ...] = ()
 
     @classmethod
     def of(cls, record: ComponentRecord, *, hum: Hum) -> Fitted:
@@ -120,24 +126,29 @@ class Fitted:
             The balance is not in the range that can be calculated with, or the noise has another sampling rate.
         """
         _check(record)
-        signal = fit_signal_model(_with_noise(record), hum=hum)
-        return cls(record, hum, signal, SmootherResult.of(signal.reading, learned=signal.learned, steps=signal.steps))
+        reading, doubts = _with_noise(record)
+        signal = fit_signal_model(reading, hum=hum)
+        smoothed = SmootherResult.of(signal.reading, learned=signal.learned, steps=signal.steps)
+        return cls(record, hum, signal, smoothed, doubts)
 
     def estimate(self, *, few: bool = False) -> ComponentForce:
-        """The force with its uncertainty, by few numbers where that is enough; says what is doubtful about it."""
+        """The force with its uncertainty, by few numbers where that is enough, and what the record says against it."""
         record, signal, fit = self.record, self.signal, self.smoothed
         reading, steps, learned = signal.reading, signal.steps, signal.learned
+        doubts = list(self.doubts)
         if signal.floor is not None:
-            _doubt(record, signal.floor.sentence(record.dynamics.component, unit=si_unit(record.dynamics.component)))
+            doubts.append(signal.floor.doubt(record.dynamics.component, unit=si_unit(record.dynamics.component)))
         elif record.noise is None and record.shared is None:
-            _tell_of_faint(record, learned)
+            doubts += _faint(record, learned)
+        if signal.ended is not None:
+            doubts.append(_search_ended(signal.ended))
         white = fit.innovations
         if record.shared is None:
-            level = _unexplained(record, white)
+            level, strange = _unexplained(record, white)
         else:  # what is noisier by what is not known there is no fault of the model
-            level = np.maximum(
-                record.shared.level, _unexplained(record, np.where(record.shared.level > 1, 0.0, white))
-            )
+            level, strange = _unexplained(record, np.where(record.shared.level > 1, 0.0, white))
+            level = np.maximum(record.shared.level, level)
+        doubts += strange
         lines = fit.sized(signal.hum)
         if self.hum == "mains":
             _tell_of_hum(record, lines, large=signal.large)
@@ -154,15 +165,20 @@ class Fitted:
             return -through(record.felt_under(item)[:, None])[:, 0]
 
         noise = learned.noise if record.shared is None else record.shared.before
+        errors = [
+            *fit.noise_errors(level, sources=(record.dynamics.component, record.motion_source)),
+            *fit.step_errors(estimator),
+            record.parameter_errors(lambda: through(reading.filled[:, None])[:, 0], again, through, few=few),
+            *record.motion_errors(moved),
+            *record.reading_errors(fit.force, through),
+        ]
+        if isinstance(record, SingleRecord):
+            for doubt, error in ground_doubts(record, fit, through, errors=tuple(errors)):
+                doubts.append(doubt)
+                errors.append(error)
         return record.finish(
             fit.force,
-            [
-                *fit.noise_errors(level, sources=(record.dynamics.component, record.motion_source)),
-                *fit.step_errors(estimator),
-                record.parameter_errors(lambda: through(reading.filled[:, None])[:, 0], again, through, few=few),
-                *record.motion_errors(moved),
-                *record.reading_errors(fit.force, through),
-            ],
+            errors,
             method=f"smoother: {learned.spectrum}, by Whittle's likelihood{_words_on_noise(record, learned)}",
             noise=noise,
             bandwidth=_resolved_bandwidth(reading, learned),
@@ -171,6 +187,7 @@ class Fitted:
             hum=lines,
             learned=learned,
             shared=record.shared,
+            doubts=tuple(doubts),
         )
 
 
@@ -185,41 +202,52 @@ def _words_on_noise(record: ComponentRecord, learned: SpectralPrior) -> str:
     return ""
 
 
-def _doubt(record: ComponentRecord, text: str) -> None:
-    warn_quality(f"{record.recording.name}: {text}")
-
-
-def _with_noise(record: ComponentRecord) -> Observation:
-    """The reading with the noise that was given, unless its white part is not that of the run."""
+def _with_noise(record: ComponentRecord) -> tuple[Observation, tuple[Doubt, ...]]:
+    """The reading with the noise that was given, unless its white part is not that of the run, and what that says."""
     reading = record.reading()
     ratio = None if record.noise is None else departure_of(reading)
     if ratio is None:
-        return reading
-    _doubt(
-        record,
-        f"the white noise of {record.dynamics.component} has {ratio:.2g} times the power that it has in the record of "
+        return reading, ()
+    name = record.dynamics.component
+    doubt = Doubt(
+        "noise level",
+        name,
+        f"the white noise of {name} has {ratio:.2g} times the power that it has in the record of "
         "noise, as another gain, filter or cabling, or a force of a very wide band, would make it; it is judged from "
         "the run, and what the noise has beyond white is taken as recorded",
+        unit=si_unit(name),
     )
-    return replace(reading, noise=None)
+    return replace(reading, noise=None), (doubt,)
 
 
-def _tell_of_faint(record: ComponentRecord, learned: SpectralPrior) -> None:
-    """Say that a force which is fainter than the noise may be noise with a color."""
+def _search_ended(search: StepSearch) -> Doubt:
+    """What it says that not all steps were found."""
+    name = search.reading.dynamics.component
+    kind = "unexplained" if search.end == RINGS else "too many steps"
+    return Doubt(kind, name, search.said, unit=si_unit(name))
+
+
+def _faint(record: ComponentRecord, learned: SpectralPrior) -> list[Doubt]:
+    """A force which is fainter than the noise, and may be noise with a color."""
     frequency = np.linspace(0, 0.5 / record.interval, FREQUENCIES)[1:]
     felt = np.abs(record.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
     size = float(np.sqrt(np.mean(felt) / record.interval))
     low = float(np.sum(felt[frequency < SLOW * record.dynamics.natural_frequency]))
     if not 0 < size < learned.noise or low < float(np.sum(felt)) / 2:
-        return
+        return []
     name, unit = record.dynamics.component, si_unit(record.dynamics.component)
-    _doubt(
-        record,
-        f"{name} fluctuates by {size:.2g} {unit} rms beside a white noise of {learned.noise:.2g} {unit}: that is "
-        "taken for force, but noise of the electronics that rises at low frequency (1/f) looks the same and is then "
-        "an error of that size, which the uncertainty does not hold; a record of noise alone "
-        f"({argument('noise')}) decides",
-    )
+    return [
+        Doubt(
+            "colored noise",
+            name,
+            f"{name} fluctuates by {size:.2g} {unit} rms beside a white noise of {learned.noise:.2g} {unit}: that is "
+            "taken for force, but noise of the electronics that rises at low frequency (1/f) looks the same and is "
+            "then an error of that size, which the uncertainty does not hold",
+            f"a record of noise alone ({argument('noise')}) decides",
+            size,
+            unit,
+        )
+    ]
 
 
 def _tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, large: tuple[Line, ...]) -> None:
@@ -249,29 +277,35 @@ def _tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, large: tup
             )
 
 
-def _unexplained(record: ComponentRecord, white: Array) -> Array:
-    """Variance of the innovations over what is expected, 1 where chance explains it, shape (n,); warns elsewhere."""
+def _unexplained(record: ComponentRecord, white: Array) -> tuple[Array, list[Doubt]]:
+    """Variance of the innovations over what is expected, 1 where chance explains it, shape (n,), and what it says."""
     count = max(white.size // EXPLAINED_BLOCK, 1)
     size, larger = divmod(white.size, count)
     sizes = np.where(np.arange(count) < larger, size + 1, size)
     level = np.add.reduceat(white**2, np.cumsum(sizes) - sizes) / sizes
     # the mean square over m samples scatters by sqrt(2 / m); eight times that is never reached by chance
     strange = np.flatnonzero(level > 1 + 8 * np.sqrt(2 * count / white.size))
+    doubts = []
     if strange.size:
         worst = int(strange[np.argmax(level[strange])])
         start, stop = (
             record.recording.start + edge * white.size / count * record.interval for edge in (worst, worst + 1)
         )
         name = record.dynamics.component
-        warn_quality(
-            f"{record.recording.name}: in {strange.size} of {count} stretches the readings of {name} "
-            f"depart from what the model of balance and load expects, most between {start:.4g} and {stop:.4g} s "
-            f"({np.sqrt(level[worst]):.2g} times the chance scatter); the uncertainty from noise is raised by as much "
-            "there, but an error that the model makes everywhere is not in it"
-        )
+        doubts = [
+            Doubt(
+                "unexplained",
+                name,
+                f"in {strange.size} of {count} stretches the readings of {name} "
+                f"depart from what the model of balance and load expects, most between {start:.4g} and {stop:.4g} s "
+                f"({np.sqrt(level[worst]):.2g} times the chance scatter); the uncertainty from noise is raised by as "
+                "much there, but an error that the model makes everywhere is not in it",
+                unit=si_unit(name),
+            )
+        ]
     raised = np.ones(count)
     raised[strange] = level[strange]
-    return np.repeat(raised, sizes)
+    return np.repeat(raised, sizes), doubts
 
 
 def _resolved_bandwidth(reading: Observation, learned: SpectralPrior) -> float:

@@ -24,6 +24,7 @@ from aerobalance.balance.zeros import Zero
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
 from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.checks.model_check import checked
 from aerobalance.estimation.component_force import Method, noise_of_component
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force_collector import ForceCollector
@@ -247,7 +248,11 @@ def _undivided(
     parts = forces_of(record, settings, noises=noises, few=not whole)
     if isinstance(given, Loads):
         parts = with_matrix(parts, given, model)
-    return Force(parts, partial(_known, record, given if isinstance(given, Loads) else None), settings, noises)
+    known = partial(_known, record, given if isinstance(given, Loads) else None)
+    force = checked(Force(parts, known, settings, noises))
+    for doubt in force.doubts:
+        warn_quality(f"{given.name}: {doubt}")
+    return force
 
 
 def _known(record: ForceRecord, loads: Loads | None) -> tuple[ForceRecord, Loads | None]:

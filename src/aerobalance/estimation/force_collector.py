@@ -15,6 +15,7 @@ from aerobalance.estimation.spectra.line_noise import Line
 from aerobalance.estimation.steps import Step
 from aerobalance.estimation.sums import ForceSums, Key, SpectrumSums, segment_length
 from aerobalance.recording.channel import Array
+from aerobalance.recording.doubts import Doubt, of_all_parts
 
 SAME_LINE: Final = 2.0
 """Distance of two lines of hum in ordinates of a part's spectrum up to which they are the same line."""
@@ -45,6 +46,7 @@ class SummaryOfParts:
     _steps: list[Step] = field(default_factory=list)
     _hum: list[Line] = field(default_factory=list)
     _assumptions: dict[str, None] = field(default_factory=dict)
+    _doubts: list[tuple[Doubt, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._spectrum = SpectrumSums(segment_length(self.samples))
@@ -53,6 +55,7 @@ class SummaryOfParts:
         """Add the next part."""
         self._parts = given.part.count
         self._steps += given.steps[self.component]
+        self._doubts += [(doubt, given.where) for doubt in given.doubts if doubt.component == self.component]
         values, u = given.values[self.component], given.uncertainty[self.component]
         there = np.flatnonzero(np.isfinite(values))  # where it joins a part without readings, some samples have none
         if given.force is None:
@@ -108,6 +111,7 @@ class SummaryOfParts:
             assumptions=tuple(self._assumptions),
             sums=self._sums,
             spectrum=self._spectrum,
+            doubts=of_all_parts(self._doubts, parts=self._parts),
         )
 
 
@@ -167,4 +171,5 @@ class ForceCollector:
                 Divided(name, source, self.samples, tuple(found)) for (name, source), found in pieces.items()
             ),
             summary=summary,
+            doubts=summary.doubts,
         )

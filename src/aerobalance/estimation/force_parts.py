@@ -26,6 +26,7 @@ from aerobalance.estimation.error_sources import Noise, Systematic, undivided
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
+from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import LongRecord, Part, parts_of
 
@@ -105,6 +106,10 @@ class ForcePart:
         Steps of the record that are certain now; their instants count from its first sample.
     force
         What was worked out of the part's own samples, those of the overlaps included; None where it has no readings.
+    where
+        Which part of the record it is, in words.
+    doubts
+        What the part says against its forces, and where it is joined against that of the part before.
     """
 
     part: Part
@@ -114,6 +119,8 @@ class ForcePart:
     contributions: Mapping[str, tuple[Systematic | Noise, ...]]
     steps: Mapping[str, tuple[Step, ...]]
     force: Force | None
+    where: str = ""
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def own(self) -> slice:
@@ -197,6 +204,7 @@ class Joiner:
         own = slice(first - part.begin, last - part.begin)
         after = slice(own.stop, own.stop + 2 * half)
         values, us, contributions, tails, spread = {}, {}, {}, {}, {}
+        doubts = [] if force is None else list(force.doubts)
         for name in self.components:
             if force is None:
                 value, u = np.full((2, part.end - part.begin), np.nan)
@@ -208,7 +216,10 @@ class Joiner:
             values[name], us[name] = value[own].copy(), u[own].copy()
             parts = [one.within(own) for one in sources]
             if self._before is not None:
-                joint = self._pass_over(name, part, values[name][: 2 * half], us[name][: 2 * half])
+                joint, doubt = self._pass_over(name, values[name][: 2 * half], us[name][: 2 * half])
+                if doubt is not None:
+                    self.warnings.add(part, f"{self.record.name}: {doubt}")
+                    doubts.append(doubt)
                 if joint.any():
                     deviation = np.zeros(values[name].size)
                     deviation[: 2 * half] = joint
@@ -216,12 +227,14 @@ class Joiner:
             contributions[name] = tuple(parts)
         certain, later = self._divided_steps(part, force)
         self._before = _Ending(tails, spread, later)
-        return ForcePart(part, first, values, us, contributions, certain, force)
+        where = part.told(self.record)
+        return ForcePart(part, first, values, us, contributions, certain, force, where, tuple(doubts))
 
-    def _pass_over(self, name: str, part: Part, values: Array, u: Array) -> Array:
+    def _pass_over(self, name: str, values: Array, u: Array) -> tuple[Array, Doubt | None]:
         """Let the force of the part before pass into this one's, in place; return what they leave open, (2 h,) [N]."""
+        doubt = None
         if self._before is None:
-            return np.zeros(0)
+            return np.zeros(0), doubt
         old, old_u = self._before.values[name], self._before.uncertainty[name]
         share = np.sin(0.5 * np.pi * (np.arange(values.size) + 0.5) / values.size) ** 2
         share = np.where(np.isnan(old), 1.0, np.where(np.isnan(values), 0.0, share))
@@ -231,15 +244,15 @@ class Joiner:
         joint = np.sqrt(share * (1 - share)) * np.abs(apart)
         if float(np.mean(apart**2)) > float(np.mean(stated**2)):
             unit = si_unit(name)
-            self.warnings.add(
-                part,
-                f"{self.record.name}: the forces of {name} by this part and the one before differ by "
+            text = (
+                f"the forces of {name} by this part and the one before differ by "
                 f"{np.sqrt(np.mean(apart**2)):.2g} {unit} rms where they meet, and their uncertainty is "
-                f"{np.sqrt(np.mean(stated**2)):.2g} {unit}; the difference is in the uncertainty there",
+                f"{np.sqrt(np.mean(stated**2)):.2g} {unit}; the difference is in the uncertainty there"
             )
+            doubt = Doubt("joint", name, text, effect=0.0, unit=unit)
         values[:] = np.where(share == 0, old, np.where(share == 1, values, values - (1 - share) * apart))
         u[:] = np.where(both, np.hypot(stated, joint), np.where(np.isnan(old), u, old_u))
-        return np.asarray(joint)
+        return np.asarray(joint), doubt
 
     def _divided_steps(
         self, part: Part, force: Force | None

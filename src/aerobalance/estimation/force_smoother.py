@@ -15,7 +15,7 @@ from aerobalance.estimation.prior import Observation, SpectralPrior, generalised
 from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_lines, hum_lines
 from aerobalance.estimation.spectra.noise_floor import Floor, floor_of
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
-from aerobalance.estimation.step_search import find_steps
+from aerobalance.estimation.step_search import StepSearch
 from aerobalance.estimation.steps import Step, columns_of, response_to, shape_of
 from aerobalance.recording.channel import Array
 
@@ -56,6 +56,8 @@ class SignalModel:
         Lines at frequencies of the mains that are too large a part of the record to be taken for hum.
     floor
         What may be a color of the noise, far above the natural frequency; None if there is nothing.
+    ended
+        The search for steps, where it ended before all were found; else None.
     """
 
     reading: Observation
@@ -64,6 +66,7 @@ class SignalModel:
     hum: tuple[Line, ...]
     large: tuple[Line, ...]
     floor: Floor | None = None
+    ended: StepSearch | None = None
 
 
 def fit_signal_model(reading: Observation, *, hum: Hum) -> SignalModel:
@@ -74,7 +77,8 @@ def fit_signal_model(reading: Observation, *, hum: Hum) -> SignalModel:
     """
     lines, large = _hum_of(reading, reading.values, hum)
     named = replace(reading, hum=tuple(line.frequency for line in lines))
-    steps, learned = find_steps(named)
+    search = StepSearch(named)
+    steps, learned = search.run()
     if steps and hum != "keep":
         heights = np.array([0.0, *(step.height for step in steps)])
         left = reading.values - columns_of(steps, reading) @ heights
@@ -84,13 +88,15 @@ def fit_signal_model(reading: Observation, *, hum: Hum) -> SignalModel:
         same = len(again) == len(named.hum) and np.allclose(again, named.hum, rtol=0, atol=SAME_LINE * resolved)
         named = replace(reading, hum=again)
         if not same:
-            steps, learned = find_steps(named)
+            search = StepSearch(named)
+            steps, learned = search.run()
     left = reading.values - columns_of(steps, reading) @ np.array([0.0, *(step.height for step in steps)])
     floor = floor_of(named, learned, left=left)
     if floor is not None and floor.color is not None:
         named = replace(named, color=floor.color)
-        steps, learned = find_steps(named)
-    return SignalModel(named, steps, learned, lines, large, floor)
+        search = StepSearch(named)
+        steps, learned = search.run()
+    return SignalModel(named, steps, learned, lines, large, floor, search if search.said else None)
 
 
 def _hum_of(reading: Observation, values: Array, hum: Hum) -> tuple[tuple[Line, ...], tuple[Line, ...]]:

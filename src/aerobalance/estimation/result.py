@@ -13,6 +13,7 @@ from aerobalance.estimation.spectra.line_noise import Line
 from aerobalance.estimation.steps import Step
 from aerobalance.estimation.sums import ForceSums, SpectrumSums
 from aerobalance.recording.channel import Array
+from aerobalance.recording.doubts import Doubt, Size
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,7 +22,7 @@ class ForceSummary:
 
     Attributes
     ----------
-    component, method, noise, bandwidth, noise_gain, steps, hum, assumptions
+    component, method, noise, bandwidth, noise_gain, steps, hum, assumptions, doubts
         As in `ComponentForce`.
     sums, spectrum
         Sums over its samples.
@@ -37,11 +38,20 @@ class ForceSummary:
     assumptions: tuple[str, ...]
     sums: ForceSums
     spectrum: SpectrumSums
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def rms_uncertainty(self) -> float:
         """Root mean square of the standard uncertainty of the samples [N]."""
         return float(np.sqrt(self.sums.variance / self.sums.samples))
+
+    @property
+    def size(self) -> Size:
+        """How large the force is."""
+        sums = self.sums
+        shift = sums.total / sums.samples
+        rms = float(np.sqrt(max(sums.square / sums.samples - shift**2, 0.0)))
+        return Size(self.rms_uncertainty, rms, sums.level + shift)
 
     @property
     def budget(self) -> dict[str, float]:
@@ -88,6 +98,8 @@ class ComponentForce:
         Noise that other components show and that was taken off the readings; None where none was.
     summary
         What sums up the force, where it was worked out in parts; None where the contributions tell it.
+    doubts
+        What the record says against the force.
     """
 
     component: str
@@ -105,6 +117,7 @@ class ComponentForce:
     learned: SpectralPrior | None = None
     shared: SharedNoise | None = None
     summary: ForceSummary | None = None
+    doubts: tuple[Doubt, ...] = ()
 
 
 def with_balance(
@@ -142,6 +155,18 @@ def with_balance(
             **{part.name: deviation for part in parts[1:]},
         },
         contributions=(*estimate.contributions, *parts),
+    )
+
+
+def with_doubt(estimate: ComponentForce, doubt: Doubt, *errors: Contribution) -> ComponentForce:
+    """Add a doubt to an estimate, and what it does to the force to its uncertainty."""
+    whole = np.sqrt(estimate.uncertainty**2 + sum(error.deviation**2 for error in errors))
+    return replace(
+        estimate,
+        uncertainty=np.asarray(whole),
+        budget={**estimate.budget, **{error.name: float(np.sqrt(np.mean(error.deviation**2))) for error in errors}},
+        contributions=(*estimate.contributions, *errors),
+        doubts=(*estimate.doubts, doubt),
     )
 
 

@@ -27,7 +27,6 @@ from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.estimation.step_fit import fit_together, gain_of_another_model, gains_of_ramps, refine_step
 from aerobalance.estimation.step_scan import Scan
 from aerobalance.estimation.steps import SETTINGS, Step, columns_of, response_to, ringing_time
-from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.progress import PROGRESS
 
 TURNS: Final = 5
@@ -75,11 +74,11 @@ Found = tuple[list[Step], SpectralPrior]
 
 def find_steps(reading: Observation) -> Found:
     """Return the steps of a record in the order of time, and the spectral prior of the force without them."""
-    return _Search(reading).run()
+    return StepSearch(reading).run()
 
 
 @dataclass(slots=True, eq=False)
-class _Search:
+class StepSearch:
     """A search in one record.
 
     Attributes
@@ -132,9 +131,12 @@ class _Search:
                 learned = fit_prior(reading, columns=columns_of(sound, reading))
         if len(steps) >= self.most and self._scan(learned, steps).promise >= self.threshold:
             self.end = self.end or MORE
-        if self.end:
-            warn_quality(f"{reading.dynamics.component} {self.end.format(self.most)}")
         return sorted(steps, key=lambda step: step.instant), learned
+
+    @property
+    def said(self) -> str:
+        """What to tell the user where the search has ended before all was found; else empty."""
+        return f"{self.reading.dynamics.component} {self.end.format(self.most)}" if self.end else ""
 
     @property
     def most(self) -> int:

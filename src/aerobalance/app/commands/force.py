@@ -21,10 +21,10 @@ from aerobalance.app.commands.uncertainty import (
     scalar_result,
 )
 from aerobalance.app.one_heap import share_one_heap
+from aerobalance.app.options import as_options
 from aerobalance.app.reports.force_curves import ForceCurves
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
-from aerobalance.estimation.checks.model_check import contradictions
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.force_collector import SummaryOfParts
 from aerobalance.estimation.force_parts import ForcePart, WorstPart
@@ -39,8 +39,8 @@ from aerobalance.io.dynamics_file import read_any_dynamics
 from aerobalance.io.kinds import PAGE, TABLE
 from aerobalance.io.results_file import force_columns, writing
 from aerobalance.recording.components import COMPONENTS, si_unit
+from aerobalance.recording.doubts import Doubt, verdict_of
 from aerobalance.recording.errors import warn_quality
-from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.monte_carlo import MonteCarlo, monte_carlo
 
@@ -97,10 +97,14 @@ def force(
         with writing(out, samples=record.samples) as append:
             found = _worked_out(work, out, append, pictured=report is not None)
             checked = _checked(work, found, check)
+    doubts = [doubt for one in found.summaries.values() for doubt in one.doubts]
+    verdict = verdict_of(doubts, {name: one.size for name, one in found.summaries.items()})
     origins = Origins(found.origin, dynamics, None if files is None else files.balance)
     summaries = found.summaries
     result: Result = {
         "written": out.name,
+        "verdict": str(verdict),
+        "doubts": [doubt_result(doubt) for doubt in doubts],
         "components": {
             name: _component_result(summaries[name], origins, found.noises.get(name), checked.get(name))
             for name in summaries
@@ -186,16 +190,13 @@ class _Found:
 def _worked_out(work: ForceWork, out: Path, append: Append, *, pictured: bool) -> _Found:
     """Work out the forces of a record part by part, and write them as they come."""
     record = work.record
-    found, said = _Found(record.samples), PartWarnings(record)
+    found = _Found(record.samples)
     for given in work.parts():
-        force, part = given.force, given.part
+        force = given.force
         if force is not None:
             append(force_columns(out, force.recording, given.own, given.values, given.uncertainty))
-            for text in contradictions(force):
-                said.add(part, f"{record.name}: {text}")
         found.add(given, record.start, pictured=pictured)
         del given, force  # the next part needs the memory
-    said.tell()
     return found
 
 
@@ -238,6 +239,18 @@ def _through(
         "left in the dynamics is added to the uncertainty"
     )
     return known.with_calibration
+
+
+def doubt_result(doubt: Doubt) -> Result:
+    """Plain data on a doubt, its advice in the words of the command line."""
+    return {
+        "kind": doubt.kind,
+        "component": doubt.component,
+        "effect": doubt.effect,
+        "unit": doubt.unit,
+        "text": as_options(doubt.text),
+        "advice": as_options(doubt.advice),
+    }
 
 
 def noise_result(spectrum: NoiseSpectrum) -> Result:

@@ -61,13 +61,18 @@ def write_force_report(
             "budget": budget_figure(summary),
         }
     content = {
-        "found": result,
+        "found": {**result, "warnings_beside": _beside(result)},
         "file": recording.name,
         "figures": figures,
         "units": {name: si_unit(name).replace("*", "·") for name in summaries},
         "origin": provenance(inputs),
     }
     write_page(path, "force.html.j2", content)
+
+
+def _beside(result: Mapping[str, Any]) -> list[str]:
+    """Warnings that no doubt says already."""
+    return [text for text in result["warnings"] if not any(doubt["text"] in text for doubt in result["doubts"])]
 
 
 def force_figure(summary: ForceSummary, shown: ForceCurves, *, rate: float) -> str:

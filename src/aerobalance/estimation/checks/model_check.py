@@ -1,7 +1,8 @@
 """What a record says against the dynamics that it is read with: a mode that they lack, a spring that has changed.
 
-A record of a release is fitted as a free decay once more; in any other record the resonances of the reading's spectrum
-are looked at. Neither needs the force.
+First the evidence of other dynamics is compared with that of its own (`aerobalance.estimation.checks.resonance`).
+Where that leaves them standing, the ringing after the steps of the record tells the frequency and the damping finely,
+and in a long record so do the resonances of its spectrum.
 """
 
 from __future__ import annotations
@@ -12,21 +13,23 @@ from typing import Any, Final
 
 import numpy as np
 
-from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
-from aerobalance.estimation.checks.peaks import Peak, peak_sentences
-from aerobalance.estimation.checks.release import release_in
+from aerobalance.estimation.checks.model_error import as_noise, error_under
+from aerobalance.estimation.checks.peaks import Peak, peak_doubts
+from aerobalance.estimation.checks.resonance import Spoken, change_by_steps, spoken_for, without_tones
 from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord, SingleRecord
+from aerobalance.estimation.result import ComponentForce, with_doubt
 from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
 from aerobalance.estimation.steps import Step, columns_of
-from aerobalance.identification.free_decay.fit import DecayFit
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
+from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import argument
 from aerobalance.recording.wording import frequency_text, share_text
 
@@ -48,6 +51,16 @@ class ModelCheckSettings:
         million. The curvature at the optimum alone says too much of a resonance that the load hardly excites.
     least_damping
         Part of a known damping ratio below which only that it is smaller is said: so narrow a line is rather hum.
+    told
+        Uncertainty of a missing mode's share over it, up to which the error that it makes can be told.
+    share_by_evidence
+        Relative uncertainty of the share of a mode that the evidence speaks for.
+    least_noise
+        Least noise of a reading where evidence is compared, over the noise that was learned.
+    least_signal
+        The same over the standard deviation of the readings: what swings less is not looked at.
+    beyond
+        Factor that puts a natural frequency beyond all that is recorded.
     """
 
     drift: float = 5.0
@@ -55,6 +68,11 @@ class ModelCheckSettings:
     longest: int = 1 << 17
     changed: float = 30.0
     least_damping: float = 0.05
+    told: float = 0.5
+    share_by_evidence: float = 0.3
+    least_noise: float = 1e-3
+    least_signal: float = 1e-3
+    beyond: float = 1e3
 
 
 SETTINGS: Final = ModelCheckSettings()
@@ -74,13 +92,13 @@ class Misfit:
     u_frequency, u_share
         Standard uncertainties of its frequency [Hz] and its share [1].
     size
-        Root mean square, or for a release the amplitude, of its ringing in the balance load [N]; None where that would
-        be more than the load itself has.
+        Root mean square of its ringing in the balance load [N]; None where that is not told, or would be more than the
+        load itself has.
     frequency, damping
         Relative change of natural frequency and damping ratio of the first mode with its standard uncertainty [1];
         None where the record does not tell or nothing has changed.
-    released
-        True when a release tells, False when the spectrum does.
+    silent
+        True where the balance does not ring at its natural frequency at all.
     """
 
     component: str
@@ -90,26 +108,34 @@ class Misfit:
     size: float | None = None
     frequency: tuple[float, float] | None = None
     damping: tuple[float, float] | None = None
-    released: bool = False
+    silent: bool = False
 
-    def sentences(self, dynamics: Dynamics) -> list[str]:
-        """What to tell the user, a sentence for each finding."""
+    def doubts(self, dynamics: Dynamics) -> list[ModelDoubt]:
+        """What it says against the dynamics, one doubt for each finding."""
         found, unit = [], si_unit(self.component)
         if self.missing is not None:
             mode = self.missing
-            size = "" if self.size is None else f" with {self.size:.3g} {unit}{'' if self.released else ' rms'}"
-            cause = (
-                f"it rings after the release{size}"
-                if self.released
-                else f"it swings{size}; a narrow band of the load itself looks the same"
-            )
-            found.append(
+            size = "" if self.size is None else f" with {self.size:.3g} {unit} rms"
+            cause = f"it swings{size}; a narrow band of the load itself looks the same"
+            text = (
                 f"{self.component} shows a mode at {frequency_text(mode.natural_frequency, self.u_frequency)}, "
                 f"{share_text(mode.share, self.u_share)}, that the dynamics lack: {cause}; forces near that "
-                "frequency are wrong until it is identified, from a release "
-                f"(identify decay {argument('modes', 'auto')})"
+                "frequency are wrong until it is identified"
             )
-        changed = []
+            advice = f"identify it from a release (identify decay {argument('modes', 'auto')})"
+            told = self.u_share < SETTINGS.told * abs(mode.share)
+            other = dynamics.with_modes(*dynamics.further_modes, mode) if told else None
+            found.append(ModelDoubt(Doubt("missing mode", self.component, text, advice, unit=unit), other))
+        if self.silent:
+            text = (
+                f"{self.component} does not ring at {dynamics.natural_frequency:.5g} Hz, the natural frequency of the "
+                "dynamics: they are those of another balance or another model, or the record has another rate than "
+                "is said"
+            )
+            other = dynamics.retuned(frequency=SETTINGS.beyond, damping=1.0)
+            doubt = Doubt("natural frequency", self.component, text, "identify the dynamics again", unit=unit)
+            found.append(ModelDoubt(doubt, other))
+        changed, kind = [], "natural frequency" if self.frequency is not None else "damping ratio"
         if self.frequency is not None:
             own = dynamics.natural_frequency
             changed.append(f"natural frequency, {own * (1 + self.frequency[0]):.5g} Hz and not {own:.5g} Hz")
@@ -119,39 +145,104 @@ class Misfit:
             least = "less than " if 1 + self.damping[0] < SETTINGS.least_damping else ""
             changed.append(f"damping ratio, {least}{now:.3g} and not {own:.3g}")
         if changed:
-            found.append(
+            text = (
                 f"{self.component} rings with another {' and another '.join(changed)}: stiffness, mass or damping "
                 "have changed since they were identified, or the flow adds its own; forces near that frequency are "
                 "wrong by as much"
             )
+            advice = "identify the dynamics again"
+            other = dynamics.retuned(
+                frequency=1 + (self.frequency or (0.0,))[0],
+                damping=max(1 + (self.damping or (0.0,))[0], SETTINGS.least_damping),
+            )
+            found.append(ModelDoubt(Doubt(kind, self.component, text, advice, unit=unit), other))
         return found
 
 
-def contradictions(force: Force) -> list[str]:
-    """What a record says against the dynamics that its force was worked out with: a sentence for each finding.
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelDoubt:
+    """A doubt of the dynamics, and the dynamics that would remove it.
+
+    Attributes
+    ----------
+    doubt
+        The doubt, its effect not known.
+    other
+        The dynamics that the record speaks for; None where it does not tell them.
+    """
+
+    doubt: Doubt
+    other: ModalModel | None
+
+
+def checked(force: Force) -> Force:
+    """Return forces with what the record says against the dynamics, and their uncertainty raised by what that does.
 
     Parameters
     ----------
     force
-        The force, which holds the record.
+        The forces, which hold the record.
     """
 
     def known(component: str) -> dict[str, Any]:
         part = force[component]
         return {"noise": part.noise, "steps": part.steps, "hum": part.hum}
 
-    record = force.record
+    def known_of_one(component: str) -> dict[str, Any]:
+        # what a ground channel leaves in the readings swings as well, and is no other damping
+        explained = any(doubt.kind.startswith(("ground", "attitude")) for doubt in force[component].doubts)
+        return {**known(component), "learned": None if explained else force[component].learned}
+
+    record, parts = force.record, dict(force.parts)
     if isinstance(record, CoupledRecord):
         decoupled = record.component_records(force.filled)
         peaks = [peak for name in force for peak in _peaks(decoupled[name], **known(name))]
         turning = turning_by_angles(force.recording, record.dynamics, force)
-        return [*peak_sentences(peaks, record.dynamics.modes), *turning]
-    single = record.component_records(force.filled)
-    return [text for name in force for text in misfit_of(single[name], **known(name)).sentences(single[name].dynamics)]
+        for doubt in [*peak_doubts(peaks, record.dynamics.modes), *turning]:
+            part = parts[doubt.component]
+            parts[doubt.component] = replace(part, doubts=(*part.doubts, doubt))
+    else:
+        single = record.component_records(force.filled)
+        for name in force:
+            own = single[name].dynamics
+            misfit = misfit_of(single[name], **known_of_one(name))
+            if any(doubt.kind == "colored noise" for doubt in force[name].doubts):
+                misfit = replace(misfit, silent=False)  # noise does not ring
+            found = misfit.doubts(own)
+            parts[name] = _raised(parts[name], found, own, interval=single[name].interval)
+    return replace(force, parts={name: _without_vague(part) for name, part in parts.items()})
 
 
-def misfit_of(record: SingleRecord, *, noise: float, steps: Sequence[Step] = (), hum: Sequence[Line] = ()) -> Misfit:
-    """A mode of a record that the dynamics lack, and a frequency or damping that has changed.
+def _raised(force: ComponentForce, found: list[ModelDoubt], own: ModalModel, *, interval: float) -> ComponentForce:
+    """A force with doubts of its dynamics, each with its effect, which is added to the uncertainty."""
+    for one in found:
+        if one.other is None:
+            force = with_doubt(force, one.doubt)
+            continue
+        error = error_under(force.values, own=own, other=one.other, interval=interval)
+        doubt = replace(one.doubt, effect=float(np.sqrt(np.mean(error**2))))
+        period = 1 / own.natural_frequency
+        noise = as_noise(error, name=f"doubt: {doubt.kind}", period=period, interval=interval)
+        force = with_doubt(force, doubt, noise)
+    return force
+
+
+def _without_vague(force: ComponentForce) -> ComponentForce:
+    """The same without a doubt that names no fault where another explains the same."""
+    named = [doubt for doubt in force.doubts if doubt.kind != "unexplained"]
+    serious = any(doubt.effect is None or doubt.effect > 0 for doubt in named)
+    return replace(force, doubts=tuple(named)) if serious else force
+
+
+def misfit_of(
+    record: SingleRecord,
+    *,
+    noise: float,
+    steps: Sequence[Step] = (),
+    hum: Sequence[Line] = (),
+    learned: SpectralPrior | None = None,
+) -> Misfit:
+    """What a record says against its dynamics: other natural frequency or damping ratio, or a mode that they lack.
 
     Parameters
     ----------
@@ -161,18 +252,58 @@ def misfit_of(record: SingleRecord, *, noise: float, steps: Sequence[Step] = (),
         Standard uncertainty of a reading of the load [N].
     steps, hum
         Sudden changes of the force, and lines of hum, that were found in the record.
+    learned
+        Prior of the force that was learned from it; None where none was.
     """
+    dynamics = record.dynamics
     seen = _unbroken(record, steps, hum)
     if seen is None:
-        return Misfit(record.dynamics.component)
+        return Misfit(dynamics.component)
     reading, within = seen
-    release = release_in(record, reading.values, noise=noise)
     known = record.load
-    if release is not None:
-        return _possible(_after_release(release, record.dynamics), most=float(np.nanmax(known) - np.nanmin(known)))
-    left = _without_steps(reading, within)
-    found = _in_spectrum(left, record.dynamics, interval=reading.interval, noise=noise)
-    return _possible(found, most=float(np.nanstd(known)))
+    spoken = spoken_for(
+        without_tones(reading.values),
+        dynamics,
+        interval=reading.interval,
+        least_noise=max(reading.least_noise, 1e-3 * noise),
+    )
+    if spoken is not None:
+        return _spoken(spoken, dynamics, most=float(np.nanstd(known)))
+    left = without_tones(_without_steps(reading, within))
+    found = _possible(
+        _in_spectrum(left, dynamics, interval=reading.interval, noise=noise), most=float(np.nanstd(known))
+    )
+    if within and learned is not None:
+        change, covariance = change_by_steps(reading, within, learned)
+        both = [
+            _if_changed((float(np.expm1(one)), float(np.hypot(np.sqrt(variance), dynamics.uncertainty(name) / own))))
+            for one, variance, name, own in zip(
+                change,
+                np.diag(covariance),
+                ("natural_frequency", "damping_ratio"),
+                (dynamics.natural_frequency, dynamics.damping_ratio or 1.0),
+                strict=True,
+            )
+        ]
+        if any(both):
+            found = replace(found, frequency=both[0], damping=both[1])
+    return found
+
+
+def _spoken(spoken: Spoken, dynamics: Dynamics, *, most: float) -> Misfit:
+    """A misfit of dynamics that a record speaks clearly against."""
+    other = spoken.dynamics
+    if spoken.kind == "missing mode":
+        mode = other.further_modes[-1]
+        found = Misfit(dynamics.component, missing=mode, u_frequency=spoken.u * mode.natural_frequency)
+        return replace(found, u_share=abs(mode.share) * SETTINGS.share_by_evidence)
+    if spoken.kind == "no resonance":
+        return Misfit(dynamics.component, silent=True)
+    ratio = other.damping_ratio / dynamics.damping_ratio - 1 if dynamics.damping_ratio else 0.0
+    frequency = other.natural_frequency / dynamics.natural_frequency - 1, spoken.u
+    if spoken.kind == "damping ratio":
+        return Misfit(dynamics.component, damping=(ratio, abs(ratio) / SETTINGS.drift))
+    return Misfit(dynamics.component, frequency=frequency, damping=(ratio, abs(ratio)))
 
 
 def _peaks(record: ComponentRecord, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]) -> list[Peak]:
@@ -218,34 +349,6 @@ def _possible(found: Misfit, *, most: float) -> Misfit:
     return found if found.size is None or found.size <= most else replace(found, size=None)
 
 
-def _after_release(fit: DecayFit, dynamics: Dynamics) -> Misfit:
-    """What a release tells."""
-    seen = fit.dynamics
-    changes = []
-    for name in ("natural_frequency", "damping_ratio"):
-        own = getattr(dynamics, name)
-        u = float(np.hypot(seen.uncertainty(name), dynamics.uncertainty(name)))
-        changes.append((getattr(seen, name) / own - 1, u / own) if own else (0.0, 1.0))
-    further = [
-        (number, mode)
-        for number, mode in enumerate(seen.further_modes, start=2)
-        if all(
-            abs(mode.natural_frequency / known.natural_frequency - 1) > SETTINGS.same_mode for known in dynamics.modes
-        )
-    ]
-    number, mode = max(further, key=lambda item: abs(item[1].share), default=(0, None))
-    return Misfit(
-        dynamics.component,
-        missing=mode,
-        u_frequency=seen.uncertainty(f"natural_frequency_{number}") if mode else 0.0,
-        u_share=seen.uncertainty(f"share_{number}") if mode else 0.0,
-        size=abs(mode.share * fit.height) if mode else None,
-        frequency=_if_changed(changes[0]),
-        damping=_if_changed(changes[1]),
-        released=True,
-    )
-
-
 def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: float) -> Misfit:
     """What the spectrum of a record tells."""
     seen = Averaged.of(values, interval=interval, noise=noise)
@@ -258,7 +361,8 @@ def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: f
         width = max(4 * mode.damping_ratio * mode.natural_frequency, 2 * seen.resolution)
         near = np.abs(seen.frequency - mode.natural_frequency) < width
         size = float(np.sqrt(2 * np.sum(seen.power[near]) * seen.resolution))
-    own = own_resonance(seen, dynamics)
+    width = 2 * dynamics.damping_ratio * dynamics.natural_frequency
+    own = own_resonance(seen, dynamics) if seen.resolution < width else None
     changes: list[tuple[float, float] | None] = [None, None]
     if own is not None and own[2] > SETTINGS.changed:
         for index, name in enumerate(("natural_frequency", "damping_ratio")):

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from aerobalance.dynamics.modal import Mode
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.wording import frequency_text
 
 SAME_MODE: Final = 0.03
@@ -34,8 +36,8 @@ class Peak:
     u_frequency: float
 
 
-def peak_sentences(peaks: Iterable[Peak], modes: tuple[Mode, ...]) -> list[str]:
-    """What to tell the user: a sentence for every frequency at which components show a peak.
+def peak_doubts(peaks: Iterable[Peak], modes: tuple[Mode, ...]) -> list[Doubt]:
+    """Doubts of the dynamics: one for every frequency at which components show a peak.
 
     Parameters
     ----------
@@ -50,21 +52,25 @@ def peak_sentences(peaks: Iterable[Peak], modes: tuple[Mode, ...]) -> list[str]:
             groups[-1].append(peak)
         else:
             groups.append([peak])
-    return [_sentence(group, modes) for group in groups]
+    return [_doubt(group, modes) for group in groups]
 
 
-def _sentence(peaks: list[Peak], modes: tuple[Mode, ...]) -> str:
+def _doubt(peaks: list[Peak], modes: tuple[Mode, ...]) -> Doubt:
     best = min(peaks, key=lambda peak: peak.u_frequency)
     names = ", ".join(sorted({peak.component for peak in peaks}))
     where = f"{names} ring at {frequency_text(best.frequency, best.u_frequency)}"
     near = min(modes, key=lambda mode: abs(mode.natural_frequency / best.frequency - 1), default=None)
     if near is not None and abs(near.natural_frequency / best.frequency - 1) < SAME_MODE:
-        return (
+        kind = "natural frequency"
+        text = (
             f"{where}, and not as the mode at {near.natural_frequency:.4g} Hz does that the dynamics have: stiffness, "
             "mass or damping have changed since they were identified, or the flow adds its own; forces near that "
             "frequency are wrong"
         )
-    return (
-        f"{where}, which is no mode of the dynamics: a mode of the model or the sting that they lack, or a narrow "
-        "band of the load itself; forces near that frequency are wrong if it is a mode"
-    )
+    else:
+        kind = "missing mode"
+        text = (
+            f"{where}, which is no mode of the dynamics: a mode of the model or the sting that they lack, or a narrow "
+            "band of the load itself; forces near that frequency are wrong if it is a mode"
+        )
+    return Doubt(kind, best.component, text, "identify the dynamics again", unit=si_unit(best.component))

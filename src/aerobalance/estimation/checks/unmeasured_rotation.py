@@ -21,6 +21,7 @@ from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.sensors import ground_sensors, without_gaps
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS, si_unit
+from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
@@ -103,8 +104,8 @@ class SecondDerivative:
 
 def turning_by_angles(
     recording: Recording, dynamics: CoupledDynamics, estimates: Mapping[str, ComponentForce]
-) -> list[str]:
-    """Return warnings of forces that hold the inertial load of a rotation that only pitch or roll shows.
+) -> list[Doubt]:
+    """Return doubts of forces that hold the inertial load of a rotation that only pitch or roll shows.
 
     Parameters
     ----------
@@ -117,8 +118,8 @@ def turning_by_angles(
 
     Returns
     -------
-    sentences
-        One for each angle whose rotation matters; an empty list where none does.
+    doubts
+        One for each angle whose rotation matters, of the component that it matters most for; empty where none does.
     """
     if dynamics.mass is None:
         return []
@@ -140,7 +141,7 @@ def turning_by_angles(
         if second is not None:
             loads = second.averaged(unmeasured @ dynamics.mass.matrix.T) * second.values[:, None]
             affected = list(_affected(second, loads, estimates))
-            found += [_sentence(angle, second, affected)] if affected else []
+            found += [_doubt(angle, second, affected)] if affected else []
     return found
 
 
@@ -184,12 +185,19 @@ class AffectedForce(NamedTuple):
 
     Attributes
     ----------
+    component, size
+        Which component, and the root mean square of the load [N, N*m].
+    times
+        The same over the uncertainty of the force [1].
     text
         Rms of the load, and its ratio to the uncertainty of the force, in words.
     clear
         Whether the force shows the load for certain: else the angle may have shown coloured noise of its sensor.
     """
 
+    component: str
+    size: float
+    times: float
     text: str
     clear: bool
 
@@ -209,7 +217,11 @@ def _affected(
         if share + 4 * u_share > SETTINGS.held:
             times = f" ({float(f'{size / u:.2g}'):g} times its uncertainty)" if u > 0 else ""
             yield AffectedForce(
-                f"{size:.2g} {si_unit(name)} rms in {name}{times}", share - 4 * u_share > SETTINGS.held
+                name,
+                size,
+                size / u if u > 0 else np.inf,
+                f"{size:.2g} {si_unit(name)} rms in {name}{times}",
+                share - 4 * u_share > SETTINGS.held,
             )
 
 
@@ -231,13 +243,16 @@ def _share_in_force(second: SecondDerivative, load: Array, force: Array) -> tupl
     return abs(slope) / second.signal, u / second.signal
 
 
-def _sentence(angle: str, second: SecondDerivative, affected: list[AffectedForce]) -> str:
-    """Warning of the rotation that one angle shows, with what to record."""
+def _doubt(angle: str, second: SecondDerivative, affected: list[AffectedForce]) -> Doubt:
+    """Doubt of the rotation that one angle shows, with what to record."""
     turn = "PM" if angle == "pitch" else "RM"
     noise = "" if any(one.clear for one in affected) else f", unless it is noise of {angle} that a filter has coloured"
-    return (
+    most = max(affected, key=lambda one: one.times)
+    text = (
         f"{angle} shows turning{noise}, and no sensor its angular acceleration: inertia times that is at least "
         f"{', '.join(one.text for one in affected)}, and stands in the forces but not in their uncertainty, as "
         f"{angle} serves for the weight only; above {second.frequency:.3g} Hz more may hide in the noise or the "
-        f"resolution of {angle}. Record ground_turn_{turn}, ground_turn_rate_{turn} or accelerometers at two places"
+        f"resolution of {angle}"
     )
+    advice = f"record ground_turn_{turn}, ground_turn_rate_{turn} or accelerometers at two places"
+    return Doubt("turning", most.component, text, advice, most.size, si_unit(most.component))

@@ -17,6 +17,7 @@ from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
 from aerobalance.estimation.spectra.noise_record import Ordinates, cost_of, fitted, humps_of, model_of
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise
 from aerobalance.recording.channel import Array
+from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import argument
 from aerobalance.recording.fourier import hann
 
@@ -75,23 +76,25 @@ class Floor:
     as_force: float
     color: ColoredNoise | None
 
-    def sentence(self, component: str, *, unit: str) -> str:
-        """What to tell the user."""
+    def doubt(self, component: str, *, unit: str) -> Doubt:
+        """What it says against the force."""
         seen = (
             f"{component} shows {self.in_reading:.2g} {unit} rms between {self.first:.3g} and {self.last:.3g} Hz "
             "above the white noise of its readings"
         )
         if self.color is not None:
-            return (
-                f"{seen}; it is taken for noise of the electronics and not for a force of {self.as_force:.2g} {unit} "
-                "rms: if it is force it is missing from the result; a record of noise alone "
-                f"({argument('noise')}) decides"
+            what = (
+                f"it is taken for noise of the electronics and not for a force of {self.as_force:.2g} {unit} rms: if "
+                "it is force it is missing from the result"
             )
-        return (
-            f"{seen}; it is taken for a force of {self.as_force:.2g} {unit} rms, but is so faint that it may be noise "
-            "of the electronics, and is then an error of the result; a record of noise alone "
-            f"({argument('noise')}) decides"
-        )
+        else:
+            what = (
+                f"it is taken for a force of {self.as_force:.2g} {unit} rms, but is so faint that it may be noise of "
+                "the electronics, and is then an error of the result"
+            )
+        advice = f"a record of noise alone ({argument('noise')}) decides"
+        effect = self.as_force if self.color is None else 0.0
+        return Doubt("colored noise", component, f"{seen}; {what}", advice, effect, unit)
 
 
 def floor_of(reading: Observation, learned: SpectralPrior, *, left: Array) -> Floor | None:

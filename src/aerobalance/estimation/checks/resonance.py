@@ -1,0 +1,398 @@
+"""Whether a record speaks for the dynamics that it is read with, or for others: their evidence, compared.
+
+Read with the dynamics of another balance, a record needs a force that undoes the one resonance and makes the other:
+narrow bands of force where the balance rings, and a hole in its spectrum where the dynamics have their resonance. Such
+a force costs more numbers than the one that is there. So the spectrum of the force is learned once with each of some
+dynamics from the same readings, steps left in, and Schwarz's criterion, by which the spectrum itself was chosen,
+chooses among them as well. That needs no record of a given length and no load of a given kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.force_smoother import instant_columns
+from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
+from aerobalance.estimation.spectra.periodogram import LONGEST, Periodogram
+from aerobalance.estimation.spectra.whittle import fit_spectrum
+from aerobalance.estimation.statespace.kalman import KalmanFilter
+from aerobalance.estimation.steps import Step, response_to
+from aerobalance.recording.channel import Array
+from aerobalance.recording.fourier import hann
+
+
+@dataclass(frozen=True, slots=True)
+class ResonanceSettings:
+    """What is tried, and from which evidence on it is believed.
+
+    Attributes
+    ----------
+    decisive, decisive_mode
+        Gain in log-likelihood, the price of the numbers paid, that other dynamics must bring, and that a further mode
+        must: a narrow band of the load looks like one.
+    confirmed
+        Gain of the dynamics over a balance that does not ring, from which it is certain that it rings near there.
+    far, broad
+        Relative change of the natural frequency from which a resonance with more than this damping ratio is taken for
+        a narrow band of the load.
+    shifts
+        Relative changes of the natural frequency that are tried.
+    dampings
+        Factors of the damping ratio that are tried.
+    shares
+        Shares of a further mode that are tried, and the damping ratio that it is tried with.
+    peaks
+        Peaks of the spectrum that are tried as a resonance, at most.
+    stands_out
+        Level of such a peak over the median about it [1].
+    surroundings
+        Half width of what is about a peak, over its frequency.
+    near
+        Relative distance from a known mode within which a peak is that of the mode.
+    samples
+        Samples that are looked at at most.
+    most_tries
+        Dynamics that are tried at most to come to the best.
+    beyond
+        Factor of the natural frequency that puts it beyond all that is looked at.
+    line, line_beside
+        Width in ordinates up to which a moved resonance, and a mode beside it, is a tone.
+    tones, tone_width
+        Tones that are taken out at most, and half width of a peak in ordinates.
+    tone_share
+        Power of a peak over that of the whole record from which it is looked whether it is a tone.
+    tone_left
+        Power that a sine leaves of a tone at most, over that of the peak.
+    iterations, settled
+        Iterations by which steps tell the dynamics, and change over its uncertainty at which they end.
+    """
+
+    decisive: float = 12.0
+    decisive_mode: float = 25.0
+    confirmed: float = 25.0
+    far: float = 0.1
+    broad: float = 0.03
+    shifts: tuple[float, ...] = (-0.03, -0.01, 0.01, 0.03)
+    dampings: tuple[float, ...] = (1 / 2.5, 2.5)
+    shares: tuple[tuple[float, float], ...] = ((0.03, 0.008), (-0.03, 0.008))
+    peaks: int = 3
+    stands_out: float = 8.0
+    surroundings: float = 0.2
+    near: float = 0.04
+    samples: int = LONGEST
+    most_tries: int = 60
+    beyond: float = 1e3
+    line: float = 0.3
+    line_beside: float = 2.0
+    tones: int = 8
+    tone_width: int = 4
+    tone_share: float = 0.02
+    tone_left: float = 0.05
+    iterations: int = 6
+    settled: float = 0.1
+
+
+SETTINGS: Final = ResonanceSettings()
+"""Settings that are used."""
+
+
+class Spoken(NamedTuple):
+    """The dynamics that a record speaks for, and how clearly.
+
+    Attributes
+    ----------
+    kind
+        ``"natural frequency"``, ``"damping ratio"``, ``"missing mode"`` or ``"no resonance"``.
+    dynamics
+        The dynamics.
+    gain
+        Gain in log-likelihood over those that the record was read with.
+    u
+        Relative standard uncertainty of the frequency that is other [1].
+    """
+
+    kind: str
+    dynamics: Dynamics
+    gain: float
+    u: float = 0.0
+
+
+@dataclass(slots=True, eq=False)
+class Evidence:
+    """Evidence of dynamics in a reading.
+
+    Attributes
+    ----------
+    values
+        The reading without gaps and hum, its mean taken off, shape (n,) [N].
+    interval
+        Time between samples [s].
+    floor
+        Least density of the noise of the reading [N^2/Hz].
+    """
+
+    values: Array
+    interval: float
+    floor: float
+    _known: dict[tuple[float, ...], float] = field(default_factory=dict)
+
+    def of(self, dynamics: Dynamics) -> float:
+        """Logarithm of the likelihood of the reading with dynamics, less the price of the force's spectrum."""
+        key = tuple(number for mode in dynamics.modes for number in (*_numbers(mode),))
+        if key not in self._known:
+            periodogram = Periodogram.of(self.values, dynamics, interval=self.interval)
+            self._known[key] = fit_spectrum(periodogram, floor=self.floor).evidence
+        return self._known[key]
+
+    def peaks(self, dynamics: Dynamics) -> list[float]:
+        """Frequencies of narrow peaks that are no known mode's, the highest over its surroundings first [Hz]."""
+        count = self.values.size
+        power = np.abs(np.fft.rfft(self.values * hann(count))) ** 2
+        frequency = np.arange(power.size) / (count * self.interval)
+        edges = np.unique(np.geomspace(4, power.size - 1, 400).astype(int))
+        if edges.size < 16:
+            return []
+        # the mean of bins whose width grows with frequency, and of each octave about it the median
+        level = np.log(np.maximum(np.add.reduceat(power, edges[:-1]) / np.diff(edges), 1e-300))
+        middle = np.sqrt(frequency[edges[:-1]] * frequency[np.maximum(edges[1:] - 1, edges[:-1])])
+        about = np.array([np.median(level[np.abs(np.log(middle / f)) < SETTINGS.surroundings * 2]) for f in middle])
+        above = level - about
+        for mode in dynamics.modes:
+            above[np.abs(middle / mode.natural_frequency - 1) < SETTINGS.near] = 0.0
+        found: list[float] = []
+        while len(found) < SETTINGS.peaks and above.max() > np.log(SETTINGS.stands_out):
+            place = int(np.argmax(above))
+            own = slice(edges[place], edges[place + 1])
+            found.append(float(frequency[own][np.argmax(power[own])]))
+            above[np.abs(middle / middle[place] - 1) < SETTINGS.surroundings] = 0.0
+        return found
+
+
+def _numbers(mode: Mode) -> tuple[float, float, float]:
+    return mode.natural_frequency, mode.damping_ratio, mode.share
+
+
+def spoken_for(values: Array, dynamics: Dynamics, *, interval: float, least_noise: float) -> Spoken | None:
+    """Return the dynamics that a record speaks for clearly instead of its own; None where it does not.
+
+    Parameters
+    ----------
+    values
+        Readings without gaps, hum and other tones, shape (n,) [N].
+    dynamics
+        The dynamics that they are read with.
+    interval
+        Time between samples [s].
+    least_noise
+        Least noise of a reading [N].
+    """
+    values = values[: SETTINGS.samples]
+    evidence = Evidence(values - values.mean(), interval, least_noise**2 * interval)
+    own = evidence.of(dynamics)
+    none = dynamics.retuned(frequency=SETTINGS.beyond, damping=1.0)
+    confirmed = own - evidence.of(none)
+    tried = [("no resonance", none), *_others(dynamics, evidence.peaks(dynamics), confirmed=confirmed)]
+    best = max(evidence.of(other) for _, other in tried) - own
+    if best < SETTINGS.decisive:
+        return None
+    # whether one resonance has moved or there is one more shows only when each has come to its best
+    found = []
+    for kind in dict.fromkeys(kind for kind, _ in tried):
+        start = max((other for name, other in tried if name == kind), key=evidence.of)
+        if evidence.of(start) - own < min(SETTINGS.decisive, best - SETTINGS.decisive):
+            continue
+        other = start if kind == "no resonance" else _best_near(evidence, kind, dynamics, start)
+        found.append(Spoken(kind, other, evidence.of(other) - own - _price(kind, evidence)))
+    spoken = max(found, key=lambda one: one.gain)
+    if spoken.gain < (SETTINGS.decisive if spoken.kind != "missing mode" else SETTINGS.decisive_mode):
+        return None
+    return _named(spoken, evidence, dynamics, confirmed=confirmed)
+
+
+def _price(kind: str, evidence: Evidence) -> float:
+    """Schwarz's price of the numbers that dynamics have more than those known."""
+    numbers = {"no resonance": 0, "natural frequency": 2, "damping ratio": 1, "missing mode": 3}[kind]
+    return 0.5 * numbers * float(np.log(evidence.values.size / 2))
+
+
+def _named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: float) -> Spoken | None:
+    """The same with the kind by what has come out, and with its uncertainty; None for what a load makes as well."""
+    kind, other = spoken.kind, spoken.dynamics
+    if kind == "no resonance":
+        return spoken
+    if kind == "missing mode":
+        mode = other.further_modes[-1]
+        if _is_line(mode, evidence, width=SETTINGS.line_beside):
+            return None
+
+        def at(factor: float) -> Dynamics:
+            moved = Mode(mode.natural_frequency * factor, mode.damping_ratio, mode.share)
+            return dynamics.with_modes(*dynamics.further_modes, moved)
+
+        width = mode.damping_ratio
+    else:
+        moved = abs(other.natural_frequency / dynamics.natural_frequency - 1)
+        width = max(dynamics.damping_ratio, other.damping_ratio)
+        kind = "natural frequency" if moved > 0.5 * width else "damping ratio"
+        if _is_line(other.modes[0], evidence, width=SETTINGS.line):
+            return None
+        if moved > SETTINGS.far and (other.damping_ratio > SETTINGS.broad or confirmed > SETTINGS.confirmed):
+            return None
+
+        def at(factor: float) -> Dynamics:
+            return other.retuned(frequency=factor, damping=1.0)
+
+    shift = 0.5 * width
+    bend = 2 * evidence.of(at(1.0)) - evidence.of(at(1 + shift)) - evidence.of(at(1 - shift))
+    return spoken._replace(kind=kind, u=shift / float(np.sqrt(max(bend, 0.25))))
+
+
+def _is_line(mode: Mode, evidence: Evidence, *, width: float) -> bool:
+    """Whether a mode is narrower than so many ordinates: a tone of the load, whose size changes a little."""
+    return 2 * mode.damping_ratio * mode.natural_frequency * evidence.values.size * evidence.interval < width
+
+
+def _others(dynamics: Dynamics, peaks: list[float], *, confirmed: float) -> Iterator[tuple[str, Dynamics]]:
+    """Dynamics that are tried, and what each says."""
+    if confirmed < SETTINGS.confirmed:
+        for shift in SETTINGS.shifts:
+            yield "natural frequency", dynamics.retuned(frequency=1 + shift, damping=1.0)
+        if dynamics.damping_ratio > 0:
+            for factor in SETTINGS.dampings:
+                yield "damping ratio", dynamics.retuned(frequency=1.0, damping=factor)
+    for peak in peaks:
+        if confirmed < SETTINGS.confirmed:
+            yield "natural frequency", dynamics.retuned(frequency=peak / dynamics.natural_frequency, damping=1.0)
+        for share, ratio in SETTINGS.shares:
+            yield "missing mode", dynamics.with_modes(*dynamics.further_modes, Mode(peak, ratio, share))
+
+
+def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamics) -> Dynamics:
+    """The most evident dynamics near some: their resonance moved, or the further mode."""
+    if kind == "missing mode":
+        mode = start.further_modes[-1]
+
+        def made(point: Array) -> Dynamics:
+            f, ratio, share = np.exp(point) * _numbers(mode)
+            return dynamics.with_modes(*dynamics.further_modes, Mode(f, ratio, share))
+
+        size = np.array([0.01, 0.5, 0.5])
+    else:
+        if dynamics.damping_ratio == 0:
+            return start
+
+        def made(point: Array) -> Dynamics:
+            w, ratio = np.exp(point)
+            return start.retuned(frequency=float(w), damping=float(ratio))
+
+        size = np.array([0.01, 0.5])
+
+    def loss(point: Array) -> float:
+        try:
+            return -evidence.of(made(point * size))
+        except ValueError:  # outside what dynamics can be
+            return 1e12
+
+    found = minimize(
+        loss,
+        np.zeros(size.size),
+        method="Nelder-Mead",
+        options={"maxfev": SETTINGS.most_tries, "xatol": 0.02, "fatol": 0.1, "initial_simplex": _simplex(size.size)},
+    )
+    return made(found.x * size)
+
+
+def _simplex(count: int) -> Array:
+    return np.vstack([np.zeros(count), np.eye(count)])
+
+
+def without_tones(values: Array) -> Array:
+    """Return readings without the steady tones that stand out of them, shape (n,): a force that is no resonance.
+
+    A tone is a peak of the spectrum of which a sine of constant size leaves next to nothing; what rings in bursts, or
+    dies down, is none.
+    """
+    count = values.size
+    time = np.arange(count) - 0.5 * (count - 1)
+    taper = hann(count)
+    line = np.vander(time / count, 2)
+    left, phases = values - line @ np.linalg.lstsq(line, values)[0], np.zeros(0)
+    for _ in range(SETTINGS.tones):
+        power = np.abs(np.fft.rfft(left * taper)) ** 2
+        power[: SETTINGS.tone_width] = 0.0
+        place = int(np.argmax(power))
+        near = slice(max(place - SETTINGS.tone_width, 0), place + SETTINGS.tone_width + 1)
+        if not power[place] > 0 or power[near].sum() < SETTINGS.tone_share * power.sum():
+            break
+        phases = np.append(phases, 2 * np.pi * place / count)
+        for _ in range(SETTINGS.iterations):
+            turned = np.outer(time, phases)
+            both = np.column_stack([np.cos(turned), np.sin(turned)])
+            shapes = np.column_stack([both, time[:, None] * both / count, line])
+            a, b, growing_a, growing_b = np.linalg.lstsq(shapes, values)[0][: 4 * phases.size].reshape(4, -1)
+            # a cos + b sin with a little other phase rate: its slope is time (b cos - a sin)
+            shift = (growing_a * b - growing_b * a) / (a**2 + b**2 + 1e-300) / count
+            phases = phases + np.clip(shift, -np.pi / count, np.pi / count)
+        turned = np.outer(time, phases)
+        shapes = np.column_stack([np.cos(turned), np.sin(turned), line])
+        rest = values - shapes @ np.linalg.lstsq(shapes, values)[0]
+        after = np.abs(np.fft.rfft(rest * taper)) ** 2
+        if after[near].sum() > SETTINGS.tone_left * power[near].sum():
+            break
+        left = rest
+    return np.asarray(left)
+
+
+def change_by_steps(reading: Observation, steps: Sequence[Step], learned: SpectralPrior) -> tuple[Array, Array]:
+    """Return what the ringing after steps says of the first mode.
+
+    The responses to the steps are known shapes whose sizes are found by generalised least squares; natural frequency
+    and damping ratio are two more numbers on which they depend, found by Gauss and Newton's method.
+
+    Parameters
+    ----------
+    reading
+        The record, without gaps.
+    steps
+        Its steps.
+    learned
+        Prior of the rest.
+
+    Returns
+    -------
+    change, covariance
+        Change of the logarithms of natural frequency and damping ratio, shape (2,), and its covariance, (2, 2) [1].
+    """
+    filter_ = KalmanFilter.of(reading.system(learned), reading.present)
+    own, point, count = reading.dynamics, np.zeros(2), len(steps)
+    heights = np.array([step.height for step in steps])
+    # beyond a fraction of the width of the resonance the slopes say nothing any more
+    most, small = np.array([0.5 * own.damping_ratio, 0.5]), np.array([0.05 * own.damping_ratio, 0.05])
+
+    def felt(moved: Array) -> Array:
+        other = own.retuned(frequency=float(np.exp(moved[0])), damping=float(np.exp(moved[1])))
+        at = replace(reading, dynamics=other)
+        return np.column_stack([response_to(step, at) for step in steps])
+
+    covariance = np.zeros((2, 2))
+    for _ in range(SETTINGS.iterations):
+        other = own.retuned(frequency=float(np.exp(point[0])), damping=float(np.exp(point[1])))
+        shapes = instant_columns(replace(reading, dynamics=other), steps, heights=heights)[0]
+        slopes = [
+            (felt(point + part) - felt(point - part)) @ heights / (2 * step)
+            for part, step in zip(np.diag(small), small, strict=True)
+        ]
+        sizes, whole, _ = generalised_least_squares(filter_, reading.filled, np.column_stack([shapes, *slopes]))
+        heights, covariance = sizes[1 : 1 + count], whole[-2:, -2:]
+        change = np.clip(sizes[-2:], -most, most)
+        point = point + change
+        if (np.abs(change) < SETTINGS.settled * np.sqrt(np.diag(covariance))).all():
+            break
+    return point, covariance

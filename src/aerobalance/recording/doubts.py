@@ -1,0 +1,172 @@
+"""Doubts: what a record says against its result, what that does to the force, and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Final
+
+KINDS: Final[Mapping[str, str]] = {
+    "natural frequency": "the balance rings at another natural frequency than that of the dynamics",
+    "damping ratio": "the balance rings with another damping ratio than that of the dynamics",
+    "missing mode": "the balance rings in a mode that the dynamics lack",
+    "nonlinear spring": "the natural frequency, or a harmonic of it, changes with the amplitude",
+    "mode shapes": "the components ring together otherwise than the modes of the coupled dynamics say",
+    "ground delay": "the accelerometer is late or early against the load",
+    "ground clock": "the accelerometer's delay against the load drifts along the record",
+    "ground gain": "the load shows another size of the ground's motion than the accelerometer",
+    "ground gap": "samples of the ground's motion are missing",
+    "attitude delay": "the inclinometer is late or early against the load",
+    "attitude gain": "the load shows another size of the weight's change than the inclinometer",
+    "turning": "the ground turns faster than the angles show",
+    "wild samples": "single samples are far from their neighbours",
+    "stuck channel": "a channel repeats the same reading",
+    "dead channel": "a channel does not change at all",
+    "clipping": "readings rest on a limit",
+    "resolution": "the readings have few steps",
+    "noise level": "the noise of the readings is not that of the record of noise",
+    "colored noise": "the noise of the readings may not be white",
+    "faint force": "a force that the noise hides may be there",
+    "changing load": "the force changes its kind along the record",
+    "too many steps": "there are more steps than are looked for",
+    "joint": "the forces by two parts of a record differ where they meet",
+    "unexplained": "the readings depart from what the model of balance and load expects",
+    "record too short": "the record is too short for what is worked out",
+    "bandwidth": "the method cannot follow the force beyond its band",
+    "calibration": "the errors of the balance matrix are not in the uncertainty",
+}
+"""Kinds of doubt, and what each says."""
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """One thing that a record says against the force worked out of it.
+
+    Attributes
+    ----------
+    kind
+        What it is, from `KINDS`.
+    component
+        Component whose force is meant.
+    text
+        What was seen, and what it does to the force.
+    advice
+        What to do next; may be empty.
+    effect
+        Root mean square of the error that the force may have from it [unit]; 0 where the force and its uncertainty
+        have been mended, None where it is not known.
+    unit
+        Unit of the effect.
+    """
+
+    kind: str
+    component: str
+    text: str
+    advice: str = ""
+    effect: float | None = None
+    unit: str = "N"
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ValueError(f"kind must be one of {', '.join(KINDS)}, not {self.kind!r}")
+
+    def __str__(self) -> str:
+        return f"{self.text}; {self.advice}" if self.advice else self.text
+
+
+class Verdict(StrEnum):
+    """Whether a force may be used."""
+
+    FIT = "fit for use"
+    DOUBTFUL = "doubtful"
+    NOT_USABLE = "not usable"
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictSettings:
+    """From which effect on a doubt decides.
+
+    Attributes
+    ----------
+    doubtful
+        Effect of a doubt over the stated uncertainty (both rms) from which the force is doubtful: a half makes the
+        uncertainty a tenth too small where it is not counted.
+    not_usable
+        Effect over the fluctuation of the force (both rms) from which it is not usable.
+    """
+
+    doubtful: float = 0.5
+    not_usable: float = 0.5
+
+
+SETTINGS: Final = VerdictSettings()
+"""Limits that are used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """How large a force is.
+
+    Attributes
+    ----------
+    uncertainty
+        Root mean square of its standard uncertainty [N].
+    fluctuation
+        Root mean square about its mean [N].
+    mean
+        Its mean [N].
+    """
+
+    uncertainty: float
+    fluctuation: float
+    mean: float
+
+
+def verdict_of(doubts: Iterable[Doubt], sizes: Mapping[str, Size]) -> Verdict:
+    """Return whether forces may be used, by what is doubted and how large the forces are.
+
+    Parameters
+    ----------
+    doubts
+        The doubts of all components.
+    sizes
+        How large the force of each component is.
+    """
+    worst = Verdict.FIT
+    for doubt in doubts:
+        size = sizes[doubt.component]
+        if doubt.effect is None:
+            worst = Verdict.DOUBTFUL
+            continue
+        whole = max(size.fluctuation, abs(size.mean))
+        if doubt.effect >= SETTINGS.not_usable * whole > 0 and doubt.effect > SETTINGS.doubtful * size.uncertainty:
+            return Verdict.NOT_USABLE
+        if doubt.effect > SETTINGS.doubtful * size.uncertainty:
+            worst = Verdict.DOUBTFUL
+    return worst
+
+
+def of_all_parts(doubts: Iterable[tuple[Doubt, str]], *, parts: int) -> tuple[Doubt, ...]:
+    """Return doubts about parts of a record as doubts about all of it: one of a kind and component, the largest.
+
+    Parameters
+    ----------
+    doubts
+        Each doubt with words for its part, such as "in part 2 of 8 (10 s to 20 s)".
+    parts
+        Parts of the record.
+    """
+    groups: dict[tuple[str, str], list[tuple[Doubt, str]]] = {}
+    for doubt, where in doubts:
+        groups.setdefault((doubt.kind, doubt.component), []).append((doubt, where))
+    merged = []
+    for group in groups.values():
+        known = [one for one in group if one[0].effect is not None]
+        worst, where = max(known, key=lambda one: one[0].effect or 0.0) if known else group[0]
+        further = len({words for _, words in group}) - 1
+        like = f" (and the like in {further} further part{'s' if further > 1 else ''})" if further else ""
+        text = worst.text if parts == 1 else f"{where}: {worst.text}{like}"
+        effect = None if len(known) < len(group) else worst.effect
+        merged.append(replace(worst, text=text, effect=effect))
+    return tuple(merged)
