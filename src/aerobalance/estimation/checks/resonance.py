@@ -41,7 +41,7 @@ class ResonanceSettings:
         Gain of the dynamics over a balance that does not ring, from which it is certain that it rings near there.
     far, broad
         Relative change of the natural frequency from which a resonance with more than this damping ratio is taken for
-        a narrow band of the load.
+        a narrow band of the load, unless the record speaks against its own resonance.
     shifts
         Relative changes of the natural frequency that are tried.
     dampings
@@ -243,7 +243,8 @@ def _named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed:
         kind = "natural frequency" if moved > 0.5 * width else "damping ratio"
         if _is_line(other.modes[0], evidence, width=SETTINGS.line):
             return None
-        if moved > SETTINGS.far and (other.damping_ratio > SETTINGS.broad or confirmed > SETTINGS.confirmed):
+        like_a_load = other.damping_ratio > SETTINGS.broad and confirmed > -SETTINGS.decisive
+        if moved > SETTINGS.far and (like_a_load or confirmed > SETTINGS.confirmed):
             return None
 
         def at(factor: float) -> Dynamics:

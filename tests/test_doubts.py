@@ -1,0 +1,169 @@
+"""What a record says against its force: the verdict, its fields, and that sound records are left alone."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+import pytest
+
+from aerobalance.app.cli.program import main
+from aerobalance.estimation.applied_force import Force
+from aerobalance.io import write_recording
+from aerobalance.io.dynamics_file import write_dynamics
+from aerobalance.recording.doubts import KINDS, Doubt, Size, Verdict, of_all_parts, verdict_of
+from aerobalance.recording.errors import DataQualityWarning
+from faults.cases import Case, all_cases
+from faults.scene import FREQUENCY
+from faults.trials import recording_of, scores, worked_out
+
+CASES = {case.name: case for case in all_cases()}
+
+
+def tried(case: Case, seed: int) -> tuple[Force, dict[str, float]]:
+    """The force of a case and how far it is off."""
+    record = case.record(seed)
+    force, said = worked_out(record, case.dynamics, case.settings)
+    assert force is not None, said
+    one = force.only
+    return force, scores(one.values, one.uncertainty, record.force)
+
+
+def test_cases_have_names_of_their_own_and_known_kinds():
+    cases = all_cases()
+    assert len({case.name for case in cases}) == len(cases) > 200
+    kinds = {kind for case in cases for kind in case.kinds}
+    allowed = {"load filter", "three points", "hum", "shock", "clock", "ground filter", "ground noise"}
+    assert kinds - allowed - {"changing noise"} <= set(KINDS), kinds - set(KINDS)
+
+
+def size(u: float = 1.0, fluctuation: float = 100.0) -> dict[str, Size]:
+    return {"AF": Size(u, fluctuation, 0.0)}
+
+
+@pytest.mark.parametrize(
+    ("effect", "u", "verdict"),
+    [
+        (0.0, 1.0, Verdict.FIT),
+        (0.4, 1.0, Verdict.FIT),  # far less than what is stated
+        (0.6, 1.0, Verdict.DOUBTFUL),
+        (None, 1.0, Verdict.DOUBTFUL),
+        (60.0, 1.0, Verdict.NOT_USABLE),
+        (60.0, 60.0, Verdict.NOT_USABLE),  # counted, but as large as the force
+    ],
+)
+def test_the_verdict_follows_from_the_effect(effect, u, verdict):
+    doubt = Doubt("natural frequency", "AF", "it rings otherwise", effect=effect)
+    assert verdict_of([doubt], size(u)) is verdict
+    # the worst of several decides
+    mild = Doubt("clipping", "AF", "some readings rest on a limit", effect=0.0)
+    assert verdict_of([mild, doubt, mild], size(u)) is verdict
+
+
+def test_nothing_doubted_is_fit_for_use():
+    assert verdict_of([], size()) is Verdict.FIT
+    assert str(Verdict.FIT) == "fit for use"
+
+
+def test_a_kind_that_is_not_known_is_refused():
+    with pytest.raises(ValueError, match="kind must be one of"):
+        Doubt("mood", "AF", "it is bad")
+
+
+def test_doubts_of_parts_are_told_once_with_the_largest():
+    small, large = (Doubt("missing mode", "AF", f"a mode of {e} N", effect=e) for e in (1.0, 5.0))
+    other = Doubt("clipping", "AF", "on a limit", effect=0.0)
+    merged = of_all_parts([(small, "in part 1 of 3"), (large, "in part 2 of 3"), (other, "in part 1 of 3")], parts=3)
+    assert [doubt.kind for doubt in merged] == ["missing mode", "clipping"]
+    assert merged[0].effect == 5.0
+    assert merged[0].text == "in part 2 of 3: a mode of 5.0 N (and the like in 1 further part)"
+    # of one that is not known the whole is not known
+    unknown = Doubt("missing mode", "AF", "a mode")
+    assert of_all_parts([(small, "a"), (unknown, "b")], parts=2)[0].effect is None
+    assert of_all_parts([(small, "a")], parts=1)[0] == small
+
+
+@pytest.mark.parametrize(
+    "name", ["f0 30 Hz, step, 0.6 s", "f0 100 Hz, step, 0.6 s", "f0 80 Hz, broad", "stiffness +20 %, broad, 10 s"]
+)
+def test_the_natural_frequency_of_the_record_is_named(name):
+    """Steps ring for 40 cycles, of which the frequency is known to a fraction of the width of the resonance, 1 %."""
+    force, found = tried(CASES[name], 0)
+    kinds = [doubt.kind for doubt in force.doubts]
+    assert kinds == ["natural frequency"], force.doubts
+    told = float(force.doubts[0].text.split("natural frequency, ")[1].split(" Hz")[0])
+    assert told == pytest.approx(FREQUENCY, rel=0.02)
+    assert force.verdict is not Verdict.FIT
+    # what is expected of the error is of the error's size: within a factor of two, as the damping is hardly known
+    effect = force.doubts[0].effect
+    assert effect is not None
+    assert 0.5 < effect / found["error"] < 2
+
+
+@pytest.mark.parametrize("name", ["mode at 2.3 f0, 3 %, 0-200 Hz, 2.5 s", "mode at 2.3 f0, -3 %, 0-200 Hz, 10 s"])
+def test_a_missing_mode_is_named_and_counted(name):
+    force, found = tried(CASES[name], 1)
+    (doubt,) = force.doubts
+    assert doubt.kind == "missing mode"
+    assert float(doubt.text.split("a mode at ")[1].split(" Hz")[0]) == pytest.approx(2.3 * FREQUENCY, rel=0.01)
+    assert found["error"] < 2 * found["u"]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "told"),
+    [
+        ("accelerometer 1 ms late, 0-60 Hz", "ground delay", 1e-3),
+        ("accelerometer 0.1 ms late, step", "ground delay", 1e-4),
+        ("accelerometer 0.5 ms early, 0-20 Hz", "ground delay", -5e-4),
+        ("accelerometer gain 10 %, 0-60 Hz", "ground gain", 1 / 1.1),
+        ("accelerometer sign, 0-20 Hz", "ground gain", -1.0),
+        ("accelerometer in g, step", "ground gain", 9.80665),
+        ("accelerometer clock 1000 ppm, 0-60 Hz", "ground clock", 2.5e-3),
+    ],
+)
+def test_a_fault_of_the_accelerometer_is_named_with_its_size(name, kind, told):
+    force, found = tried(CASES[name], 0)
+    doubt = max(force.doubts, key=lambda one: one.effect or 0.0)
+    assert doubt.kind == kind, force.doubts
+    if kind == "ground gain":
+        value = float(doubt.text.split("shows ")[1].split(" times")[0])
+    elif kind == "ground clock":
+        value = float(doubt.text.split("changes by ")[1].split(" s ")[0])
+    else:
+        value = float(doubt.text.split(" is ")[1].split(" s ")[0]) * (1 if " late " in doubt.text else -1)
+    # a delay is told to first order of its phase, and 1 ms is half a radian at 100 Hz
+    assert value == pytest.approx(told, rel=0.25)
+    assert force.verdict is not Verdict.FIT
+    assert 0.5 < found["u"] / found["error"] < 2
+
+
+@pytest.mark.parametrize(
+    "name", ["0-100 Hz, 200 N, shaken", "step, shaken", "soft 30 Hz, 100 N, pitching", "two steps", "constant"]
+)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_sound_record_is_fit_for_use(name, seed):
+    force, _ = tried(CASES[name], seed)
+    assert force.doubts == ()
+    assert force.verdict is Verdict.FIT
+
+
+def test_the_command_says_it_in_fields_and_at_the_top(tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    case = CASES["accelerometer 1 ms late, 0-60 Hz"]
+    write_recording(tmp_path / "run.h5", recording_of(case.record(0), "run"))
+    write_dynamics(tmp_path / "d.json", {"AF": case.dynamics})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        assert main(["force", "run.h5", "--dynamics", "d.json", "-o", "f.csv", "--json", "--report", "r.html"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["verdict"] in {"doubtful", "not usable"}
+    (doubt,) = result["doubts"]
+    assert doubt["kind"] == "ground delay"
+    assert doubt["component"] == "AF"
+    assert doubt["unit"] == "N"
+    assert doubt["effect"] > 50
+    assert doubt["advice"]
+    page = Path("r.html").read_text(encoding="utf-8")
+    assert page.index("Ground_acceleration is 0.00") < page.index("Uncertainty budget")
+    assert "of its fluctuation" in page
