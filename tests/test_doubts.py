@@ -129,9 +129,9 @@ def test_a_fault_of_the_accelerometer_is_named_with_its_size(name, kind, told):
     if kind == "ground gain":
         value = float(doubt.text.split("shows ")[1].split(" times")[0])
     elif kind == "ground clock":
-        value = float(doubt.text.split("changes by ")[1].split(" s ")[0])
+        value = 1e-3 * float(doubt.text.split("changes by ")[1].split(" ms ")[0])
     else:
-        value = float(doubt.text.split(" is ")[1].split(" s ")[0]) * (1 if " late " in doubt.text else -1)
+        value = 1e-3 * float(doubt.text.split(" is ")[1].split(" ms ")[0]) * (1 if " late " in doubt.text else -1)
     # a delay is told to first order of its phase, and 1 ms is half a radian at 100 Hz
     assert value == pytest.approx(told, rel=0.25)
     assert force.verdict is not Verdict.FIT
@@ -165,5 +165,5 @@ def test_the_command_says_it_in_fields_and_at_the_top(tmp_path: Path, monkeypatc
     assert doubt["effect"] > 50
     assert doubt["advice"]
     page = Path("r.html").read_text(encoding="utf-8")
-    assert page.index("Ground_acceleration is 0.00") < page.index("Uncertainty budget")
+    assert page.index("Ground_acceleration is 0.9") < page.index("Uncertainty budget")
     assert "of its fluctuation" in page

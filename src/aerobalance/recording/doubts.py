@@ -100,6 +100,9 @@ class VerdictSettings:
     not_usable: float = 0.5
 
 
+DOUBTED: Final = "doubt: "
+"""How the name of a contribution begins that is from a doubt."""
+
 SETTINGS: Final = VerdictSettings()
 """Limits that are used."""
 

@@ -23,6 +23,7 @@ from aerobalance.estimation.error_sources import undivided
 from aerobalance.estimation.result import ComponentForce, ForceSummary
 from aerobalance.estimation.sums import ForceSums, Key, SpectrumSums, segment_length
 from aerobalance.recording.channel import Array
+from aerobalance.recording.doubts import DOUBTED
 from aerobalance.recording.errors import argument
 
 
@@ -303,6 +304,11 @@ def advice(
     if not whole:
         return "no contribution to the uncertainty is known"
     first = rows[0]
+    if first.name.startswith(DOUBTED):
+        return (
+            f"settle the doubt first: {first.name.removeprefix(DOUBTED)} ({names[first.source]}) makes "
+            f"{100 * first.share:.0f} % of the variance"
+        )
     text = (
         f"improve first {first.name} ({names[first.source]}), {100 * first.share:.0f} % of the variance: halving it "
         f"would take the uncertainty from {whole:.3g} to {first.if_halved:.3g} {unit} rms"

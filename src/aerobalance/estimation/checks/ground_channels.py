@@ -24,7 +24,7 @@ from aerobalance.motion.platform import SystematicParameter
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import acceleration_name, si_unit
-from aerobalance.recording.doubts import Doubt
+from aerobalance.recording.doubts import DOUBTED, Doubt
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.resampling import fractional_delay, interpolate_gaps_linearly
@@ -206,14 +206,14 @@ def _doubts(record: SingleRecord, found: _Found, *, uncertainty: float) -> Itera
     if by_delay > least:
         word = "late" if found.delay > 0 else "early"
         text = (
-            f"{name} is {abs(found.delay):.3g} s {word} (u = {found.u_delay:.2g} s) against what {component} shows of "
-            f"it: a filter or a delay that is not declared, {cause}"
+            f"{name} is {1e3 * abs(found.delay):.3g} ms {word} (u = {1e3 * found.u_delay:.2g} ms) against what "
+            f"{component} shows of it: a filter or a delay that is not declared, {cause}"
         )
         advice = f"declare the delay or the filter of {name} in the channel map"
         if drifts:
             text = (
-                f"the delay of {name} against what {component} shows of it changes by {found.drift:.3g} s along the "
-                f"record (u = {found.u_drift:.2g} s): their clocks are not one, {cause}"
+                f"the delay of {name} against what {component} shows of it changes by {1e3 * found.drift:.3g} ms "
+                f"along the record (u = {1e3 * found.u_drift:.2g} ms): their clocks are not one, {cause}"
             )
             advice = f"record {name} by the clock of the balance"
         what = "clock" if drifts and kind == "ground" else "delay"
@@ -233,5 +233,5 @@ def _with_error(
     error = found.errors[:, place]
     effect = float(np.sqrt(np.mean(error**2)))
     doubt = Doubt(kind, component, *words, effect, unit)
-    name = f"doubt: {kind}"
+    name = f"{DOUBTED}{kind}"
     return doubt, Systematic(name, found.channel, (name,), error[:, None], np.eye(1), local=True)

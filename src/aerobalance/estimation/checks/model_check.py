@@ -29,7 +29,7 @@ from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
 from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.doubts import Doubt
+from aerobalance.recording.doubts import DOUBTED, Doubt
 from aerobalance.recording.errors import argument
 from aerobalance.recording.wording import frequency_text, share_text
 
@@ -222,7 +222,7 @@ def _raised(force: ComponentForce, found: list[ModelDoubt], own: ModalModel, *, 
         error = error_under(force.values, own=own, other=one.other, interval=interval)
         doubt = replace(one.doubt, effect=float(np.sqrt(np.mean(error**2))))
         period = 1 / own.natural_frequency
-        noise = as_noise(error, name=f"doubt: {doubt.kind}", period=period, interval=interval)
+        noise = as_noise(error, name=f"{DOUBTED}{doubt.kind}", period=period, interval=interval)
         force = with_doubt(force, doubt, noise)
     return force
 

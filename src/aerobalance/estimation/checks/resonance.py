@@ -34,9 +34,9 @@ class ResonanceSettings:
 
     Attributes
     ----------
-    decisive, decisive_mode
-        Gain in log-likelihood, the price of the numbers paid, that other dynamics must bring, and that a further mode
-        must: a narrow band of the load looks like one.
+    decisive, decisive_far
+        Gain in log-likelihood, the price of the numbers paid, that other dynamics must bring, and that a further mode,
+        or a natural frequency that is far off, must: a narrow band of the load looks like one.
     confirmed
         Gain of the dynamics over a balance that does not ring, from which it is certain that it rings near there.
     far, broad
@@ -75,7 +75,7 @@ class ResonanceSettings:
     """
 
     decisive: float = 12.0
-    decisive_mode: float = 25.0
+    decisive_far: float = 22.0
     confirmed: float = 25.0
     far: float = 0.1
     broad: float = 0.03
@@ -211,7 +211,9 @@ def spoken_for(values: Array, dynamics: Dynamics, *, interval: float, least_nois
         other = start if kind == "no resonance" else _best_near(evidence, kind, dynamics, start)
         found.append(Spoken(kind, other, evidence.of(other) - own - _price(kind, evidence)))
     spoken = max(found, key=lambda one: one.gain)
-    if spoken.gain < (SETTINGS.decisive if spoken.kind != "missing mode" else SETTINGS.decisive_mode):
+    moved = abs(spoken.dynamics.natural_frequency / dynamics.natural_frequency - 1) > SETTINGS.far
+    far = spoken.kind == "missing mode" or (spoken.kind == "natural frequency" and moved)
+    if spoken.gain < (SETTINGS.decisive_far if far else SETTINGS.decisive):
         return None
     return _named(spoken, evidence, dynamics, confirmed=confirmed)
 
