@@ -46,6 +46,7 @@ def test_a_mode_that_does_not_oscillate_is_refused() -> None:
         own_response(dynamics, "NF")
 
 
+@pytest.mark.filterwarnings("ignore:.* shows turning")  # the pair is pitched for its weight alone
 def test_every_rival_on_a_component(rng) -> None:
     force, felt, pitch = shaken(rng, EXACT)
     recording = recording_of(felt + NOISE * rng.normal(size=felt.shape), pitch=pitch)

@@ -275,7 +275,8 @@ def _fit(
 
     def loss(moved: Array) -> float:
         try:
-            level = expected(origin + size * moved)
+            with np.errstate(all="ignore"):  # far from all that is likely, numbers may overflow
+                level = expected(origin + size * moved)
         except ValueError:  # outside what dynamics can be
             return 1e12
         if not (level > 0).all():
