@@ -18,6 +18,7 @@ OPTIONS: Final[Mapping[str, str]] = {
     "components": "--component",
     "form": "--form",
     "hum": "--hum",
+    "keep_outliers": "--keep-outliers",
     "mass": "--mass",
     "model": "--model",
     "model_on": "--model-on-zero",

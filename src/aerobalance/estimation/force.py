@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import chain
 from typing import Final
@@ -25,6 +25,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.model_check import checked
+from aerobalance.estimation.checks.outliers import without_wild_samples
 from aerobalance.estimation.component_force import Method, noise_of_component
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force_collector import ForceCollector
@@ -35,6 +36,7 @@ from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge
+from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import GAUGES_BECOME_LOADS, DataQualityWarning, FitError, warn_quality
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import LongRecord, Part
@@ -58,6 +60,7 @@ def estimate_force(
     gravity: float = STANDARD_GRAVITY,
     gravity_uncertainty: float = 0.0,
     hum: Hum = "mains",
+    keep_outliers: bool = False,
 ) -> Force:
     """Forces and moments applied [N, N*m], Eq. (17) of [Gorbushin2020]_, with a standard uncertainty of every sample.
 
@@ -74,7 +77,7 @@ def estimate_force(
         A record of noise alone (wind off, balance at rest) with the sampling rate, gains and filters of the run, or
         spectra by component as `noise_spectra` finds them. Without one the noise is taken as white, but for what the
         run itself shows far above the natural frequency.
-    method, bandwidth, gravity, gravity_uncertainty, hum
+    method, bandwidth, gravity, gravity_uncertainty, hum, keep_outliers
         See `ForceSettings`.
 
     Raises
@@ -85,7 +88,7 @@ def estimate_force(
     ValueError
         A setting is not allowed, or the loads count from the weight of the model and do not say what it is.
     """
-    settings = ForceSettings(method, bandwidth, gravity, gravity_uncertainty, hum)
+    settings = ForceSettings(method, bandwidth, gravity, gravity_uncertainty, hum, keep_outliers)
     model = dynamics_of(dynamics)
     if balance is None and zero is not None:
         raise ValueError("a zero is of gauge outputs: give the balance matrix that makes loads of them as well")
@@ -241,6 +244,9 @@ def _undivided(
             f"{given.name}: the loads were worked out from gauge outputs, and the errors of the balance matrix are "
             "not in the uncertainty: give the loads as reduce_outputs returns them, not their recording alone"
         )
+    wild: tuple[Doubt, ...] = ()
+    if not settings.keep_outliers:
+        given, wild = without_wild_samples(given, model.components)
     record = force_record(given, model, **settings.earth)
     if isinstance(noise, Recording | Loads):
         noise = noise_spectra(noise, record, **settings.earth)
@@ -249,10 +255,15 @@ def _undivided(
     if isinstance(given, Loads):
         parts = with_matrix(parts, given, model)
     known = partial(_known, record, given if isinstance(given, Loads) else None)
+    parts = {name: replace(part, doubts=(*_of(name, wild), *part.doubts)) for name, part in parts.items()}
     force = checked(Force(parts, known, settings, noises))
     for doubt in force.doubts:
         warn_quality(f"{given.name}: {doubt}")
     return force
+
+
+def _of(component: str, doubts: Sequence[Doubt]) -> tuple[Doubt, ...]:
+    return tuple(doubt for doubt in doubts if doubt.component == component)
 
 
 def _known(record: ForceRecord, loads: Loads | None) -> tuple[ForceRecord, Loads | None]:

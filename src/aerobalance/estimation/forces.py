@@ -57,6 +57,8 @@ class ForceSettings:
         What the smoother takes for hum and not for force: ``"mains"`` steady lines at 50 or 60 Hz and harmonics that
         stand out of the reading (with a warning that names them), ``"keep"`` none, or lines near given frequencies
         [Hz].
+    keep_outliers
+        Whether single samples that are far from their neighbours are taken as they are, and not for missing.
     """
 
     method: Method = "smoother"
@@ -64,6 +66,7 @@ class ForceSettings:
     gravity: float = STANDARD_GRAVITY
     gravity_uncertainty: float = 0.0
     hum: Hum = "mains"
+    keep_outliers: bool = False
 
     @property
     def earth(self) -> dict[str, float]:

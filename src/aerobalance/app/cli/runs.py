@@ -91,6 +91,9 @@ def force(
             "--hum", metavar="mains|keep|HZ,HZ", help="Lines that are no force: mains hum if found, none, or near HZ."
         ),
     ] = "mains",
+    keep_outliers: Annotated[
+        bool, typer.Option("--keep-outliers", help="Take single samples far from their neighbours as they are.")
+    ] = False,
     noise_record: Annotated[
         Path | None,
         typer.Option("--noise-record", help="Record of noise alone (wind off, at rest), for noise that is not white."),
@@ -123,7 +126,7 @@ def force(
             rec,
             out,
             dynamics=dynamics,
-            settings=ForceSettings(method.value, bandwidth, gravity, u_gravity, command.hum_of(hum)),
+            settings=ForceSettings(method.value, bandwidth, gravity, u_gravity, command.hum_of(hum), keep_outliers),
             noise_record=noise_record,
             files=files,
             channel_map=channel_map,
