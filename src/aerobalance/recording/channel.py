@@ -55,6 +55,10 @@ def unit_inside(name: str) -> str | None:
     return "m/s^2" if is_ground_acceleration(name) else QUANTITIES.get(name)
 
 
+SYMMETRIC: Final = 1e-3
+"""Difference of the sizes of two limits over the range between them up to which they are one."""
+
+
 @dataclass(frozen=True, slots=True)
 class CrossAxis:
     """What an accelerometer reads of an acceleration across its axis.
@@ -208,12 +212,28 @@ class Channel(SensorSpec):
 
         A plateau is no saturation: a run of equal readings at the highest or lowest value counts where the
         readings on both sides of it, continued, would have gone well past the limit, and where that happens at
-        least twice. A single clipped peak cannot be told from a plateau and is not found. A stated uncertainty
-        (``u_AF``) is no reading, and rests on no limit.
+        least twice, on either side together where the limits lie symmetrically about zero. A single clipped peak
+        cannot be told from a plateau and is not found. A stated uncertainty (``u_AF``) is no reading, and rests on no
+        limit.
         """
         if self.name.startswith("u_") and self.name[2:] in COMPONENTS:
             return np.zeros(self.values.shape, dtype=bool)
-        return _clipped(self.values, 1.0) | _clipped(self.values, -1.0)
+        sides = [_clipped(self.values, sign) for sign in (1.0, -1.0)]
+        events = [count for _, count in sides]
+        if self._has_symmetric_ends:
+            events = [sum(events)] * 2
+        nothing = np.zeros(self.values.shape, dtype=bool)
+        upper, lower = (flags if count >= 2 else nothing for (flags, _), count in zip(sides, events, strict=True))
+        return upper | lower
+
+    @property
+    def _has_symmetric_ends(self) -> bool:
+        """Whether the highest and the lowest reading are one number with two signs, as the ends of a range are."""
+        finite = self.values[np.isfinite(self.values)]
+        if not finite.size:
+            return False
+        highest, lowest = float(finite.max()), float(finite.min())
+        return abs(highest + lowest) <= SYMMETRIC * (highest - lowest)
 
     @property
     def at_limit(self) -> NDArray[np.bool_]:
@@ -222,25 +242,32 @@ class Channel(SensorSpec):
         Once a limit is known, a single reading there is as little worth as a run of them.
         """
         limits = np.unique(self.values[self.saturated])
-        return np.isin(self.values, limits) if limits.size else np.zeros(self.values.shape, dtype=bool)
+        if not limits.size:
+            return np.zeros(self.values.shape, dtype=bool)
+        if self._has_symmetric_ends:  # the other end of the range, though no run rests on it
+            limits = np.array([np.nanmin(self.values), np.nanmax(self.values)])
+        return np.isin(self.values, limits)
 
 
-def _clipped(values: Array, sign: float) -> NDArray[np.bool_]:
-    """Find the runs of three or more equal readings at the highest (sign 1) or lowest (sign -1) value."""
+def _clipped(values: Array, sign: float) -> tuple[NDArray[np.bool_], int]:
+    """Runs of equal readings at the highest (sign 1) or lowest (-1) value that would have gone past it, and how many.
+
+    One such run alone may be a plateau.
+    """
     flags = np.zeros(values.shape, dtype=bool)
     finite = np.isfinite(values)
     if not finite.any():
-        return flags
+        return flags, 0
     signal = np.where(finite, sign * values, np.nan)
     limit = np.max(signal[finite])
     spread = limit - np.min(signal[finite])
     edges = np.diff(np.concatenate(([0], (signal == limit).astype(np.int8), [0])))
     first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
-    inside = (last - first >= 2) & (first > 1) & (last < values.size - 2)
+    inside = (last > first) & (first > 1) & (last < values.size - 2)
     first, last = first[inside], last[inside]
-    levels = np.unique(values[finite]) if first.size >= 2 else values[:1]
+    levels = np.unique(values[finite]) if first.size else values[:1]
     if levels.size < 2:
-        return flags
+        return flags, 0
     resolution = float(np.min(np.diff(levels)))
     inner = (signal[first - 1] + signal[last + 1]) / 2
     outer = (signal[first - 2] + signal[last + 2]) / 2
@@ -249,8 +276,6 @@ def _clipped(values: Array, sign: float) -> NDArray[np.bool_]:
     overshoot = inner + (inner - outer) * half**2 / (2 * half + 1) - limit
     # A quantised peak rests on its top level by itself; a ramp to a long plateau would have overshot the whole range.
     moving = (overshoot > (2 + half) * resolution) & (overshoot > 1e-3 * spread) & (overshoot < spread)
-    if np.count_nonzero(moving) < 2:
-        return flags
     for start, stop in zip(first, last, strict=True):
         flags[start : stop + 1] = True
-    return flags
+    return flags, int(np.count_nonzero(moving))

@@ -130,7 +130,7 @@ def _wild_about(values: Array, place: int, scatter: float) -> NDArray[np.bool_]:
     best, own = min(kinks), np.zeros(0, dtype=int)
     none = left(np.zeros((part.size, 0)))
     for length in range(1, SETTINGS.longest + 1):
-        for begin in range(place - length + 1, place + 1):
+        for begin in range(place - length, place + 2):  # beside two wild ones the departure is larger than at them
             samples = np.arange(begin, begin + length) - first
             if samples[0] < 0 or samples[-1] >= part.size:
                 continue

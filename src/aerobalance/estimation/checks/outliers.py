@@ -1,9 +1,10 @@
-"""Wild samples of a run: taken for missing in the loads, and filled by their neighbours in the ground's motion."""
+"""Wild and stuck samples of a run: missing in the loads; in the ground's motion neighbours fill the wild ones."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +14,15 @@ from aerobalance.balance.loads import Loads
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Doubt
-from aerobalance.recording.errors import argument
+from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.stuck_samples import stuck_samples
 from aerobalance.recording.wild_samples import wild_samples
 
-BESIDE = 8
+DEAD: Final = 0.9
+"""Share of stuck samples from which on a channel says nothing."""
+
+BESIDE: Final = 8
 """Readings on either side by which a wild sample of the ground's motion is filled."""
 
 
@@ -32,6 +37,11 @@ def without_wild_samples(
         The run.
     components
         Components whose loads are looked at, beside the channels of the ground's motion.
+
+    Raises
+    ------
+    FitError
+        A load was stuck nearly all the time.
     """
     recording = given.recording if isinstance(given, Loads) else given
     doubts: list[Doubt] = []
@@ -41,17 +51,19 @@ def without_wild_samples(
         is_load = name in present
         if not (is_load or name.startswith("ground_") or name in ("pitch", "roll")):
             continue
-        wild = wild_samples(np.where(channel.at_limit, np.nan, channel.values))
-        if not wild.any():
-            continue
-        if is_load:
-            values = np.where(wild, np.nan, channel.values)
-            what = "they are taken for missing"
-        else:
-            values = _filled(channel.values, wild)
-            what = "their neighbours are taken in their place"
-        channels[name] = replace(channel, values=values)
-        doubts += [_doubt(recording, channel, wild, component, what) for component in ([name] if is_load else present)]
+        limited = channel.at_limit
+        stuck = stuck_samples(channel.values) & ~limited
+        if is_load and np.mean(stuck) > DEAD:
+            raise FitError(
+                f"{recording.name}: {_samples(stuck)} of {stuck.size} of {name} repeat the one before: the channel "
+                "was stuck or not connected, and there is no force to work out"
+            )
+        wild = wild_samples(np.where(limited | stuck, np.nan, channel.values))
+        for component in [name] if is_load else present:
+            doubts += _doubts(recording, channel, component, wild=wild, stuck=stuck, limited=limited & is_load)
+        if wild.any() or stuck.any():
+            values = channel.values if is_load else _filled(channel.values, wild)
+            channels[name] = replace(channel, values=np.where(stuck | (wild & is_load), np.nan, values))
     if not doubts:
         return given, ()
     clean = replace(recording, channels=channels)
@@ -76,13 +88,43 @@ def _filled(values: Array, wild: NDArray[np.bool_]) -> Array:
     return filled
 
 
-def _doubt(recording: Recording, channel: Channel, wild: NDArray[np.bool_], component: str, what: str) -> Doubt:
-    places = np.flatnonzero(wild)
-    instants = [f"{recording.start + place / recording.rate:.6g}" for place in places[:3]]
-    more = ", ..." if places.size > len(instants) else ""
-    samples = "1 sample" if places.size == 1 else f"{places.size} samples"
-    those = "its" if places.size == 1 else "their"
-    where = f"{', '.join(instants)}{more} s"
-    text = f"{samples} of {channel.name} far from {those} neighbours (at {where}), as no balance moves: {what}"
-    advice = f"keep them with {argument('keep_outliers')}"
-    return Doubt("wild samples", component, text, advice, 0.0, si_unit(component))
+def _doubts(
+    recording: Recording,
+    channel: Channel,
+    component: str,
+    *,
+    wild: NDArray[np.bool_],
+    stuck: NDArray[np.bool_],
+    limited: NDArray[np.bool_],
+) -> Iterator[Doubt]:
+    """What is to be said of the samples of a channel."""
+    name, unit = channel.name, si_unit(component)
+    if wild.any():
+        what = "they are taken for missing" if name == component else "their neighbours are taken in their place"
+        text = (
+            f"{_samples(wild)} of {name} far from their neighbours (at {_instants(recording, wild)}), as no balance "
+            f"moves: {what}"
+        )
+        yield Doubt("wild samples", component, text, f"keep them with {argument('keep_outliers')}", 0.0, unit)
+    if stuck.any():
+        what = "they are taken for missing" if name == component else "straight lines are taken in their place"
+        text = f"{_samples(stuck)} of {name} repeat the one before (from {_instants(recording, stuck)} on): {what}"
+        advice = "look at the cable and the converter of the channel"
+        # what a line leaves of the ground's motion is not known
+        yield Doubt("stuck channel", component, text, advice, 0.0 if name == component else None, unit)
+    if limited.any():
+        text = f"{_samples(limited)} of {name} rest on a limit of the channel: they are taken for missing"
+        yield Doubt("clipping", component, text, "record with a larger range", 0.0, unit)
+
+
+def _samples(chosen: NDArray[np.bool_]) -> str:
+    count = int(np.count_nonzero(chosen))
+    return "1 sample" if count == 1 else f"{count} samples"
+
+
+def _instants(recording: Recording, chosen: NDArray[np.bool_]) -> str:
+    """The first instants of runs of samples, in words."""
+    places = np.flatnonzero(chosen)
+    begins = places[np.diff(places, prepend=-2) > 1]
+    instants = [f"{recording.start + place / recording.rate:.6g}" for place in begins[:3]]
+    return f"{', '.join(instants)}{', ...' if begins.size > len(instants) else ''} s"

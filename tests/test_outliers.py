@@ -1,0 +1,137 @@
+"""Wild, stuck and clipped samples: found where they are, and nowhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aerobalance.estimation.checks.outliers import without_wild_samples
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import FitError
+from aerobalance.recording.recording import Recording
+from aerobalance.recording.stuck_samples import stuck_samples
+from aerobalance.recording.wild_samples import wild_samples
+from faults.cases import all_cases
+from faults.trials import scores, worked_out
+from helpers.cable_cut import T128
+
+RATE = 1600.0
+TIME = np.arange(4000) / RATE
+CASES = {case.name: case for case in all_cases()}
+
+
+def ringing(rng: np.random.Generator, *, noise: float = 2.0) -> np.ndarray:
+    """Readings of a balance after a sudden force of 1000 N."""
+    return 1000 * T128.step_response(TIME - 1.0003) + rng.normal(0, noise, TIME.size)
+
+
+def test_single_wild_samples_are_found_where_they_are(rng):
+    values = ringing(rng)
+    places = rng.choice(np.arange(10, 3990, 12), 20, replace=False)
+    # a departure scatters by 1.4 times the noise and is found from 9 times that; twice as much is clear
+    values[places] += 60.0 * rng.choice([-1.0, 1.0], places.size)
+    assert np.flatnonzero(wild_samples(values)).tolist() == sorted(places.tolist())
+
+
+@pytest.mark.parametrize("length", [2, 3])
+def test_two_or_three_in_a_row_are_found(length, rng):
+    values = ringing(rng)
+    values[2000 : 2000 + length] = 0.0
+    assert np.flatnonzero(wild_samples(values)).tolist() == list(range(2000, 2000 + length))
+
+
+def test_noise_steps_blows_and_tones_have_no_wild_sample(rng):
+    fine = np.arange(TIME.size * 16) / (16 * RATE)
+    blow = 5e4 * ((fine > 1.2) & (fine < 1.2005))  # 25 N s within a sample
+    for values in (
+        rng.normal(0, 1.0, 200_000),
+        ringing(rng),
+        ringing(rng, noise=0.0),
+        T128.load_felt(blow, interval=1 / (16 * RATE))[::16] + rng.normal(0, 2.0, TIME.size),
+        np.sin(2 * np.pi * 700 * TIME),
+        np.round(5 * np.sin(20 * TIME) + rng.normal(0, 0.05, TIME.size)),  # few steps
+        np.full(500, 3.0),
+        np.zeros(10),
+    ):
+        assert not wild_samples(values).any()
+
+
+def test_missing_readings_are_no_wild_ones_and_hide_none(rng):
+    values = ringing(rng)
+    values[500:520] = np.nan
+    values[700] += 200.0
+    assert np.flatnonzero(wild_samples(values)).tolist() == [700]
+
+
+def test_a_run_of_equal_readings_is_stuck(rng):
+    values = ringing(rng)
+    values[1500:1530] = values[1500]
+    assert np.flatnonzero(stuck_samples(values)).tolist() == list(range(1501, 1530))
+
+
+def test_few_steps_and_no_change_are_not_stuck(rng):
+    assert not stuck_samples(np.round(rng.normal(0, 0.3, 4000))).any()
+    assert not stuck_samples(np.round(rng.normal(0, 30.0, 100_000))).any()
+    assert not stuck_samples(np.full(1000, 2.0)).any()
+    assert not stuck_samples(np.zeros(1)).any()
+
+
+def test_a_channel_that_was_stuck_nearly_all_the_time_is_refused(rng):
+    values = ringing(rng)
+    values[100:] = values[100]
+    run = Recording.from_columns(TIME, {"AF": Channel("AF", values, "N")}, name="run")
+    with pytest.raises(FitError, match=r"3899 samples of 4000 of AF repeat the one before"):
+        without_wild_samples(run, ["AF"])
+
+
+def test_the_ground_motion_is_filled_and_not_missing(rng):
+    smooth = np.sin(2 * np.pi * 20 * TIME)
+    seen = smooth + rng.normal(0, 1e-3, TIME.size)
+    seen[[900, 2100]] += 5.0
+    channels = {
+        "AF": Channel("AF", ringing(rng), "N"),
+        "ground_acceleration": Channel("ground_acceleration", seen, "m/s^2"),
+    }
+    given = Recording.from_columns(TIME, channels, name="run")
+    clean, doubts = without_wild_samples(given, ["AF"])
+    assert isinstance(clean, Recording)
+    filled = clean.channel("ground_acceleration").values
+    assert filled[[900, 2100]] == pytest.approx(smooth[[900, 2100]], abs=6e-3)  # six deviations of the noise
+    (doubt,) = doubts
+    assert doubt.kind == "wild samples"
+    assert doubt.text.startswith("2 samples of ground_acceleration far from their neighbours (at 0.5625, 1.3125 s)")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("1 spikes of 99999 N, step", "wild samples"),
+        ("40 spikes of 300 N, 0-20 Hz", "wild samples"),
+        ("5 dropouts to zero, 0-100 Hz", "wild samples"),
+        ("5 spikes in the accelerometer, step", "wild samples"),
+        ("stuck for 0.02 s, step", "stuck channel"),
+        ("0.3 % clipped both, 0-100 Hz", "clipping"),
+        ("2 % clipped above, 0-20 Hz", "clipping"),
+    ],
+)
+def test_the_force_is_as_good_as_without_the_fault(name, kind):
+    case = CASES[name]
+    record = case.record(0)
+    force, said = worked_out(record, case.dynamics, case.settings)
+    assert force is not None, said
+    assert [doubt.kind for doubt in force.doubts] == [kind]
+    assert force.doubts[0].effect == 0.0
+    assert str(force.verdict) == "fit for use"
+    one = force.only
+    found = scores(one.values, one.uncertainty, record.force)
+    # these records have some 500 independent errors at least: three standard deviations are 10 % of their rms
+    assert 0.7 < found["error"] / found["u"] < 1.3
+    assert found["error"] < 1.2
+
+
+def test_outliers_can_be_kept(rng):
+    case = CASES["1 spikes of 99999 N, step"]
+    record = case.record(0)
+    force, _ = worked_out(record, case.dynamics, {"keep_outliers": True})
+    assert force is not None
+    assert np.std(force.only.values - record.force) > 10
