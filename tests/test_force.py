@@ -379,7 +379,8 @@ def test_readings_that_rest_on_a_limit_are_taken_for_missing(rng):
     clipped = np.clip(run.recording.channel("AF").values, -1100.0, 900.0)
     recording = Recording.from_columns(run.recording.time, {"AF": Channel("AF", clipped, "N")}, name="clipped")
     assert recording.channel("AF").saturated.sum() >= 6
-    estimate = estimate_force(recording, CableCut().dynamics).only
+    with pytest.warns(DataQualityWarning, match="of AF rest on a limit of the channel: they are taken for missing"):
+        estimate = estimate_force(recording, CableCut().dynamics).only
     error = (estimate.values - run.applied)[np.abs(run.recording.time - run.release) > 0.002]
     # as without clipping: five standard uncertainties, which are 0.03 to 0.06 N where nothing is missing
     assert np.max(np.abs(error / estimate.uncertainty[np.abs(run.recording.time - run.release) > 0.002])) < 5
