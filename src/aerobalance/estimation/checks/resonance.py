@@ -59,11 +59,13 @@ class ResonanceSettings:
     samples
         Samples that are looked at at most.
     most_tries
-        Dynamics that are tried at most to come to the best.
+        Dynamics of a kind that are tried at most to come to the best, and once more near that.
     beyond
         Factor of the natural frequency that puts it beyond all that is looked at.
     line, line_beside
         Width in ordinates up to which a moved resonance, and a mode beside it, is a tone.
+    closer
+        Size of the second search over that of the first.
     tones, tone_width
         Tones that are taken out at most, and half width of a peak in ordinates.
     tone_share
@@ -87,10 +89,11 @@ class ResonanceSettings:
     surroundings: float = 0.2
     near: float = 0.04
     samples: int = LONGEST
-    most_tries: int = 60
+    most_tries: int = 20
     beyond: float = 1e3
     line: float = 0.3
     line_beside: float = 2.0
+    closer: float = 0.3
     tones: int = 8
     tone_width: int = 4
     tone_share: float = 0.02
@@ -211,6 +214,9 @@ def spoken_for(values: Array, dynamics: Dynamics, *, interval: float, least_nois
         other = start if kind == "no resonance" else _best_near(evidence, kind, dynamics, start)
         found.append(Spoken(kind, other, evidence.of(other) - own - _price(kind, evidence)))
     spoken = max(found, key=lambda one: one.gain)
+    if spoken.kind != "no resonance":
+        other = _best_near(evidence, spoken.kind, dynamics, spoken.dynamics, scale=SETTINGS.closer)
+        spoken = Spoken(spoken.kind, other, evidence.of(other) - own - _price(spoken.kind, evidence))
     moved = abs(spoken.dynamics.natural_frequency / dynamics.natural_frequency - 1) > SETTINGS.far
     far = spoken.kind == "missing mode" or (spoken.kind == "natural frequency" and moved)
     if spoken.gain < (SETTINGS.decisive_far if far else SETTINGS.decisive):
@@ -277,7 +283,7 @@ def _others(dynamics: Dynamics, peaks: list[float], *, confirmed: float) -> Iter
             yield "missing mode", dynamics.with_modes(*dynamics.further_modes, Mode(peak, ratio, share))
 
 
-def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamics) -> Dynamics:
+def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamics, *, scale: float = 1.0) -> Dynamics:
     """The most evident dynamics near some: their resonance moved, or the further mode."""
     if kind == "missing mode":
         mode = start.further_modes[-1]
@@ -299,7 +305,7 @@ def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamic
 
     def loss(point: Array) -> float:
         try:
-            return -evidence.of(made(point * size))
+            return -evidence.of(made(point * scale * size))
         except ValueError:  # outside what dynamics can be
             return 1e12
 
@@ -309,7 +315,7 @@ def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamic
         method="Nelder-Mead",
         options={"maxfev": SETTINGS.most_tries, "xatol": 0.02, "fatol": 0.1, "initial_simplex": _simplex(size.size)},
     )
-    return made(found.x * size)
+    return made(found.x * scale * size)
 
 
 def _simplex(count: int) -> Array:
