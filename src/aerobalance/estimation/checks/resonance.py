@@ -59,7 +59,7 @@ class ResonanceSettings:
     samples
         Samples that are looked at at most.
     most_tries
-        Dynamics of a kind that are tried at most to come to the best, and once more near that.
+        Dynamics of a kind that are tried at most to come to the best; near that as many more as it is looked closer.
     beyond
         Factor of the natural frequency that puts it beyond all that is looked at.
     line, line_beside
@@ -313,7 +313,12 @@ def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamic
         loss,
         np.zeros(size.size),
         method="Nelder-Mead",
-        options={"maxfev": SETTINGS.most_tries, "xatol": 0.02, "fatol": 0.1, "initial_simplex": _simplex(size.size)},
+        options={
+            "maxfev": round(SETTINGS.most_tries / scale),
+            "xatol": 0.02,
+            "fatol": 0.1,
+            "initial_simplex": _simplex(size.size),
+        },
     )
     return made(found.x * scale * size)
 
