@@ -1,4 +1,4 @@
-# make demo | test | soak | check | bench | docs | pins | clean: each sets up .venv first, when needed.
+# make demo | test | soak | check | bench | faults | docs | pins | clean: each sets up .venv first, when needed.
 # Random numbers of tests are the same at every `make test`. `make soak` runs the tests with new ones, ROUNDS times;
 # `make test SEED=123` runs them with the seed of a round that failed.
 PYTHON ?= python3
@@ -14,7 +14,7 @@ ROUNDS ?= 3
 BENCH := OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks -o addopts="" --benchmark-disable -q
 TEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
-.PHONY: demo test soak check bench docs pins clean
+.PHONY: demo test soak check bench faults docs pins clean
 
 demo: $(COMPILED)
 	$(BIN)/aerobalance demo --out build/demo
@@ -46,6 +46,11 @@ bench: $(TEST_READY) $(COMPILED)
 	$(BENCH) -m alone || failed=1; \
 	$(BIN)/python docs/benchmarks.py; \
 	exit $$failed
+
+# Records that are wrong in one thing each: what their forces say of it. SEEDS of each, some ten minutes for two.
+faults: $(TEST_READY)
+	cd tests && OMP_NUM_THREADS=1 ../$(BIN)/python -m faults.trials --seeds $(or $(SEEDS),2) --out ../build/faults.json
+	$(BIN)/python docs/faults.py
 
 docs: $(DOCS_READY)
 	$(BIN)/sphinx-build -W --keep-going -b html docs build/docs

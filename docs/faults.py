@@ -1,0 +1,120 @@
+"""Writes docs/faults.md from the rows that `make faults` leaves in build/faults.json.
+
+python docs/faults.py [--rows build/faults.json] [--page docs/faults.md]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from itertools import groupby
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+HERE = Path(__file__).parent
+
+LARGE = 3.0
+"""Error over the stated uncertainty (both rms) from which a force must not be called fit for use."""
+
+FIT = "fit for use"
+
+HEAD = """# Faults
+
+Records of a known force that are wrong in one thing each, and sound ones, simulated apart from the package
+(`tests/faults`); axial component of the paper's balance, mostly 2.5 s at 1600 Hz and 2 N of noise, {seeds} seeds each.
+Error and u are medians of the rms over a record, in N; cover is the share of samples within 95 % intervals. A row is
+marked where an error of more than 3 u is called fit for use. What a record cannot show is marked "assumed". This page
+is written by `make faults`.
+"""
+
+SUBJECTS = {
+    "sound": "Sound records",
+    "dynamics": "Dynamics of another balance",
+    "missing mode": "Modes that the dynamics lack",
+    "spring": "Balances that are not linear",
+    "ground": "Channels of the ground's motion",
+    "samples": "Wild samples",
+    "limits": "Stuck, clipped and coarse channels",
+    "faint": "Forces that the noise hides",
+    "noise": "Noise that is not white, and hum",
+    "load": "Forces that change their kind",
+    "oversampled": "Records sampled far above the natural frequency",
+    "filter": "Filters that are not declared",
+    "clock": "Sampling rates that are wrong",
+    "direct": "The other methods",
+}
+
+
+def page(rows: list[dict[str, Any]]) -> str:
+    """Return the page: what came of all, and a table for each subject."""
+    seeds = 1 + max(row["seed"] for row in rows)
+    parts = [HEAD.format(seeds=seeds), *summary(rows)]
+    for group, title in SUBJECTS.items():
+        own = [row for row in rows if row["group"] == group]
+        if own:
+            parts += [f"## {title}\n", table(own) + "\n"]
+    return "\n".join(parts)
+
+
+def is_large(row: dict[str, Any]) -> bool:
+    """Return whether the error is more than the stated uncertainty can be for."""
+    return not row["refused"] and row["error"] > LARGE * row["u"]
+
+
+def summary(rows: list[dict[str, Any]]) -> list[str]:
+    """Return what came of all records, in sentences."""
+    sound = [row for row in rows if row["group"] == "sound"]
+    wrong = [row for row in rows if row["group"] != "sound" and row["shown"]]
+    large = [row for row in wrong if is_large(row)]
+    told = sum(row["verdict"] != FIT for row in large)
+    named = sum(bool(set(row["kinds"]) & set(row["expected"])) for row in large)
+    doubted = sum(row["refused"] or row["verdict"] != FIT for row in sound)
+    return [
+        f"- {doubted} of {len(sound)} sound records are doubted.",
+        f"- {len(wrong)} records have a fault that they can show, and the error of {len(large)} is more than 3 u.",
+        f"- {told} of these {len(large)} are not called fit for use; of {named} the fault is named rightly.\n",
+    ]
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Return the rows of one subject as a table in Markdown."""
+    heads = ["record", "error", "u", "error / u", "cover", "not fit for use", "what was said"]
+    lines = [heads, ["---"] * len(heads)]
+    for name, group in groupby(rows, key=lambda row: str(row["name"])):
+        own = list(group)
+        seen = [row for row in own if not row["refused"]]
+        title = name if own[0]["shown"] else f"{name} (assumed)"
+        if not seen:
+            lines.append([title, "", "", "", "", f"{len(own)} of {len(own)}", "refused"])
+            continue
+        error, u, ratio, cover = (
+            median(values)
+            for values in (
+                [row["error"] for row in seen],
+                [row["u"] for row in seen],
+                [row["error"] / max(row["u"], 1e-300) for row in seen],
+                [row["cover"] for row in seen],
+            )
+        )
+        unfit = len(own) - len(seen) + sum(row["verdict"] != FIT for row in seen)
+        missed = any(is_large(row) and row["verdict"] == FIT for row in seen)
+        counts = {kind: sum(kind in row["kinds"] for row in seen) for row in seen for kind in row["kinds"]}
+        said = ", ".join(f"{kind} {count}" for kind, count in sorted(counts.items(), key=lambda item: -item[1]))
+        mark = "**" if missed else ""
+        shown = f"{mark}{unfit} of {len(own)}{mark}"
+        lines.append([title, f"{error:.3g}", f"{u:.3g}", f"{ratio:.2g}", f"{cover:.2f}", shown, said])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def main() -> None:
+    """Write the page."""
+    parser = argparse.ArgumentParser(description="Write the page of faults.")
+    parser.add_argument("--rows", type=Path, default=HERE.parent / "build" / "faults.json")
+    parser.add_argument("--page", type=Path, default=HERE / "faults.md")
+    given = parser.parse_args()
+    given.page.write_text(page(json.loads(given.rows.read_text(encoding="utf-8"))), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
