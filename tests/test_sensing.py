@@ -138,7 +138,9 @@ def test_nothing_to_undo_gives_the_same_recording():
     assert corrected(given) is given
 
 
-@pytest.mark.filterwarnings("ignore:.* times .* what ground_acceleration reads")  # no load goes with it here
+@pytest.mark.filterwarnings(
+    "ignore:.* (times .* what ground_acceleration reads|that the dynamics lack)"
+)  # a made-up load
 def test_cross_axis_sensitivity_is_taken_off_and_its_uncertainty_flows_on(rng):
     along, up = sine(2.0), rng.normal(0, 5.0, TIME.size)
     part = CrossAxis("ground_acceleration_z", 0.02, 0.005)

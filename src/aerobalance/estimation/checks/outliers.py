@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from aerobalance.balance.loads import Loads
 from aerobalance.recording.channel import Array, Channel
@@ -24,6 +23,10 @@ DEAD: Final = 0.9
 
 BESIDE: Final = 8
 """Readings on either side by which a wild sample of the ground's motion is filled."""
+
+
+DEGREE: Final = 5
+"""Degree of the polynomial through these."""
 
 
 def without_wild_samples(
@@ -77,14 +80,15 @@ def without_wild_samples(
 
 
 def _filled(values: Array, wild: NDArray[np.bool_]) -> Array:
-    """Readings with the wild ones on the cubic spline through those about them, shape (n,)."""
+    """Readings with the wild ones on a polynomial through those about them, shape (n,)."""
     filled = values.copy()
     sound = np.isfinite(values) & ~wild
     for place in np.flatnonzero(wild):
         first = max(int(place) - BESIDE, 0)
         near = np.asarray(np.flatnonzero(sound[first : int(place) + BESIDE + 1]) + first)
-        if near.size >= 4:
-            filled[place] = CubicSpline(near.astype(np.float64), values[near])(float(place))
+        if near.size > DEGREE:
+            away = (near - place) / BESIDE
+            filled[place] = np.linalg.lstsq(np.vander(away, DEGREE + 1), values[near])[0][-1]
     return filled
 
 
