@@ -296,7 +296,8 @@ def run_source(setup: str, folder: str, address: Address, control: Connection[An
         source = open_source(parse_setup(setup), Path(folder))
         server = _SourceServer(source, address)
     except (FitError, ReadError, ValueError, OSError) as problem:
-        control.send(problem if isinstance(problem, FitError | ReadError | ValueError) else FitError(str(problem)))
+        with contextlib.suppress(OSError):  # the starter may be gone already, and with it the folder of the socket
+            control.send(problem if isinstance(problem, FitError | ReadError | ValueError) else FitError(str(problem)))
         return
 
     def say(said: SourceMessage) -> None:
