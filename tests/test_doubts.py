@@ -34,8 +34,33 @@ def test_cases_have_names_of_their_own_and_known_kinds():
     cases = all_cases()
     assert len({case.name for case in cases}) == len(cases) > 200
     kinds = {kind for case in cases for kind in case.kinds}
-    allowed = {"load filter", "three points", "hum", "shock", "clock", "ground filter", "ground noise"}
-    assert kinds - allowed - {"changing noise"} <= set(KINDS), kinds - set(KINDS)
+    # what is not looked at yet: its records are there to show it
+    wanted = {
+        "load filter",
+        "three points",
+        "hum",
+        "shock",
+        "clock",
+        "ground filter",
+        "ground noise",
+        "changing noise",
+    }
+    wanted |= {"nonlinear spring", "ground gap", "dead channel", "resolution", "faint force", "changing load"}
+    wanted |= {"record too short", "bandwidth"}
+    assert not wanted & set(KINDS)
+    assert kinds <= wanted | set(KINDS), kinds - wanted - set(KINDS)
+
+
+def test_every_kind_is_told_somewhere_and_stands_in_the_docs():
+    root = Path(__file__).parents[1]
+    code = "".join(file.read_text(encoding="utf-8") for file in (root / "src").rglob("*.py") if file.stem != "doubts")
+    page = (root / "docs" / "doubts.md").read_text(encoding="utf-8")
+    made = {
+        f"{one} {what}" for one in ("ground", "attitude") for what in ("delay", "gain", "clock")
+    }  # in words of two
+    for kind, says in KINDS.items():
+        assert f'"{kind}"' in code or kind in made, kind
+        assert f"| {kind} | {says} |" in page, kind
 
 
 def size(u: float = 1.0, fluctuation: float = 100.0) -> dict[str, Size]:

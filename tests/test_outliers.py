@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -124,9 +126,13 @@ def test_the_force_is_as_good_as_without_the_fault(name, kind):
     assert str(force.verdict) == "fit for use"
     one = force.only
     found = scores(one.values, one.uncertainty, record.force)
-    # these records have some 500 independent errors at least: three standard deviations are 10 % of their rms
-    assert 0.7 < found["error"] / found["u"] < 1.3
-    assert found["error"] < 1.2
+    # the same draws without the fault: where 2 % of the readings are missing, all else is as it was
+    sound = replace(case, change=None).record(0)
+    best, said = worked_out(sound, case.dynamics, case.settings)
+    assert best is not None, said
+    clean = scores(best.only.values, best.only.uncertainty, sound.force)
+    assert found["error"] < 1.5 * clean["error"]
+    assert found["u"] < 1.5 * clean["u"]
 
 
 def test_outliers_can_be_kept(rng):

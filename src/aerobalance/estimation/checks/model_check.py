@@ -53,8 +53,6 @@ class ModelCheckSettings:
         Part of a known damping ratio below which only that it is smaller is said: so narrow a line is rather hum.
     told
         Uncertainty of a missing mode's share over it, up to which the error that it makes can be told.
-    share_by_evidence
-        Relative uncertainty of the share of a mode that the evidence speaks for.
     least_noise
         Least noise of a reading where evidence is compared, over the noise that was learned.
     least_signal
@@ -69,7 +67,6 @@ class ModelCheckSettings:
     changed: float = 30.0
     least_damping: float = 0.05
     told: float = 0.5
-    share_by_evidence: float = 0.3
     least_noise: float = 1e-3
     least_signal: float = 1e-3
     beyond: float = 1e3
@@ -95,8 +92,8 @@ class Misfit:
         Root mean square of its ringing in the balance load [N]; None where that is not told, or would be more than the
         load itself has.
     frequency, damping
-        Relative change of natural frequency and damping ratio of the first mode with its standard uncertainty [1];
-        None where the record does not tell or nothing has changed.
+        Relative change of natural frequency and damping ratio of the first mode with its standard uncertainty [1],
+        NaN where that was not worked out; None where the record does not tell or nothing has changed.
     silent
         True where the balance does not ring at its natural frequency at all.
     """
@@ -268,7 +265,7 @@ def misfit_of(
         least_noise=max(reading.least_noise, 1e-3 * noise),
     )
     if spoken is not None:
-        return _spoken(spoken, dynamics, most=float(np.nanstd(known)))
+        return _spoken(spoken, dynamics)
     left = without_tones(_without_steps(reading, within))
     found = _possible(
         _in_spectrum(left, dynamics, interval=reading.interval, noise=noise), most=float(np.nanstd(known))
@@ -290,20 +287,20 @@ def misfit_of(
     return found
 
 
-def _spoken(spoken: Spoken, dynamics: Dynamics, *, most: float) -> Misfit:
+def _spoken(spoken: Spoken, dynamics: Dynamics) -> Misfit:
     """A misfit of dynamics that a record speaks clearly against."""
     other = spoken.dynamics
     if spoken.kind == "missing mode":
         mode = other.further_modes[-1]
         found = Misfit(dynamics.component, missing=mode, u_frequency=spoken.u * mode.natural_frequency)
-        return replace(found, u_share=abs(mode.share) * SETTINGS.share_by_evidence)
+        return replace(found, u_share=spoken.u_share * abs(mode.share))
     if spoken.kind == "no resonance":
         return Misfit(dynamics.component, silent=True)
     ratio = other.damping_ratio / dynamics.damping_ratio - 1 if dynamics.damping_ratio else 0.0
     frequency = other.natural_frequency / dynamics.natural_frequency - 1, spoken.u
     if spoken.kind == "damping ratio":
-        return Misfit(dynamics.component, damping=(ratio, abs(ratio) / SETTINGS.drift))
-    return Misfit(dynamics.component, frequency=frequency, damping=(ratio, abs(ratio)))
+        return Misfit(dynamics.component, damping=(ratio, np.nan))
+    return Misfit(dynamics.component, frequency=frequency, damping=(ratio, np.nan))
 
 
 def _peaks(record: ComponentRecord, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]) -> list[Peak]:

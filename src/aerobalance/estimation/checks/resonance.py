@@ -9,7 +9,7 @@ chooses among them as well. That needs no record of a given length and no load o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
@@ -66,6 +66,8 @@ class ResonanceSettings:
         Width in ordinates up to which a moved resonance, and a mode beside it, is a tone.
     closer
         Size of the second search over that of the first.
+    share_shift
+        Relative change of a share by which its uncertainty is taken.
     tones, tone_width
         Tones that are taken out at most, and half width of a peak in ordinates.
     tone_share
@@ -94,6 +96,7 @@ class ResonanceSettings:
     line: float = 0.3
     line_beside: float = 2.0
     closer: float = 0.3
+    share_shift: float = 0.3
     tones: int = 8
     tone_width: int = 4
     tone_share: float = 0.02
@@ -119,12 +122,15 @@ class Spoken(NamedTuple):
         Gain in log-likelihood over those that the record was read with.
     u
         Relative standard uncertainty of the frequency that is other [1].
+    u_share
+        Relative standard uncertainty of the share of a further mode [1].
     """
 
     kind: str
     dynamics: Dynamics
     gain: float
     u: float = 0.0
+    u_share: float = 0.0
 
 
 @dataclass(slots=True, eq=False)
@@ -240,10 +246,11 @@ def _named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed:
         if _is_line(mode, evidence, width=SETTINGS.line_beside):
             return None
 
-        def at(factor: float) -> Dynamics:
-            moved = Mode(mode.natural_frequency * factor, mode.damping_ratio, mode.share)
+        def at(factor: float, share: float = 1.0) -> Dynamics:
+            moved = Mode(mode.natural_frequency * factor, mode.damping_ratio, mode.share * share)
             return dynamics.with_modes(*dynamics.further_modes, moved)
 
+        spoken = spoken._replace(u_share=_spread(evidence, lambda by: at(1.0, by), shift=SETTINGS.share_shift))
         width = mode.damping_ratio
     else:
         moved = abs(other.natural_frequency / dynamics.natural_frequency - 1)
@@ -255,12 +262,16 @@ def _named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed:
         if moved > SETTINGS.far and (like_a_load or confirmed > SETTINGS.confirmed):
             return None
 
-        def at(factor: float) -> Dynamics:
+        def at(factor: float, share: float = 1.0) -> Dynamics:
             return other.retuned(frequency=factor, damping=1.0)
 
-    shift = 0.5 * width
+    return spoken._replace(kind=kind, u=_spread(evidence, at, shift=0.5 * width))
+
+
+def _spread(evidence: Evidence, at: Callable[[float], Dynamics], *, shift: float) -> float:
+    """Relative standard uncertainty of a number, by how fast the evidence falls when it is off by a factor."""
     bend = 2 * evidence.of(at(1.0)) - evidence.of(at(1 + shift)) - evidence.of(at(1 - shift))
-    return spoken._replace(kind=kind, u=shift / float(np.sqrt(max(bend, 0.25))))
+    return shift / float(np.sqrt(max(bend, 0.25)))
 
 
 def _is_line(mode: Mode, evidence: Evidence, *, width: float) -> bool:
