@@ -104,9 +104,10 @@ def _doubts(
     """What is to be said of the samples of a channel."""
     name, unit = channel.name, si_unit(component)
     if wild.any():
-        what = "they are taken for missing" if name == component else "their neighbours are taken in their place"
+        what = "taken for missing" if name == component else "neighbours are taken instead"
+        their = "its" if np.count_nonzero(wild) == 1 else "their"
         text = (
-            f"{_samples(wild)} of {name} far from their neighbours (at {_instants(recording, wild)}), as no balance "
+            f"{_samples(wild)} of {name} far from {their} neighbours (at {_instants(recording, wild)}), as no balance "
             f"moves: {what}"
         )
         yield Doubt("wild samples", component, text, f"keep them with {argument('keep_outliers')}", 0.0, unit)
