@@ -273,6 +273,7 @@ def test_what_is_not_recorded_is_named():
     assert estimate_force(both, T128, method="paper").only.assumptions == ()
 
 
+@pytest.mark.filterwarnings("ignore:.* the channel is dead")  # a reading without noise
 @pytest.mark.parametrize("options", [{}, {"method": "paper"}, {"bandwidth": 100.0}], ids=["smoother", "paper", "band"])
 @pytest.mark.parametrize("degrees", [90.0, -7.0])
 def test_weight_alone_is_no_force(options, degrees):
@@ -283,6 +284,7 @@ def test_weight_alone_is_no_force(options, degrees):
     assert estimate.values == pytest.approx(np.zeros(500), abs=1e-6 * abs(weight[0]))
 
 
+@pytest.mark.filterwarnings("ignore:.* the channel is dead")  # a reading without noise
 def test_accelerating_ground_alone_is_no_force():
     # Slow forward acceleration of the ground end leaves the mass behind: AF = - M x1''.
     ground = np.full(500, 1.5)
@@ -331,6 +333,7 @@ def test_wrong_calls_are_refused():
         estimate_force(record(AF=np.zeros(20)), T128)
 
 
+@pytest.mark.filterwarnings("ignore:.* the channel is dead")  # a reading without noise
 def test_constant_reading_is_a_constant_force():
     estimate = estimate_force(record(AF=np.full(600, -250.0)), T128).only
     assert estimate.values == pytest.approx(np.full(600, -250.0), rel=1e-5)

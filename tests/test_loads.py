@@ -11,7 +11,8 @@ import pytest
 from aerobalance.balance.calibration.fit import calibrate
 from aerobalance.balance.loads import Loads, loads_of_outputs, static_uncertainty, wind_off_loads
 from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
-from aerobalance.balance.zeros import GaugeZero, gauge_table, gauge_zero
+from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.zeros import GaugeZero, Zero, gauge_table, gauge_zero
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
@@ -72,7 +73,7 @@ def test_loads_of_a_known_balance_come_back(balance: BalanceMatrix, rng) -> None
 
 def test_a_zero_is_the_mean_and_its_drift_is_taken_off(balance: BalanceMatrix, rng) -> None:
     native = swinging(2000, rng)
-    zero, drift = rng.normal(0, 0.3, 6), rng.normal(0, 0.01, 6)
+    zero, drift = rng.normal(0, 0.3, 6), rng.normal(0, 0.003, 6)
     progress = np.linspace(0, 1, 2000)[:, None]
     run = recorded(balance.outputs(native) + zero + progress * drift)
     before = recorded(zero + rng.normal(0, NOISE, (4000, 6)), name="before")
@@ -88,6 +89,69 @@ def test_a_zero_is_the_mean_and_its_drift_is_taken_off(balance: BalanceMatrix, r
     assert error.max() < allowed
     plain = loads_of_outputs(run, balance, zero=gauge_zero([before], balance, model_on=False))
     assert np.max(np.abs(plain.values - in_direct(balance, native))) > 3 * error.max()
+
+
+def at_rest(
+    generator: np.random.Generator, zero: Array, *, moved: Array | float = 0.0, name: str = "zero"
+) -> Recording:
+    """A zero of 4000 readings in which bridges move to another place after three quarters, and stay there [mV/V]."""
+    later = np.arange(4000)[:, None] >= 3000
+    return recorded(zero + moved * later + generator.normal(0, NOISE, (4000, 6)), name=name)
+
+
+def test_a_zero_that_moved_is_doubted_and_counts(balance: BalanceMatrix, rng) -> None:
+    native = swinging(500, rng)
+    zero, moved = rng.normal(0, 0.3, 6), np.zeros(6)
+    moved[5] = 0.1  # 500 times the noise of a reading, and a tenth of the range of AF
+    found = gauge_zero([at_rest(rng, zero, moved=moved)], balance, model_on=False)
+    run = recorded(balance.outputs(native) + zero)
+    with pytest.warns(DataQualityWarning, match="zero moves while it is read.* of AF"):
+        felt = loads_of_outputs(run, balance, zero=found)
+    doubts = {doubt.component: doubt for doubt in felt.doubts}
+    # of a quarter of the record off by d the standard deviation is d sqrt(3) / 4, and the mean is off by d / 4; the
+    # sensitivity is taken at the median load, and changes by some per cent along the loads
+    error = felt.values[:, 5] - in_direct(balance, native)[:, 5]
+    assert doubts["AF"].kind == "zero"
+    assert doubts["AF"].effect == pytest.approx(np.sqrt(3) * np.sqrt(np.mean(error**2)), rel=0.1)
+    assert doubts["AF"].effect < felt.calibration[:, 5].mean()
+
+
+@pytest.mark.parametrize("size", [0.0, 0.01])
+def test_drift_of_a_zero_is_not_doubted(size, balance: BalanceMatrix, rng) -> None:
+    zero = rng.normal(0, 0.3, 6)
+    # a hundredth of the range from one zero to the next is much, but bridges do it; within one a tenth of that
+    before = at_rest(rng, zero, moved=size / 10, name="before")
+    after = at_rest(rng, zero + size, name="after")
+    found = gauge_zero([before], balance, after=[after], model_on=False)
+    assert loads_of_outputs(recorded(balance.outputs(swinging(500, rng)) + zero), balance, zero=found).doubts == ()
+
+
+def test_a_jump_between_two_zeros_is_doubted(balance: BalanceMatrix, rng) -> None:
+    zero, jump = rng.normal(0, 0.3, 6), np.zeros(6)
+    jump[5] = 0.1
+    found = gauge_zero([at_rest(rng, zero)], balance, after=[at_rest(rng, zero + jump, name="after")], model_on=False)
+    late = np.arange(2000)[:, None] >= 1000  # in the middle of the run
+    native = swinging(2000, rng)
+    with pytest.warns(DataQualityWarning, match="zero after the run differ"):
+        felt = loads_of_outputs(recorded(balance.outputs(native) + zero + jump * late), balance, zero=found)
+    (doubt,) = [one for one in felt.doubts if one.component == "AF"]
+    error = felt.values[:, 5] - in_direct(balance, native)[:, 5]
+    assert doubt.effect == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.1)  # sensitivities, as above
+
+
+def test_a_run_is_not_its_own_zero(balance: BalanceMatrix, rng) -> None:
+    run = recorded(balance.outputs(swinging(2000, rng)) + rng.normal(0, NOISE, (2000, 6)))
+    copy = replace(run, name="copy of the run")
+    rest = at_rest(rng, np.zeros(6))
+    with pytest.raises(FitError, match="copy of the run has the readings of the run run itself: it is no zero"):
+        reduce_outputs(run, balance, zero=Zero(copy, model_on=False))
+    with pytest.raises(FitError, match="no zero after the run"):
+        reduce_outputs(run, balance, zero=Zero(rest, model_on=False, after=copy))
+    with pytest.raises(FitError, match="no tare"):
+        reduce_outputs(run, balance, zero=Zero(rest, model_on=False), tare=[copy])
+    with pytest.raises(FitError, match="no zero"):  # of a run that is worked on in parts
+        reduce_outputs(run.part(700, 1500), balance, zero=Zero(copy, model_on=False))
+    assert reduce_outputs(run, balance, zero=Zero(rest, model_on=False)).doubts == ()
 
 
 def test_wind_off_loads_are_taken_off_at_the_same_pitch(balance: BalanceMatrix, rng) -> None:

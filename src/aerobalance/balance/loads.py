@@ -8,7 +8,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -20,7 +20,8 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.matrix_errors import MatrixErrors
 from aerobalance.balance.zeros import SAY_HOW_READ, GaugeZero, gauge_table
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import COMPONENTS, is_gauge
+from aerobalance.recording.components import COMPONENTS, is_gauge, si_unit
+from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.noise import channel_noise, noise_correlation
@@ -91,6 +92,8 @@ class Loads:
         The run, these loads in the place of its gauge outputs: the clock, motion and attitude that go with them.
     ready
         Whether gravity is in the loads and in the recording alike, as the force needs it.
+    doubts
+        What their zeros say against them.
     """
 
     components: tuple[str, ...]
@@ -106,6 +109,7 @@ class Loads:
     balance: BalanceMatrix
     recording: Recording
     ready: bool
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def noise(self) -> Array:
@@ -293,8 +297,33 @@ def loads_of_outputs(
         balance=balance,
         recording=recording,
         ready=tare is None and (zero.model_on is False or bool(zero.weight.any())),
+        doubts=tuple(_doubts_of_zero(zero, components, slope)),
     )
+    for text in dict.fromkeys(str(doubt) for doubt in loads.doubts):  # one sentence for all components
+        _warn(f"{recording.name}: {text}")
     return replace(loads, recording=_with_loads(recording, loads))
+
+
+def _doubts_of_zero(zero: GaugeZero, components: Sequence[str], slope: Array) -> Iterator[Doubt]:
+    """What zeros say against loads that change with the gauge outputs by a slope, shape (c, c) [N V/mV]."""
+    units = [si_unit(name) if name in COMPONENTS else "N" for name in components]
+    known: list[tuple[Array, str, str]] = []
+    if zero.moved.any():
+        text = "moves while it is read, more than bridges drift, by {}: it is no zero, or the wind was on"
+        known.append((np.abs(slope) @ zero.moved, text, "give a record of the balance at rest"))
+    if zero.drifted:
+        text = (
+            "and the zero after the run differ by more than bridges drift; it is taken as a steady change, and a jump "
+            "leaves {}"
+        )
+        left = np.abs(slope @ zero.drift) / np.sqrt(12)  # rms of a jump in the middle of the run from a straight line
+        known.append((left, text, "look for a contact, a loose part or a cable that moved"))
+    for effects, text, advice in known:
+        sizes = ", ".join(
+            f"{size:.3g} {unit} of {name}" for size, unit, name in zip(effects, units, components, strict=True)
+        )
+        for name, unit, effect in zip(components, units, effects.tolist(), strict=True):
+            yield Doubt("zero", name, f"{zero.source} {text.format(sizes)} (rms)", advice, effect, unit)
 
 
 def _form_of(balance: BalanceMatrix, form: Form | None) -> tuple[tuple[str, ...], Sequence[bool], Array]:

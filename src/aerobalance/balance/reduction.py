@@ -13,7 +13,7 @@ from aerobalance.balance.loads import Loads, loads_of_outputs, wind_off_loads
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.weighing import Weighing
 from aerobalance.balance.weight_on_zero import WeightOnZero, attitudes_of, settled_zero, weight_on_zero, zero_or_mean
-from aerobalance.balance.zeros import CarriedWeight, Zero
+from aerobalance.balance.zeros import CarriedWeight, Zero, gauge_table
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, argument, warn_quality
@@ -57,9 +57,10 @@ def reduce_outputs(
     ValueError
         The weight would be taken off twice, or does not go with the format.
     FitError
-        The recordings do not go together.
+        The recordings do not go together; or the run is its own zero or tare.
     """
     recording, balance = corrected(recording), matrix_of(balance)
+    _check_at_rest(recording, zero, tare, balance)
     if isinstance(tare, Weighing) and model is not None:
         raise ValueError(
             f"the weight comes from the mass in the dynamics; a weighing as {argument('tare')} would take it off twice"
@@ -85,6 +86,33 @@ def reduce_outputs(
     if model is None:
         return loads
     return replace(loads if attitude else loads.without_weight_of_zero, ready=True)
+
+
+def _check_at_rest(
+    recording: Recording, zero: Zero | None, tare: Sequence[Recording] | Weighing, balance: BalanceMatrix
+) -> None:
+    """Refuse a run as its own zero or tare, by whatever name."""
+    zeros = {} if zero is None else {"zero": zero.recordings, "zero after the run": zero.after}
+    given = {**zeros, "tare": () if isinstance(tare, Weighing) else tare}
+    for what, others in given.items():
+        for other in others:
+            if _is_part_of(recording, other, balance):
+                raise FitError(
+                    f"{other.name} has the readings of the run {recording.name} itself: it is no {what}, and would "
+                    "take all steady load away; give a record of the balance without wind"
+                )
+
+
+def _is_part_of(recording: Recording, other: Recording, balance: BalanceMatrix) -> bool:
+    """Whether the gauge outputs of a run, or of a part of one, are those of another recording at their place."""
+    own, _ = gauge_table(recording, balance)
+    theirs, _ = gauge_table(other, balance)
+    first = round(recording.extent.begin * (len(theirs) - 1))
+    there = theirs[first : first + len(own)]
+    if own.shape != there.shape or not np.array_equal(own, there, equal_nan=True):
+        return False
+    present = own[np.isfinite(own).all(axis=1)]
+    return present.size > 0 and float(np.ptp(present, axis=0).max()) > 0  # what never changes is like all of its kind
 
 
 def _weight_off(

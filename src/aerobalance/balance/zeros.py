@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.balance.bridge_outputs import gauge_outputs
 from aerobalance.balance.load_formats import role_of
@@ -15,14 +16,24 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.gravity import GravityOnZero
+from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
+
+FEWEST: Final = 8
+"""Readings of a zero from which on their noise can be judged."""
 
 CLEARLY: Final = 0.5
 """Distance of a zero from the natural zeros, over that from them under the weight, below which it was read without."""
 
 MOVED: Final = 0.05
 """Distance of a zero from the natural zeros, over the calibrated span, up to which it may be drift since then."""
+
+MOVED_IN_NOISE: Final = 100.0
+"""Change of a bridge within or between zeros over the noise of a reading, from which it may be no drift."""
+
+MOVED_IN_RANGE: Final = (2e-3, 0.02)
+"""The same over the full-range output while one zero is read, and between two: bridges drift by less."""
 
 
 SAY_HOW_READ: Final = (
@@ -53,6 +64,11 @@ class GaugeZero:
     model_on
         Whether the model hung on the balance while they were read, in which case its weight has been taken out; None
         where that has not been said, and loads cannot count from them.
+    moved
+        Standard deviation of the outputs within a zero where they moved by more than bridges drift, shape (c,) [mV/V];
+        0 elsewhere. It is in `u`.
+    drifted
+        Whether a bridge moved by more than that from the beginning to the end of the run.
     """
 
     values: Array
@@ -63,6 +79,8 @@ class GaugeZero:
     pull: GravityOnZero = field(default_factory=GravityOnZero)
     operating_point: Array | None = None
     model_on: bool | None = None
+    moved: Array = field(default_factory=lambda: np.zeros(1))
+    drifted: bool = False
 
     @classmethod
     def taken_off(cls, balance: BalanceMatrix) -> GaugeZero:
@@ -180,12 +198,37 @@ def gauge_zero(
     model_on
         False where nothing hung on the balance. Where the model did, `without_weight` takes its weight out.
     """
-    first, u = _mean_outputs(recordings, balance)
-    drift = np.zeros_like(first)
-    if after:
-        last, u_last = _mean_outputs(after, balance)
-        drift, u = last - first, np.hypot(u, u_last)
-    return GaugeZero(first, u, ", ".join(recording.name for recording in recordings), drift, model_on=model_on)
+    first = _MeanOutputs.of(recordings, balance)
+    source = ", ".join(recording.name for recording in recordings)
+    if not after:
+        nothing = np.zeros_like(first.values)
+        return GaugeZero(first.values, first.u, source, nothing, model_on=model_on, moved=first.moved)
+    last = _MeanOutputs.of(after, balance)
+    drift, noise = last.values - first.values, np.maximum(first.noise, last.noise)
+    return GaugeZero(
+        first.values,
+        np.hypot(first.u, last.u),
+        source,
+        drift,
+        model_on=model_on,
+        moved=np.maximum(first.moved, last.moved),
+        drifted=bool(is_moved(drift, noise, MOVED_IN_RANGE[1] * balance.output_scale).any()),
+    )
+
+
+def is_moved(change: Array, noise: Array, least: Array) -> NDArray[np.bool_]:
+    """Return which bridges changed by more than they drift, shape (c,); arguments of that shape [mV/V].
+
+    Parameters
+    ----------
+    change
+        Of the outputs.
+    noise
+        Of a reading.
+    least
+        What may be drift.
+    """
+    return np.asarray(np.abs(change) > np.maximum(MOVED_IN_NOISE * noise, least))
 
 
 def without_weight(zero: GaugeZero, balance: BalanceMatrix) -> GaugeZero:
@@ -263,24 +306,49 @@ def in_own_components(weight: Array, balance: BalanceMatrix) -> Array:
     return np.array([weight[COMPONENTS.index(name)] if name in COMPONENTS else 0.0 for name in balance.components])
 
 
-def _mean_outputs(recordings: Sequence[Recording], balance: BalanceMatrix) -> tuple[Array, Array]:
-    """Mean of the gauge outputs over recordings, and its standard uncertainty, both of shape (c,)."""
-    means, variances = [], []
-    for recording in recordings:
-        table, _ = gauge_table(recording, balance)
-        known = table[np.isfinite(table).all(axis=1)]
-        if known.shape[0] < 2:
-            raise FitError(f"{recording.name}: no samples with all gauge outputs to take a zero from")
-        means.append(known.mean(axis=0))
-        variances.append(_variance_of_mean(known))
-    return np.mean(means, axis=0), np.sqrt(np.sum(variances, axis=0)) / len(means)
+@dataclass(frozen=True, slots=True, eq=False)
+class _MeanOutputs:
+    """Mean of the gauge outputs over recordings, its standard uncertainty, noise and movement, shape (c,) [mV/V]."""
+
+    values: Array
+    u: Array
+    noise: Array
+    moved: Array
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording], balance: BalanceMatrix) -> _MeanOutputs:
+        means, variances, noises, moves = [], [], [], []
+        for recording in recordings:
+            table, _ = gauge_table(recording, balance)
+            known = table[np.isfinite(table).all(axis=1)]
+            if known.shape[0] < 2:
+                raise FitError(f"{recording.name}: no samples with all gauge outputs to take a zero from")
+            noise = np.array([white_noise(column) if column.size >= FEWEST else 0.0 for column in known.T])
+            batches = _batch_means(known)
+            moved = is_moved(np.ptp(batches, axis=0), noise, MOVED_IN_RANGE[0] * balance.output_scale)
+            means.append(known.mean(axis=0))
+            noises.append(noise)
+            moves.append(np.where(moved, batches.std(axis=0), 0.0))
+            variances.append(_variance_of_mean(known) + moves[-1] ** 2)
+        count = len(means)
+        return cls(
+            np.mean(means, axis=0),
+            np.sqrt(np.sum(variances, axis=0)) / count,
+            np.max(noises, axis=0),
+            np.sqrt(np.sum(np.square(moves), axis=0)) / count,
+        )
+
+
+def _batch_means(table: Array) -> Array:
+    """Means of up to 20 equal parts of columns, shape (parts, c)."""
+    batches = max(min(20, table.shape[0] // 2), 1)
+    length = table.shape[0] // batches
+    return np.asarray(table[: batches * length].reshape(batches, length, -1).mean(axis=1))
 
 
 def _variance_of_mean(table: Array) -> Array:
     """Variance of column means by batch means, which holds for ringing and hum too, shape (c,)."""
-    batches = min(20, table.shape[0] // 2)
-    if batches < 2:
+    means = _batch_means(table)
+    if len(means) < 2:
         return np.asarray(table.var(axis=0, ddof=1) / table.shape[0])
-    length = table.shape[0] // batches
-    means = table[: batches * length].reshape(batches, length, -1).mean(axis=1)
-    return np.asarray(means.var(axis=0, ddof=1) / batches)
+    return np.asarray(means.var(axis=0, ddof=1) / len(means))

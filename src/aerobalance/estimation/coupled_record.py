@@ -17,7 +17,7 @@ from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.modal import EquivalentModel
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.decoupled_record import DecoupledRecord, load_felt
-from aerobalance.estimation.record import FEWEST_SAMPLES
+from aerobalance.estimation.record import FEWEST_SAMPLES, check_length
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.platform import PlatformMotion
 from aerobalance.recording.channel import Array, Channel
@@ -91,11 +91,13 @@ class CoupledRecord:
         Raises
         ------
         FitError
-            A component that the others ring with is not in the recording, or has too few readings; or the ground end
-            moves and the dynamics hold no mass.
+            A component that the others ring with is not in the recording, or has too few readings; or the record
+            is shorter than a period; or the ground end moves and the dynamics hold no mass.
         """
         recording = corrected(recording)
         channels = _channels(recording, dynamics)
+        slowest = min(mode.natural_frequency for mode in dynamics.modes)
+        check_length(recording, "the slowest mode", frequency=slowest)
         platform = PlatformMotion.of(recording, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
         loads = np.column_stack([np.where(channel.at_limit, np.nan, channel.values) for channel in channels])
         noise = noise_covariance(channels, interpolate_gaps(loads)) if noise is None else noise

@@ -25,7 +25,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.model_check import checked
-from aerobalance.estimation.checks.outliers import without_wild_samples
+from aerobalance.estimation.checks.outliers import impossible_channels, without_wild_samples
 from aerobalance.estimation.component_force import Method, noise_of_component
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force_collector import ForceCollector
@@ -244,9 +244,11 @@ def _undivided(
             f"{given.name}: the loads were worked out from gauge outputs, and the errors of the balance matrix are "
             "not in the uncertainty: give the loads as reduce_outputs returns them, not their recording alone"
         )
-    wild: tuple[Doubt, ...] = ()
+    seen = impossible_channels(given, model.components, coupled=isinstance(model, CoupledDynamics))
+    told = given.doubts if isinstance(given, Loads) else ()
     if not settings.keep_outliers:
         given, wild = without_wild_samples(given, model.components)
+        seen += wild
     record = force_record(given, model, **settings.earth)
     if isinstance(noise, Recording | Loads):
         noise = noise_spectra(noise, record, **settings.earth)
@@ -255,10 +257,11 @@ def _undivided(
     if isinstance(given, Loads):
         parts = with_matrix(parts, given, model)
     known = partial(_known, record, given if isinstance(given, Loads) else None)
-    parts = {name: replace(part, doubts=(*_of(name, wild), *part.doubts)) for name, part in parts.items()}
+    parts = {name: replace(part, doubts=(*_of(name, told + seen), *part.doubts)) for name, part in parts.items()}
     force = checked(Force(parts, known, settings, noises))
     for doubt in force.doubts:
-        warn_quality(f"{given.name}: {doubt}")
+        if doubt not in told:
+            warn_quality(f"{given.name}: {doubt}")
     return force
 
 

@@ -29,6 +29,33 @@ from aerobalance.recording.sensors import corrected
 FEWEST_SAMPLES: Final = 32
 """Fewest readings of a component that a force is worked out for."""
 
+
+def check_length(recording: Recording, component: str, *, frequency: float) -> None:
+    """Refuse a record that is shorter than one period of the balance.
+
+    Parameters
+    ----------
+    recording
+        The record, or a part of it.
+    component
+        Which component, in words.
+    frequency
+        Its natural frequency [Hz].
+
+    Raises
+    ------
+    FitError
+        It is, by a wrong clock or wrong dynamics.
+    """
+    whole = recording.whole_duration
+    if whole * frequency < 1:
+        raise FitError(
+            f"{recording.name}: the record takes {whole:.3g} s ({recording.rate:.6g} samples a second), less than one "
+            f"period of {component}, {1 / frequency:.3g} s ({frequency:.4g} Hz): check the unit of the time and the "
+            "dynamics"
+        )
+
+
 PARAMETERS_NAME: Final = "mass, stiffness, damping, delay"
 """Name of what the dynamics contribute to the uncertainty."""
 
@@ -330,7 +357,7 @@ class IndependentRecord:
         Raises
         ------
         FitError
-            A component has too few readings.
+            A component has too few readings, or the record is shorter than its period.
         """
         recording = corrected(recording)
         known = IndependentDynamics({name: part for name, part in dynamics.items() if name in recording})
@@ -340,6 +367,7 @@ class IndependentRecord:
                 raise FitError(
                     f"{recording.name}: {count} readings of {name}; a force needs at least {FEWEST_SAMPLES}"
                 )
+            check_length(recording, name, frequency=known[name].natural_frequency)
         settings = {"gravity": gravity, "gravity_uncertainty": gravity_uncertainty}
         return cls(recording, known, {name: GroundMotion.of(recording, name, **settings) for name in known})
 

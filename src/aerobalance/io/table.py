@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Final, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -265,6 +265,10 @@ def on_clock(
     return recording
 
 
+RESTS_ON_LIMIT: Final = "rests on its limit"
+"""What is said of a channel that does."""
+
+
 def warn_of_missing(path: Path, channel: Channel) -> None:
     """Warn of readings that are missing in rows that are there."""
     count = int(np.count_nonzero(channel.missing))
@@ -282,7 +286,7 @@ def warn_of_limit(path: Path, channel: Channel) -> None:
     count = int(np.count_nonzero(channel.saturated))
     if count:
         warn_quality(
-            f"{path.name}: {channel.name} rests on its limit in {count} samples (saturated); the signal went "
+            f"{path.name}: {channel.name} {RESTS_ON_LIMIT} in {count} samples (saturated); the signal went "
             "further than was recorded: force takes these samples for missing, every other result from them is "
             "too small"
         )

@@ -15,7 +15,7 @@ from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, warn_qua
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.jitter import following, on_steady_clock
 from aerobalance.recording.parts import Extent
-from aerobalance.recording.steady_clock import SteadyClock, first_repeated, steady_clock
+from aerobalance.recording.steady_clock import SteadyClock, first_repeated, seconds_of_stamps, steady_clock
 from aerobalance.recording.units import conversion_for
 
 if TYPE_CHECKING:
@@ -64,10 +64,15 @@ class Recording:
     extent: Extent = field(default_factory=Extent)
     _means: dict[str, float] = field(init=False, default_factory=dict, repr=False)
 
+    def __post_init__(self) -> None:
+        for key, channel in self.channels.items():
+            if channel.name != key:
+                raise ValueError(f"{self.name}: channel {key} is called {channel.name}: which of the two is it?")
+
     @classmethod
     def from_columns(
         cls,
-        stamps: Array,
+        stamps: ArrayLike,
         channels: Mapping[str, Channel],
         *,
         name: str = "recording",
@@ -81,7 +86,7 @@ class Recording:
         Parameters
         ----------
         stamps
-            Time of every row, shape (m,) [s], increasing.
+            Time of every row, shape (m,) [s], increasing; dates and times (datetime64) count from the first.
         channels
             Channels of m readings each.
         name
@@ -94,9 +99,9 @@ class Recording:
         FitError
             The time column does not increase, or no steady clock fits it.
         ValueError
-            A channel has not one reading per row.
+            A channel has not one reading per row, or another name than its key; a stamp is neither number nor date.
         """
-        stamps = np.array(stamps, dtype=np.float64)
+        stamps = seconds_of_stamps(stamps, name)
         for key, channel in channels.items():
             if channel.values.shape != stamps.shape:
                 raise ValueError(f"channel {key} has {channel.values.size} readings for {stamps.size} time stamps")
@@ -127,7 +132,7 @@ class Recording:
         Parameters
         ----------
         time
-            Time of every sample, shape (n,) [s], increasing.
+            Time of every sample, shape (n,) [s], increasing; dates and times (datetime64) count from the first.
         columns
             Readings by channel, shape (n,) each; NaN where missing. The names are those of
             `aerobalance.recording.channel.QUANTITIES`: ``AF`` a balance load, ``rAF`` the output of its bridge,
@@ -158,7 +163,7 @@ class Recording:
         unknown = [key for key in given if key not in columns]
         if unknown:
             raise ValueError(f"units has {unknown[0]}, which is not among the columns: {', '.join(columns)}")
-        stamps = np.asarray(time, dtype=np.float64)
+        stamps = seconds_of_stamps(time, name)
         if stamps.ndim != 1:
             raise ValueError(f"time must have shape (n,), not {stamps.shape}")
         channels = {key: _channel_of(key, values, given.get(key)) for key, values in columns.items()}

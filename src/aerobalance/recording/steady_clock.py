@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError, warn_quality
@@ -45,6 +46,41 @@ class SteadyClock(NamedTuple):
         """Time by which each stamp is after its sample of the clock, shape (m,) [intervals]."""
         late: Array = (stamps - self.start) / self.interval - self.rows
         return late
+
+
+def seconds_of_stamps(stamps: ArrayLike, name: str) -> Array:
+    """Return time stamps in seconds, shape as given [s]; dates and times count from the first of them.
+
+    Parameters
+    ----------
+    stamps
+        Seconds; or dates and times, as NumPy, pandas or Python have them; or differences of these.
+    name
+        What the recording is called in messages.
+
+    Raises
+    ------
+    ValueError
+        A date is missing, or a stamp is neither number nor date.
+    """
+    given = np.asarray(stamps)
+    if given.dtype.kind in "mM":
+        missing = np.flatnonzero(np.isnat(given))
+        if missing.size:
+            raise ValueError(f"{name}: time stamp {int(missing[0]) + 1} of {given.size} is missing (NaT)")
+        since = given - given[:1] if given.dtype.kind == "M" else given
+        return np.asarray(since / np.timedelta64(1, "s"), dtype=np.float64)
+    if given.dtype.kind == "O" and given.size and isinstance(given.flat[0], datetime):
+        try:
+            return np.array([(one - given.flat[0]).total_seconds() for one in given.flat]).reshape(given.shape)
+        except TypeError:
+            raise ValueError(f"{name}: the time stamps are not all dates, or not all with a time zone") from None
+    try:
+        return np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name}: time stamps must be seconds, or dates and times (datetime64), not {given.flat[0]!r}"
+        ) from None
 
 
 def steady_clock(stamps: Array, name: str) -> SteadyClock:

@@ -19,10 +19,22 @@ CHANCE: Final = 1e-9
 """Probability that a run as long comes about by chance anywhere in the record."""
 
 
+def is_dead(values: Array) -> bool:
+    """Return whether a channel has one reading all along.
+
+    Parameters
+    ----------
+    values
+        Readings, shape (n,); NaN where missing.
+    """
+    present = values[np.isfinite(values)]
+    return present.size > 1 and bool((present == present[0]).all())
+
+
 def stuck_samples(values: Array) -> NDArray[np.bool_]:
     """Return which readings repeat the one before them in a run that is no chance, shape (n,).
 
-    The first reading of a run may be sound and is kept. A channel that never changes is not stuck but dead, and is not
+    The first reading of a run may be sound and is kept. A channel that never changes is dead (`is_dead`), and is not
     looked at.
 
     Parameters

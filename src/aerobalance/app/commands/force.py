@@ -38,6 +38,7 @@ from aerobalance.io.columns import Append
 from aerobalance.io.dynamics_file import read_any_dynamics
 from aerobalance.io.kinds import PAGE, TABLE
 from aerobalance.io.results_file import force_columns, writing
+from aerobalance.io.table import RESTS_ON_LIMIT
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.doubts import Doubt, verdict_of
 from aerobalance.recording.errors import warn_quality
@@ -84,7 +85,13 @@ def force(
     inputs = [path, dynamics, *source.paths, *([] if noise_record is None else [noise_record])]
     check_out(out, *inputs, kind=TABLE)
     check_out(report, *inputs, out, kind=PAGE)
-    with collected_warnings() as collected, opened(path, channel_map) as record:
+    doubts: list[Doubt] = []
+
+    def said_by_doubt(text: str) -> bool:  # a limit is told of on reading, for those who only read
+        limited = [doubt.component for doubt in doubts if doubt.kind == "clipping"]
+        return any(f"{name} {RESTS_ON_LIMIT}" in text for name in limited)
+
+    with collected_warnings(said_by_doubt) as collected, opened(path, channel_map) as record:
         if files is not None:
             source = source._replace(known=_through(files.balance, known, dynamics=dynamics))
         work = ForceWork(
@@ -97,7 +104,7 @@ def force(
         with writing(out, samples=record.samples) as append:
             found = _worked_out(work, out, append, pictured=report is not None)
             checked = _checked(work, found, check)
-    doubts = [doubt for one in found.summaries.values() for doubt in one.doubts]
+        doubts += [doubt for one in found.summaries.values() for doubt in one.doubts]
     verdict = verdict_of(doubts, {name: one.size for name, one in found.summaries.items()})
     origins = Origins(found.origin, dynamics, None if files is None else files.balance)
     summaries = found.summaries

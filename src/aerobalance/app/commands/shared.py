@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
@@ -33,8 +33,14 @@ Result = dict[str, Any]
 
 
 @contextmanager
-def collected_warnings() -> Iterator[list[str]]:
-    """Collect the warnings about a result while it is worked out; at the end, list each text once and pass it on."""
+def collected_warnings(without: Callable[[str], bool] = lambda text: False) -> Iterator[list[str]]:
+    """Collect the warnings about a result while it is worked out; at the end, list each text once and pass it on.
+
+    Parameters
+    ----------
+    without
+        Whether a text need not be said, because another says the same; asked at the end.
+    """
     texts: list[str] = []
     caught: list[warnings.WarningMessage] = []
     try:
@@ -53,7 +59,8 @@ def collected_warnings() -> Iterator[list[str]]:
         ) from problem
     finally:
         said = [one.message for one in caught if issubclass(one.category, DataQualityWarning)]
-        texts += dict.fromkeys(as_options(" ".join(str(message).split())) for message in said)
+        said_once = dict.fromkeys(as_options(" ".join(str(message).split())) for message in said)
+        texts += [text for text in said_once if not without(text)]
         for text in texts:
             warn_quality(text)
 

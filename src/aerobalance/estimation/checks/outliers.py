@@ -1,4 +1,7 @@
-"""Wild and stuck samples of a run: missing in the loads; in the ground's motion neighbours fill the wild ones."""
+"""Readings of a run that cannot be: wild and stuck samples, dead channels, angles that nothing has.
+
+Wild and stuck samples are missing in the loads; in the ground's motion neighbours fill the wild ones.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +18,14 @@ from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.stuck_samples import stuck_samples
+from aerobalance.recording.stuck_samples import is_dead, stuck_samples
 from aerobalance.recording.wild_samples import wild_samples
 
 DEAD: Final = 0.9
 """Share of stuck samples from which on a channel says nothing."""
+
+LARGEST: Final = {"pitch": 90.0, "roll": 180.0}
+"""Angles that pitch and roll do not pass, by what they are [deg]."""
 
 BESIDE: Final = 8
 """Readings on either side by which a wild sample of the ground's motion is filled."""
@@ -52,7 +58,7 @@ def without_wild_samples(
     present = [name for name in components if name in recording]
     for name, channel in recording.channels.items():
         is_load = name in present
-        if not (is_load or name.startswith("ground_") or name in ("pitch", "roll")):
+        if not (is_load or _of_ground(name)):
             continue
         limited = channel.at_limit
         stuck = stuck_samples(channel.values) & ~limited
@@ -77,6 +83,51 @@ def without_wild_samples(
         if name in channels:
             table[np.isnan(channels[name].values), place] = np.nan
     return replace(given, recording=clean, values=table), tuple(doubts)
+
+
+def impossible_channels(given: Recording | Loads, components: Sequence[str], *, coupled: bool) -> tuple[Doubt, ...]:
+    """Return what is to be said of channels as a whole: those that never change, and angles that nothing has.
+
+    Parameters
+    ----------
+    given
+        The run.
+    components
+        Components whose loads are looked at, beside the channels of the ground's motion.
+    coupled
+        Whether the force of each needs the readings of all.
+    """
+    recording = given.recording if isinstance(given, Loads) else given
+    present = [name for name in components if name in recording]
+    return tuple(
+        doubt
+        for name, channel in recording.channels.items()
+        if name in present or _of_ground(name)
+        for component in ([name] if name in present and not coupled else present)
+        for doubt in _doubts_of_channel(recording, channel, component)
+    )
+
+
+def _of_ground(name: str) -> bool:
+    return name.startswith("ground_") or name in LARGEST
+
+
+def _doubts_of_channel(recording: Recording, channel: Channel, component: str) -> Iterator[Doubt]:
+    """What is to be said of a channel as a whole."""
+    name, unit = channel.name, si_unit(component)
+    angle = name in LARGEST
+    if not angle and channel.noise != 0 and is_dead(channel.values):  # what has no noise may well be still
+        reading = float(channel.values[np.isfinite(channel.values)][0])
+        text = f"{name} reads {reading:.6g} {channel.unit} in all {recording.samples} samples: the channel is dead"
+        size = abs(reading) if name == component and reading else None  # all of the load may be wrong
+        yield Doubt("stuck channel", component, text, "look at the cable and the converter of the channel", size, unit)
+    largest = float(np.degrees(np.nanmax(np.abs(channel.values), initial=0.0))) if angle else 0.0
+    if largest > LARGEST.get(name, np.inf) * (1 + 1e-9):
+        text = (
+            f"{name} is up to {largest:.4g} deg, more than the {LARGEST[name]:g} deg that it can be: degrees that are "
+            f"called radians, or the angle of something else; the weight along {component} is wrong by it"
+        )
+        yield Doubt("attitude range", component, text, f"check the unit of {name}", None, unit)
 
 
 def _filled(values: Array, wild: NDArray[np.bool_]) -> Array:

@@ -1,0 +1,185 @@
+"""Inputs that cannot be what they are said to be: refused with the reason, or doubted by name."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import aerobalance as ab
+from aerobalance.app.cli.program import main
+from aerobalance.estimation.checks.outliers import impossible_channels
+from aerobalance.estimation.force import estimate_force
+from aerobalance.io.dynamics_file import write_dynamics
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.doubts import Verdict
+from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.recording import Recording
+from faults.cases import all_cases, dynamics
+from faults.scene import FREQUENCY, Record
+from faults.trials import recording_of as frames
+from faults.trials import worked_out
+from helpers.coupled_pair import NOISE as PAIR_NOISE
+from helpers.coupled_pair import pair, recording_of, shaken
+
+CASES = {case.name: case for case in all_cases()}
+RATE = 1600.0
+
+
+def made(name: str, seed: int = 0) -> Record:
+    return CASES[name].record(seed)
+
+
+@pytest.mark.parametrize("over", [0.97, 1.03])
+def test_a_record_shorter_than_a_period_is_refused(over):
+    whole = made("soft 30 Hz, 100 N")
+    # 4000 samples in so many periods
+    record = replace(whole, rate=4000 * FREQUENCY / over)
+    force, said = worked_out(record, dynamics(), {})
+    if over > 1:
+        assert force is not None
+        return
+    assert force is None
+    rate = 4000 * FREQUENCY / over
+    assert said[0].startswith(f"record: the record takes 0.0146 s ({rate:.6g} samples a second), less than one period")
+    assert said[0].endswith("of AF, 0.0151 s (66.37 Hz): check the unit of the time and the dynamics")
+
+
+def test_of_coupled_components_the_slowest_mode_counts(rng):
+    coupled = pair()
+    slowest = min(mode.natural_frequency for mode in coupled.modes)
+    values = rng.normal(size=(200, 2))
+    run = recording_of(values)
+    fast = replace(run, rate=1.1 * 200 * slowest)
+    with pytest.raises(FitError, match="less than one period of the slowest mode"):
+        estimate_force(fast, coupled)
+
+
+def test_a_part_of_a_long_record_may_be_shorter_than_a_period(rng):
+    known = dynamics(frequency=0.05)
+    whole = Recording.from_columns(np.arange(60_000) / RATE, {"AF": Channel("AF", rng.normal(size=60_000), "N")})
+    # 37 s of 20 s a period; a part of 10 s
+    assert ab.estimate_force(whole.part(0, 16_000), known).only.values.size == 16_000
+
+
+STAMPS = np.datetime64("2026-11-23T10:00:00.123456") + (np.arange(400) * 625).astype("timedelta64[us]")
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        STAMPS,
+        STAMPS.astype("datetime64[ns]"),
+        STAMPS - STAMPS[0],
+        [datetime.datetime(2026, 11, 23) + datetime.timedelta(microseconds=625 * i) for i in range(400)],
+        pd.to_datetime(STAMPS).tz_localize("Europe/Berlin").to_numpy(),
+    ],
+    ids=["us", "ns", "differences", "Python", "with a zone"],
+)
+def test_dates_and_times_become_seconds_since_the_first(stamps):
+    recording = Recording.from_arrays(stamps, {"AF": np.arange(400.0)})
+    # microseconds are exact in doubles to 1e-16 of half a second
+    assert recording.rate == pytest.approx(RATE, rel=1e-12)
+    assert recording.start == pytest.approx(0.0, abs=1e-15)
+    again = Recording.from_columns(stamps, dict(recording.channels))
+    assert again.rate == recording.rate
+
+
+def test_a_data_frame_with_dates_has_a_clock():
+    frame = pd.DataFrame({"AF": np.arange(400.0)}, index=pd.DatetimeIndex(STAMPS))
+    assert Recording.from_dataframe(frame).rate == pytest.approx(RATE, rel=1e-12)
+
+
+def test_stamps_that_are_no_times_are_refused():
+    missing = STAMPS.copy()
+    missing[7] = np.datetime64("NaT")
+    with pytest.raises(ValueError, match=r"time stamp 8 of 400 is missing \(NaT\)"):
+        Recording.from_arrays(missing, {"AF": np.arange(400.0)})
+    with pytest.raises(ValueError, match="must be seconds, or dates and times"):
+        Recording.from_arrays(np.array(["one", "two"]), {"AF": np.arange(2.0)})
+    mixed = [datetime.datetime(2026, 1, 1), datetime.datetime(2026, 1, 2, tzinfo=datetime.UTC)]
+    with pytest.raises(ValueError, match="not all with a time zone"):
+        Recording.from_arrays(np.array(mixed, dtype=object), {"AF": np.arange(2.0)})
+
+
+def test_a_channel_under_another_name_is_refused():
+    channel = Channel("NF", np.arange(100.0), "N")
+    with pytest.raises(ValueError, match="channel AF is called NF"):
+        Recording.from_columns(np.arange(100) / 10, {"AF": channel})
+
+
+def test_an_angle_beyond_a_quarter_turn_is_told():
+    record = made("step, pitching")
+    degrees = np.degrees(record.columns["pitch"]) + 2.0
+    force, said = worked_out(record.with_column("pitch", degrees), dynamics(), {})
+    assert force is not None
+    assert force.doubts[0].kind == "attitude range"
+    assert any(f"pitch is up to {np.degrees(np.max(np.abs(degrees))):.4g} deg" in text for text in said)
+    assert force.verdict is not Verdict.FIT
+
+
+@pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2, 0.3])
+def test_angles_that_can_be_are_not_told(pitch):
+    given = Recording.from_arrays(np.arange(64) / RATE, {"AF": np.arange(64.0), "pitch": np.full(64, pitch)})
+    assert impossible_channels(given, ["AF"], coupled=False) == ()
+
+
+@pytest.mark.parametrize(("reading", "verdict"), [(100.0, "not usable"), (0.0, "doubtful")])
+def test_a_dead_load_is_named(reading, verdict):
+    record = made("step").with_column("AF", np.full(4000, reading))
+    force, said = worked_out(record, dynamics(), {})
+    assert force is not None
+    assert [doubt.kind for doubt in force.doubts] == ["stuck channel"]
+    assert str(force.verdict) == verdict
+    assert any(f"AF reads {reading:g} N in all 4000 samples: the channel is dead" in text for text in said)
+
+
+def test_a_dead_accelerometer_is_named():
+    record = made("step").with_column("ground_acceleration", np.zeros(4000))
+    force, _ = worked_out(record, dynamics(), {})
+    assert force is not None
+    assert [doubt.kind for doubt in force.doubts] == ["stuck channel"]
+    assert str(force.verdict) == "doubtful"
+
+
+def test_a_reading_that_is_exact_may_be_still():
+    still = Channel("AF", np.full(64, 5.0), "N", noise=0.0)
+    given = Recording.from_columns(np.arange(64) / RATE, {"AF": still})
+    assert impossible_channels(given, ["AF"], coupled=False) == ()
+
+
+@pytest.mark.parametrize("reading", [0.0, 30.0])
+def test_one_dead_channel_of_coupled_components_is_named_for_all(reading, rng):
+    coupled = pair()
+    _, loads, _ = shaken(rng, coupled, pitching=False)
+    loads = loads + PAIR_NOISE * rng.normal(size=loads.shape)
+    loads[:, 1] = reading
+    with pytest.warns(
+        DataQualityWarning, match=f"PM reads {reading:g} N\\*m in all 2000 samples: the channel is dead"
+    ):
+        force = estimate_force(recording_of(loads), coupled)
+    dead = [(doubt.component, doubt.effect) for doubt in force.doubts if doubt.kind == "stuck channel"]
+    assert dead == [("NF", None), ("PM", reading or None)]
+    assert force.verdict is not Verdict.FIT
+
+
+def test_a_clipped_channel_is_told_once(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    case = CASES["2 % clipped above, 0-20 Hz"]
+    run = frames(case.record(0), "run")
+    table = np.column_stack([run.time, run.channel("AF").values])
+    np.savetxt("run.csv", table, delimiter=",", header="time [s],AF [N]", comments="")
+    write_dynamics(tmp_path / "d.json", {"AF": case.dynamics})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        assert main(["force", "run.csv", "--dynamics", "d.json", "-o", "f.csv", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [doubt["kind"] for doubt in result["doubts"]] == ["clipping"]
+    assert sum("limit" in text for text in result["warnings"]) == 1
+    with pytest.warns(DataQualityWarning, match="AF rests on its limit"):  # who only reads is told as well
+        ab.read("run.csv")
