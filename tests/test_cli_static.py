@@ -271,7 +271,9 @@ def test_weight_in_a_zero_adds_no_doubt_at_its_attitude(here, capsys, truth, rng
     weighed = read_weighing(Path("mass.json"))
     weighing = replace(weighed, covariance=1e5 * weighed.covariance)  # as if weighed badly
     write_weighing(Path("mass.json"), weighing, inputs=[], settings={}, warnings=[])
-    files = ["--balance", "balance.json", "--mass", "mass.json", "--zero", "off3.csv", "-o", "loads.csv"]
+    pitch = np.full(time.size, angles[3])
+    write("zero.csv", time, gauges(truth, weight(pitch), rng) | {"pitch [deg]": np.degrees(pitch)})
+    files = ["--balance", "balance.json", "--mass", "mass.json", "--zero", "zero.csv", "-o", "loads.csv"]
     column = weighing.components.index("AF")
     for name, angle in zip(names, angles, strict=True):
         u = run(capsys, "loads", name, *files)["components"]["AF"]["u_calibration_rms"]

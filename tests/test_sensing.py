@@ -188,6 +188,7 @@ def test_the_corner_of_an_ac_sensor_is_undone():
     np.testing.assert_allclose(motion.specific_force[INNER], expected[INNER], atol=3 * CLOSE)
 
 
+@pytest.mark.filterwarnings("ignore:.* the channel is dead")  # a reading without noise
 @pytest.mark.parametrize("method", ["paper", "smoother"])
 def test_gain_and_zero_of_the_load_channel_count(method):
     pitch = np.full(TIME.size, 0.1)

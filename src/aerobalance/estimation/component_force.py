@@ -14,6 +14,7 @@ import numpy as np
 from aerobalance.estimation.checks.ground_channels import ground_doubts
 from aerobalance.estimation.direct import band_limited, central_differences
 from aerobalance.estimation.force_smoother import LinearSmoother, SignalModel, SmootherResult, fit_signal_model
+from aerobalance.estimation.ground_gaps import has_hidden_motion, with_hidden_motion
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import ComponentRecord, SingleRecord
 from aerobalance.estimation.result import ComponentForce
@@ -108,6 +109,8 @@ class Fitted:
         The force.
     doubts
         What the record said against the noise that was given.
+    found_motion
+        What gaps hid of the ground's motion, as the load shows it, shape (n,) [m/s^2]; None without gaps.
     """
 
     record: ComponentRecord
@@ -115,6 +118,7 @@ class Fitted:
     signal: SignalModel
     smoothed: SmootherResult
     doubts: tuple[Doubt, ...] = ()
+    found_motion: Array | None = None
 
     @classmethod
     def of(cls, record: ComponentRecord, *, hum: Hum) -> Fitted:
@@ -126,6 +130,19 @@ class Fitted:
             The balance is not in the range that can be calculated with, or the noise has another sampling rate.
         """
         _check(record)
+        found = cls._fitted(record, hum)
+        if not has_hidden_motion(record):
+            return found
+        # at first what a gap hides is taken for force
+        found = cls._fitted(with_hidden_motion(record, found.smoothed), hum)
+        better = with_hidden_motion(record, found.smoothed)
+        signal = replace(found.signal, reading=_with_values_of(better, found.signal.reading))
+        smoothed = SmootherResult.of(signal.reading, learned=signal.learned, steps=signal.steps)
+        change = better.motion.specific_force - record.motion.specific_force
+        return cls(better, hum, signal, smoothed, found.doubts, change)
+
+    @classmethod
+    def _fitted(cls, record: ComponentRecord, hum: Hum) -> Fitted:
         reading, doubts = _with_noise(record)
         signal = fit_signal_model(reading, hum=hum)
         smoothed = SmootherResult.of(signal.reading, learned=signal.learned, steps=signal.steps)
@@ -188,7 +205,12 @@ class Fitted:
             learned=learned,
             shared=record.shared,
             doubts=tuple(doubts),
+            found_motion=self.found_motion,
         )
+
+
+def _with_values_of(record: ComponentRecord, reading: Observation) -> Observation:
+    return replace(reading, values=record.reading().values)
 
 
 def _words_on_noise(record: ComponentRecord, learned: SpectralPrior) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.dynamics.modal import ModalModel
@@ -61,6 +62,10 @@ PARAMETERS_NAME: Final = "mass, stiffness, damping, delay"
 
 PROBE: Final = 0.1
 """Change of a parameter, in standard uncertainties, over which the estimator's slope is taken."""
+
+
+RINGING: Final = 1e-3
+"""Size of an error of the ground's motion over its largest, up to which a delay by parts of a sample has spread it."""
 
 
 Through = Callable[[Array], Array]
@@ -182,15 +187,35 @@ class ComponentRecord(ABC):
     def unknowns(self) -> tuple[SystematicParameter, ...]:
         """What holds along the ground's motion and is not known exactly."""
 
+    @property
+    def hides_motion(self) -> NDArray[np.bool_]:
+        """Where a channel of the ground's motion has a gap, shape (n,)."""
+        found = np.zeros(self.recording.samples, dtype=bool)
+        for item in self.unknowns:
+            if item.local:
+                size = np.abs(item.slope).reshape(found.size, -1).max(axis=1)
+                found |= size > RINGING * size.max()
+        return found
+
     @abstractmethod
     def reading_errors(self, values: Array, through: Through) -> list[Contribution]:
         """Return the errors of the force from gain and zero of the load's channel [N]."""
 
     def motion_errors(self, slope: Callable[[SystematicParameter], Array]) -> list[Contribution]:
         """What holds along the ground's motion and is not known, by what a unit of it does to the force, (n,)."""
+        groups: dict[tuple[str, str, bool], list[SystematicParameter]] = {}
+        for item in self.unknowns:  # a gap hides several numbers under one name
+            groups.setdefault((item.name, item.source, item.local), []).append(item)
         return [
-            Systematic(item.name, item.source, (item.name,), slope(item)[:, None], np.array([[item.uncertainty**2]]))
-            for item in self.unknowns
+            Systematic(
+                name,
+                source,
+                tuple(item.name for item in items),
+                np.column_stack([slope(item) for item in items]),
+                np.diag([item.uncertainty**2 for item in items]),
+                local=local,
+            )
+            for (name, source, local), items in groups.items()
         ]
 
     def finish(self, values: Array, contributions: list[Contribution], **facts: object) -> ComponentForce:
@@ -262,6 +287,11 @@ class SingleRecord(ComponentRecord):
         if not lag or not known.any():
             return known
         return fractional_delay(known, delay=lag, interval=self.interval)
+
+    def with_motion(self, change: Array) -> SingleRecord:
+        """The same record with so much added to the specific force of the ground, shape (n,) [m/s^2]."""
+        motion = replace(self.motion, specific_force=self.motion.specific_force + change)
+        return replace(self, motion=motion)
 
     def with_dynamics(self, other: Dynamics) -> SingleRecord:
         """The same record with other dynamics, whose mass has another weight in the zero that the load counts from."""

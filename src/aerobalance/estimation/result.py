@@ -100,6 +100,8 @@ class ComponentForce:
         What sums up the force, where it was worked out in parts; None where the contributions tell it.
     doubts
         What the record says against the force.
+    found_motion
+        What gaps hid of the ground's motion, as the load shows it, shape (n,) [m/s^2]; None without gaps.
     """
 
     component: str
@@ -118,6 +120,7 @@ class ComponentForce:
     shared: SharedNoise | None = None
     summary: ForceSummary | None = None
     doubts: tuple[Doubt, ...] = ()
+    found_motion: Array | None = None
 
 
 def with_balance(

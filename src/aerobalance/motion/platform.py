@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from aerobalance.dynamics.coupled import RigidMass
 from aerobalance.motion.at_rest import AT_REST, tones
 from aerobalance.motion.consistency import Effect, check_agreement
+from aerobalance.motion.gaps import GAP, filled
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.rotation import Turning
-from aerobalance.motion.sensors import driving_sensors, ground_sensors, motion_name, unseen, without_gaps
+from aerobalance.motion.sensors import driving_sensors, ground_sensors, motion_name, unseen
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import (
     AXES,
@@ -56,12 +57,15 @@ class SystematicParameter:
         Change of the specific force with it, of its shape [m/s^2 per its unit; rad/s^2 in turns].
     uncertainty
         Its standard uncertainty.
+    local
+        Whether it belongs to this part of a record alone, as what a gap hides does.
     """
 
     name: str
     source: str
     slope: Array
     uncertainty: float
+    local: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,6 +178,7 @@ class _Gravity:
     slopes: dict[str, Array]
     noise: dict[str, float]
     assumptions: tuple[str, ...]
+    gaps: dict[str, Array] = field(default_factory=dict)
 
     @classmethod
     def of(cls, recording: Recording, gravity: float) -> _Gravity:
@@ -182,10 +187,19 @@ class _Gravity:
             said = "pitch is not recorded and taken as constant; a constant weight is left out"
             return cls(np.broadcast_to(0.0, (recording.samples, 6)), gravity, {}, {}, {}, (said,))
         names = [name for name in ("pitch", "roll") if name in recording]
-        angles = {name: without_gaps(recording.channel(name)) for name in names}
+        both = {name: filled(recording.channel(name)) for name in names}
+        angles = {name: values for name, (values, _) in both.items()}
         pull = Gravity.of(angles["pitch"], angles.get("roll", nothing), gravity=gravity)
         noise = {name: channel_noise(recording.channel(name)) for name in names}
-        return cls(pull.acceleration, gravity, angles, {name: pull.slopes[name] for name in names}, noise, ())
+        return cls(
+            pull.acceleration,
+            gravity,
+            angles,
+            {name: pull.slopes[name] for name in names},
+            noise,
+            (),
+            {name: gaps for name, (_, gaps) in both.items()},
+        )
 
 
 def _kinematic(fit: GroundFit, pull: _Gravity, samples: int) -> Array:
@@ -309,6 +323,8 @@ class _MotionRecord:
                     channel.zero_uncertainty,
                     {index: np.ones(samples)},
                 )
+            for column in sensor.gaps.T:
+                yield Effect(f"{GAP}{channel.name}", channel.name, 1.0, {index: column})
             for axis, name in enumerate(AXES) if channel.place_uncertainty else ():
                 by, turns = np.eye(3)[axis], DIRECTIONS[list(MOMENT_ROWS)]
                 turn, w = found.motion[:, MOMENT_ROWS] @ turns, found.rate @ turns
@@ -325,6 +341,9 @@ class _MotionRecord:
                 if u:
                     what, by = f"{name} {word}", slope if word == "zero" else slope * self.pull.angles[name][:, None]
                     yield Effect(what, name, u, self._felt_by(by), on_zero.slope(what) - by)
+            for column in self.pull.gaps[name].T:
+                by = slope * column[:, None]
+                yield Effect(f"{GAP}{name}", name, 1.0, self._felt_by(by), -by)
         if found.uncertainty:
             yield Effect(TURNING, "rate of turn", found.uncertainty, dict(enumerate(found.felt.T)))
         if gravity_uncertainty:
@@ -344,7 +363,8 @@ class _MotionRecord:
             if effect.name in GAINS and known.any():
                 slope = slope + self._share(effect.source) * known
             if slope.any():
-                yield SystematicParameter(effect.name, effect.source, slope, effect.uncertainty)
+                local = effect.name.startswith(GAP)
+                yield SystematicParameter(effect.name, effect.source, slope, effect.uncertainty, local)
 
     def _share(self, name: str) -> Array:
         """Share of a sensor in every motion, shape (6,): by so much the gain of its tones is its own."""

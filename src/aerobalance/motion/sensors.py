@@ -13,6 +13,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.motion.gaps import filled
 from aerobalance.recording.channel import AXES_BY_NAME, Array, Channel, is_ground_acceleration
 from aerobalance.recording.components import (
     AXIS_VECTORS,
@@ -27,7 +28,6 @@ from aerobalance.recording.components import (
 from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import interpolate_gaps_linearly
 from aerobalance.recording.sensors import divided, filtered, high_pass
 
 Kind = Literal["acceleration", "turn", "rate"]
@@ -55,6 +55,8 @@ class GroundSensor:
         Readings on the common clock without gaps, shape (n,) [m/s^2, rad/s^2, rad/s].
     noise
         Standard uncertainty of one reading, white [m/s^2, rad/s^2, rad/s].
+    gaps
+        Errors of independent size 1 that fill its gaps, shape (n, k) [m/s^2, rad/s^2, rad/s].
     """
 
     channel: Channel
@@ -63,6 +65,7 @@ class GroundSensor:
     place: Array
     values: Array
     noise: float
+    gaps: Array
 
     @property
     def row(self) -> Array:
@@ -110,8 +113,9 @@ def ground_sensors(recording: Recording) -> tuple[GroundSensor, ...]:
         axis, place = np.zeros(3), np.zeros(3)
         if kind == "acceleration":
             axis, place = _mounting(channel, recording)
-        values = _on_clock(recording, channel, found[0].channel.delay if found else channel.delay)
-        found.append(GroundSensor(channel, kind, axis, place, values, channel_noise(channel)))
+        delay = found[0].channel.delay if found else channel.delay
+        values, gaps = _on_clock(recording, channel, delay)
+        found.append(GroundSensor(channel, kind, axis, place, values, channel_noise(channel), gaps))
     return tuple(found)
 
 
@@ -132,8 +136,8 @@ def driving_sensors(recording: Recording, component: str) -> tuple[GroundSensor,
     channel = recording.channel(name)
     _check_read(channel, recording)
     axis = np.array(AXIS_VECTORS[driving_axis(component)], dtype=np.float64)
-    values = _on_clock(recording, channel, channel.delay)
-    return (GroundSensor(channel, "acceleration", axis, np.zeros(3), values, channel_noise(channel)),)
+    values, gaps = _on_clock(recording, channel, channel.delay)
+    return (GroundSensor(channel, "acceleration", axis, np.zeros(3), values, channel_noise(channel), gaps),)
 
 
 def _check_read(channel: Channel, recording: Recording) -> None:
@@ -169,19 +173,22 @@ def _mounting(channel: Channel, recording: Recording) -> tuple[Array, Array]:
     return vector / np.linalg.norm(vector), np.array(channel.place or (0.0, 0.0, 0.0), dtype=np.float64)
 
 
-def _on_clock(recording: Recording, channel: Channel, delay: float) -> Array:
-    """Readings without gaps or high-pass, as if they lagged the clock by this delay [s]."""
-    values = without_gaps(channel)
+def _on_clock(recording: Recording, channel: Channel, delay: float) -> tuple[Array, Array]:
+    """Readings without gaps or high-pass, (n,), and errors within the gaps, (n, k), as if both had this delay [s]."""
+    values, gaps = filled(channel)
     if channel.coupling == "ac":
-        values = divided(values, high_pass(channel.corner), rate=recording.rate)
         warn_quality(
             f"{channel.name} is ac-coupled: ground motion below its corner of {channel.corner:g} Hz is not in the "
             "channel and stays in the force"
         )
     late = channel.delay - delay
-    if late:
-        values = filtered(values, lambda f: np.exp(2j * np.pi * f * late), rate=recording.rate)
-    return values
+
+    def placed(series: Array) -> Array:
+        if channel.coupling == "ac":
+            series = divided(series, high_pass(channel.corner), rate=recording.rate)
+        return filtered(series, lambda f: np.exp(2j * np.pi * f * late), rate=recording.rate) if late else series
+
+    return placed(values), np.column_stack([placed(column) for column in gaps.T]) if gaps.size else gaps
 
 
 def observable_motions(rows: Array, noise: Array) -> tuple[int, ...]:
@@ -278,15 +285,3 @@ def least_squares(rows: Array, noise: Array, columns: tuple[int, ...], used: NDA
     inverse = np.linalg.pinv(weighted / scale, rcond=1e-12) / scale[:, None]
     gains[np.ix_(motions, sensors)] = inverse / noise[sensors]
     return gains
-
-
-def without_gaps(channel: Channel) -> Array:
-    """Return the values of a channel with straight lines across gaps, shape (n,) [its unit], and warn of them."""
-    missing = channel.missing
-    if not missing.any():
-        return channel.values
-    warn_quality(
-        f"{channel.name}: {int(missing.sum())} missing sample(s) are filled by straight lines; the ground motion "
-        "within them stays in the force"
-    )
-    return interpolate_gaps_linearly(channel.values)

@@ -148,7 +148,7 @@ def interpolate_gaps(loads: Array) -> Array:
         mean = column.mean()
         power = np.abs(np.fft.rfft(column - mean, 2 * column.size)) ** 2
         covariance = np.fft.irfft(power)[: column.size] / column.size
-        for first, last in _runs(gap):
+        for first, last in gaps_in(gap):
             known = index[max(first - AROUND, 0) : last + AROUND]
             known = known[~gap[known]]
             across = covariance[np.abs(known[:, None] - known)] + EXACT * covariance[0] * np.eye(known.size)
@@ -180,7 +180,7 @@ def interpolate_gaps_linearly(values: Array, *, beside: int = 1) -> Array:
     if not known.size:
         raise FitError("no reading is present")
     filled = np.interp(place, known, values[known])
-    for first, last in _runs(~present) if beside > 1 else []:
+    for first, last in gaps_in(~present) if beside > 1 else []:
         count = int(np.clip((last - first) // 4, 1, beside))
         middle = int(np.searchsorted(known, first))
         sides = known[max(middle - count, 0) : middle], known[middle : middle + count]
@@ -207,8 +207,8 @@ def hold_over_gaps(values: Array, last: Array) -> Array:
     return np.take_along_axis(whole, np.maximum.accumulate(place, axis=0), axis=0)[1:]
 
 
-def _runs(gap: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First sample of every gap and the first one after it."""
+def gaps_in(gap: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the first sample of every gap and the first one after it, from where samples are missing, shape (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], gap, [False]])))
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 

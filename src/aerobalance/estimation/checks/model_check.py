@@ -201,8 +201,9 @@ def checked(force: Force) -> Force:
     else:
         single = record.component_records(force.filled)
         for name in force:
-            own = single[name].dynamics
-            misfit = misfit_of(single[name], **known_of_one(name))
+            own, found_motion = single[name].dynamics, force[name].found_motion
+            one = single[name] if found_motion is None else single[name].with_motion(found_motion)
+            misfit = misfit_of(one, **known_of_one(name))
             if any(doubt.kind == "colored noise" for doubt in force[name].doubts):
                 misfit = replace(misfit, silent=False)  # noise does not ring
             found = misfit.doubts(own)
@@ -320,7 +321,12 @@ def _unbroken(
     """The longest stretch of a reading without a gap, hum taken out, and the steps within; None where it is still."""
     reading = record.reading()
     lines = reading_of_lines(tuple(hum), count=reading.values.size, interval=reading.interval) if hum else 0.0
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], reading.present, [False])).astype(np.int8)))
+    told = reading.present
+    if not isinstance(
+        record, SingleRecord
+    ):  # what a gap of the ground's motion hides, and is not found, swings as well
+        told = told & ~record.hides_motion
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], told, [False])).astype(np.int8)))
     stretches = edges.reshape(-1, 2)
     if not len(stretches):
         return None

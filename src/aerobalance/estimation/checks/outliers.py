@@ -163,11 +163,11 @@ def _doubts(
         )
         yield Doubt("wild samples", component, text, f"keep them with {argument('keep_outliers')}", 0.0, unit)
     if stuck.any():
-        what = "they are taken for missing" if name == component else "straight lines are taken in their place"
-        text = f"{_samples(stuck)} of {name} repeat the one before (from {_instants(recording, stuck)} on): {what}"
-        advice = "look at the cable and the converter of the channel"
-        # what a line leaves of the ground's motion is not known
-        yield Doubt("stuck channel", component, text, advice, 0.0 if name == component else None, unit)
+        text = (
+            f"{_samples(stuck)} of {name} repeat the one before (from {_instants(recording, stuck)} on): they are "
+            "taken for missing"
+        )
+        yield Doubt("stuck channel", component, text, "look at the cable and the converter of the channel", 0.0, unit)
     if limited.any():
         text = f"{_samples(limited)} of {name} rest on a limit of the channel: they are taken for missing"
         yield Doubt("clipping", component, text, "record with a larger range", 0.0, unit)

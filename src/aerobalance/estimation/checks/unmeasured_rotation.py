@@ -17,8 +17,9 @@ import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.result import ComponentForce
+from aerobalance.motion.gaps import predicted
 from aerobalance.motion.least_squares import GroundFit
-from aerobalance.motion.sensors import ground_sensors, without_gaps
+from aerobalance.motion.sensors import ground_sensors
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS, si_unit
 from aerobalance.recording.doubts import Doubt
@@ -127,7 +128,7 @@ def turning_by_angles(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # they were given when the force was estimated
         measured = GroundFit.of(ground_sensors(recording), rate=recording.rate).columns
-    roll = without_gaps(recording.channel("roll")) if "roll" in recording else np.zeros(recording.samples)
+    roll = predicted(recording.channel("roll"))[0] if "roll" in recording else np.zeros(recording.samples)
     zero = np.zeros_like(roll)
     # axis of each angle, along PM, YM and RM: pitch turns about the level lateral axis, roll about the balance
     axes = {"pitch": (np.cos(roll), -np.sin(roll), zero), "roll": (zero, zero, zero + 1)}
@@ -152,7 +153,7 @@ def _second_derivative(recording: Recording, angle: str) -> SecondDerivative | N
     `SETTINGS.fewest`.
     """
     channel = recording.channel(angle)
-    values, noise, factor = without_gaps(channel), channel_noise(channel), 1
+    values, noise, factor = predicted(channel)[0], channel_noise(channel), 1
     resolution = _resolution(values)
     best: SecondDerivative | None = None
     most = 0.0

@@ -1,0 +1,100 @@
+"""Missing readings of the ground's motion, predicted from those about them, and what is not known of them.
+
+A channel is taken for a process with its own autocovariance: within a gap its expected values are the best linear
+prediction from the readings on both sides, and the covariance of what that misses is known as well. It is given as
+errors of independent sizes, which go where the channel goes: through filters, levers, and the estimator.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.errors import warn_quality
+from aerobalance.recording.noise import channel_noise
+from aerobalance.recording.resampling import AROUND, EXACT, gaps_in
+
+GAP: Final = "gap in "
+"""How the name of what is not known within a gap begins, before the channel."""
+
+STRETCH: Final = 512
+"""Samples of a gap that are predicted together; what a longer one misses is taken as independent from one stretch to
+the next."""
+
+SHARE: Final = 1e-4
+"""Share of the variance of what is missed that may be left out."""
+
+MOST: Final = 64
+"""Errors of a channel that are kept apart; where there are more they are mixed to as many, which keeps their size."""
+
+
+def filled(channel: Channel) -> tuple[Array, Array]:
+    """Return what `predicted` does, and warn of the gaps."""
+    missing = int(channel.missing.sum())
+    if missing:
+        warn_quality(
+            f"{channel.name}: {missing} missing sample(s) are filled by what those about them predict; what that "
+            "misses is in the uncertainty"
+        )
+    return predicted(channel)
+
+
+def predicted(channel: Channel) -> tuple[Array, Array]:
+    """Return the values of a channel with its gaps filled, (n,), and errors of independent size 1 within, (n, k).
+
+    Both are in the unit of the channel; it has one reading at least.
+    """
+    missing, values = channel.missing, channel.values
+    if not missing.any():
+        return values, np.zeros((values.size, 0))
+    mean = float(values[~missing].mean())
+    swing = np.where(missing, 0.0, values - mean)
+    # over the number of readings at every lag: positive definite, and a little small where gaps are many
+    power = np.abs(np.fft.rfft(swing, 2 * values.size)) ** 2
+    covariance = np.fft.irfft(power)[: values.size] / np.count_nonzero(~missing)
+    own = covariance.copy()  # of the quantity, without the noise of its readings
+    noise = channel_noise(channel) if np.count_nonzero(~missing) >= FEWEST else 0.0
+    own[0] = max(own[0] - noise**2, 0.0)
+    covariance[0] *= 1 + EXACT
+    index, errors = np.arange(values.size), []
+    for begin, end in gaps_in(missing):
+        for first in range(begin, end, STRETCH):
+            last = min(first + STRETCH, end)
+            known = index[max(first - AROUND, 0) : last + AROUND]
+            known = known[~missing[known]]
+            missed = own[np.abs(index[first:last, None] - index[first:last])]
+            if known.size and covariance[0] > 0:
+                across = own[np.abs(known[:, None] - index[first:last])]
+                weights = np.linalg.solve(covariance[np.abs(known[:, None] - known)], across)
+                swing[first:last] = weights.T @ swing[known]
+                # the noise of what it is predicted from apart: the rest is a small difference of large numbers
+                of_noise = noise**2 * weights.T @ weights
+                missed = _positive(missed - across.T @ weights - of_noise) + of_noise
+            size, shapes = np.linalg.eigh(missed)
+            kept = size > SHARE * max(float(size.sum()), 0.0) / size.size
+            error = np.zeros((values.size, int(kept.sum())))
+            error[first:last] = shapes[:, kept] * np.sqrt(size[kept])
+            errors.append(error)
+    return mean + swing, _few(np.column_stack(errors))
+
+
+FEWEST: Final = 8
+"""Readings from which on the noise of a channel can be judged."""
+
+
+def _positive(matrix: Array) -> Array:
+    """A symmetric matrix without its negative eigenvalues, shape (n, n)."""
+    size, shapes = np.linalg.eigh(matrix)
+    return np.asarray((shapes * np.maximum(size, 0.0)) @ shapes.T)
+
+
+def _few(errors: Array) -> Array:
+    """As many errors as are kept apart, shape (n, k), mixed at random where there are more."""
+    count = errors.shape[1]
+    if count <= MOST:
+        return errors
+    mixed = np.random.default_rng(count).normal(size=(count, MOST))
+    basis, _ = np.linalg.qr(mixed)
+    return np.asarray(errors @ basis) * np.sqrt(count / MOST)
