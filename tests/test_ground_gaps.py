@@ -58,7 +58,8 @@ def test_a_sample_between_others_is_known_better_than_a_reading(rng):
         values[place] = np.nan
         filled, errors = predicted(replace(channel, values=values))
         missed.append(filled[place] - true[place])
-        assert 0 < np.sqrt(np.sum(errors[place] ** 2)) < 0.05
+        # noise that is judged too small is taken for motion that was missed
+        assert 0 < np.sqrt(np.sum(errors[place] ** 2)) < 0.1
     assert np.sqrt(np.mean(np.square(missed))) < 0.05
 
 

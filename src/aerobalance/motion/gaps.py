@@ -97,4 +97,4 @@ def _few(errors: Array) -> Array:
         return errors
     mixed = np.random.default_rng(count).normal(size=(count, MOST))
     basis, _ = np.linalg.qr(mixed)
-    return np.asarray(errors @ basis) * np.sqrt(count / MOST)
+    return np.asarray(np.sqrt(count / MOST) * (errors @ basis))
