@@ -14,7 +14,7 @@ import numpy as np
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.noise import channel_noise
-from aerobalance.recording.resampling import AROUND, EXACT, gaps_in
+from aerobalance.recording.resampling import AROUND, EXACT, gaps_in, interpolate_gaps_linearly
 
 GAP: Final = "gap in "
 """How the name of what is not known within a gap begins, before the channel."""
@@ -23,8 +23,14 @@ STRETCH: Final = 512
 """Samples of a gap that are predicted together; what a longer one misses is taken as independent from one stretch to
 the next."""
 
-SHARE: Final = 1e-4
-"""Share of the variance of what is missed that may be left out."""
+SHARE: Final = 1e-3
+"""Variance of an error over the mean of those of a gap, up to which it is left out."""
+
+FEWEST: Final = 8
+"""Readings from which on the noise of a channel can be judged."""
+
+FADED: Final = 0.1
+"""Share of a record at either end that is faded out before its autocovariance is taken."""
 
 MOST: Final = 64
 """Errors of a channel that are kept apart; where there are more they are mixed to as many, which keeps their size."""
@@ -51,9 +57,7 @@ def predicted(channel: Channel) -> tuple[Array, Array]:
         return values, np.zeros((values.size, 0))
     mean = float(values[~missing].mean())
     swing = np.where(missing, 0.0, values - mean)
-    # over the number of readings at every lag: positive definite, and a little small where gaps are many
-    power = np.abs(np.fft.rfft(swing, 2 * values.size)) ** 2
-    covariance = np.fft.irfft(power)[: values.size] / np.count_nonzero(~missing)
+    covariance = _autocovariance(interpolate_gaps_linearly(values) - mean, variance=float(np.var(values[~missing])))
     own = covariance.copy()  # of the quantity, without the noise of its readings
     noise = channel_noise(channel) if np.count_nonzero(~missing) >= FEWEST else 0.0
     own[0] = max(own[0] - noise**2, 0.0)
@@ -80,8 +84,18 @@ def predicted(channel: Channel) -> tuple[Array, Array]:
     return mean + swing, _few(np.column_stack(errors))
 
 
-FEWEST: Final = 8
-"""Readings from which on the noise of a channel can be judged."""
+def _autocovariance(values: Array, *, variance: float) -> Array:
+    """Autocovariance of a series without gaps at every lag, positive definite, shape (n,); its variance is known.
+
+    Its ends are faded out: cut off, they would look like motion at all frequencies.
+    """
+    faded = values.copy()
+    fade = round(FADED * values.size)
+    window = 0.5 - 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / max(fade, 1))
+    faded[:fade] *= window
+    faded[values.size - fade :] *= window[::-1]
+    found = np.fft.irfft(np.abs(np.fft.rfft(faded, 2 * values.size)) ** 2)[: values.size]
+    return np.asarray(found * (variance / found[0] if found[0] > 0 else 0.0))
 
 
 def _positive(matrix: Array) -> Array:
