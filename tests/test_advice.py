@@ -18,9 +18,11 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.model_check import Misfit, misfit_of
 from aerobalance.estimation.force import force_record
+from aerobalance.identification.free_decay.decay_doubts import _way_to_take_it_up
 from aerobalance.identification.free_decay.event import first_look
-from aerobalance.identification.free_decay.fit import _kept_modes, _way_to_take_it_up, identify_decay
-from aerobalance.identification.free_decay.waveform import DecayLine, fit_ring
+from aerobalance.identification.free_decay.fit import _kept_modes, identify_decay
+from aerobalance.identification.free_decay.ring_fit import fit_ring
+from aerobalance.identification.free_decay.waveform import DecayLine
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError, argument
 from aerobalance.recording.recording import Recording

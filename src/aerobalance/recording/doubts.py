@@ -26,6 +26,12 @@ KINDS: Final[Mapping[str, str]] = {
     "colored noise": "the noise of the readings may not be white",
     "too many steps": "there are more steps than are looked for",
     "joint": "the forces by two parts of a record differ where they meet",
+    "driving force": "a force acts on the balance while it rings down",
+    "amplitude dependence": "damping or frequency change with the amplitude of the ringing",
+    "close modes": "two modes lie so close to each other that their ringing beats",
+    "damping hardly told": "the ringing tells the damping to no better than a tenth",
+    "record cut": "a part of the record does not go with the ringing and is left out",
+    "moving ground": "the ground end moves while the balance rings down",
     "unexplained": "the readings depart from what the model of balance and load expects",
 }
 """Kinds of doubt, and what each says."""

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from aerobalance.app.commands.balance_files import BalanceFiles
+from aerobalance.app.commands.doubts import doubt_result
 from aerobalance.app.commands.loads import LoadSource, LoadsSummary
 from aerobalance.app.commands.shared import Result, check_out, collected_warnings, opened
 from aerobalance.app.commands.uncertainty import (
@@ -21,7 +22,6 @@ from aerobalance.app.commands.uncertainty import (
     scalar_result,
 )
 from aerobalance.app.one_heap import share_one_heap
-from aerobalance.app.options import as_options
 from aerobalance.app.reports.force_curves import ForceCurves
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
@@ -246,18 +246,6 @@ def _through(
         "left in the dynamics is added to the uncertainty"
     )
     return known.with_calibration
-
-
-def doubt_result(doubt: Doubt) -> Result:
-    """Plain data on a doubt, its advice in the words of the command line."""
-    return {
-        "kind": doubt.kind,
-        "component": doubt.component,
-        "effect": doubt.effect,
-        "unit": doubt.unit,
-        "text": as_options(doubt.text),
-        "advice": as_options(doubt.advice),
-    }
 
 
 def noise_result(spectrum: NoiseSpectrum) -> Result:

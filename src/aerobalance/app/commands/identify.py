@@ -8,6 +8,7 @@ from typing import Final, Literal, cast
 
 from aerobalance.app.commands.answers import quantities, quantity_table, rounded, short
 from aerobalance.app.commands.balance_files import BalanceFiles
+from aerobalance.app.commands.doubts import doubt_result
 from aerobalance.app.commands.shared import Result, check_out, collected_warnings, known_component, recording_of
 from aerobalance.app.commands.weighing import mass_file, parse_mass
 from aerobalance.balance.weighing.result import Weighing
@@ -68,7 +69,9 @@ def identify_decay(
     if files is not None:
         details["calibration_of_balance"] = CALIBRATION_DROPS_OUT
     used += [] if channel_map is None else [channel_map]
-    return _identified(path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, used=used)
+    result = _identified(path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, used=used)
+    result["summary"] = f"{fit.verdict}\n\n{result['summary']}"
+    return {"verdict": str(fit.verdict), "doubts": [doubt_result(doubt) for doubt in fit.doubts], **result}
 
 
 def _weighing(mass: str | None) -> Weighing | None:
@@ -110,6 +113,8 @@ def _decay_details(recording: Recording, fit: DecayFit) -> Result:
             for frequency, ratio, share in fit.further_modes
         ],
         "amplitude_dependence": _amplitude_details(fit),
+        "amplitude_law": _law_details(fit),
+        "force_density": None if fit.force_density is None else {"value": fit.force_density, "unit": "N^2/Hz"},
         "residual_standard_deviation": {"value": fit.residual_deviation, "unit": si_unit(fit.dynamics.component)},
         "degrees_of_freedom": fit.degrees_of_freedom,
     }
@@ -142,6 +147,19 @@ def _amplitude_details(fit: DecayFit) -> Result | None:
             "unit": "1",
             "significant": found.frequency_depends,
         },
+    }
+
+
+def _law_details(fit: DecayFit) -> Result | None:
+    """Damping ratio and frequency at the first amplitude and at the least, and how they change between."""
+    law = fit.amplitude_law
+    if law is None:
+        return None
+    return {
+        "amplitude": {"value": law.amplitude.tolist(), "unit": si_unit(fit.dynamics.component)},
+        "damping_ratio": {"value": law.damping_ratio.tolist(), "u": law.u_damping_ratio.tolist(), "unit": "1"},
+        "frequency": {"value": law.frequency.tolist(), "u": law.u_frequency.tolist(), "unit": "Hz"},
+        "power_of_amplitude": {"damping": law.powers.damping, "frequency": law.powers.frequency},
     }
 
 

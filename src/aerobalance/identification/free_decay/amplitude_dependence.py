@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from aerobalance.identification.free_decay.waveform import Ring, fit_ring
+from aerobalance.identification.free_decay.ring_fit import fit_ring
+from aerobalance.identification.free_decay.waveform import Ring
+from aerobalance.recording.channel import Array
 
 SIGNIFICANT: Final = 5.0
 """Standard uncertainties from which a dependence is more than chance."""
@@ -47,13 +49,9 @@ class AmplitudeDependence:
         return abs(self.frequency) > SIGNIFICANT * self.u_frequency
 
 
-def bent_where_plain(ring: Ring) -> tuple[Ring, Ring]:
-    """The ring, or a bent one in its place where that takes away much of what is left over, and the bent one.
-
-    Done before anything else is looked for: what a bent ringing leaves over looks like lines beside the ringing.
-    """
-    bent = _again(ring, bent=True)
-    return (bent if bent.squares < (1 - PLAIN) * ring.squares else ring), bent
+def bent_fit(ring: Ring) -> Ring:
+    """The same ring with a decay rate and a frequency that may change with the envelope."""
+    return _again(ring, bent=True)
 
 
 def amplitude_dependence(ring: Ring, *, bent: Ring | None = None) -> tuple[AmplitudeDependence | None, Ring]:
@@ -71,21 +69,38 @@ def amplitude_dependence(ring: Ring, *, bent: Ring | None = None) -> tuple[Ampli
     dependence
         None where the residuals are rounding, or the ringing does not fall enough to tell.
     ring
-        The fit itself, bent where one of the two is significant and else not.
+        The fit itself, bent where one of the two is significant and it has no law yet, and else not.
     """
     fallen = np.exp(-ring.decay * (float(ring.time[-1]) - ring.start))
     straight = _again(ring, bent=False) if ring.bent else ring
-    if bent is None:
-        bent = ring if ring.bent else _again(ring, bent=True)
     if ring.variance < (1e-9 * ring.amplitude) ** 2 or fallen > FALLEN:
         return None, straight
-    height = bent.height if bent.shape != "free" else bent.amplitude
-    u = np.sqrt(np.diag(bent.covariance)[-2:]) / abs(height)
-    change = bent.sizes[-2:] / height
+    if bent is None:
+        bent = ring if ring.bent else _again(ring, bent=True)
+    change, u = _change(bent)
     found = AmplitudeDependence(float(change[0]), float(u[0]), float(change[1]), float(u[1]))
+    if ring.law is not None:
+        return found, ring
     return found, bent if found.damping_depends or found.frequency_depends else straight
+
+
+def _change(bent: Ring) -> tuple[Array, Array]:
+    """Relative change of decay rate and frequency, shape (2,), and their standard uncertainties.
+
+    What bends a ringing of any phase stands to the ringing as one complex number to another.
+    """
+    if bent.shape != "free":
+        return bent.sizes[-2:] / bent.height, np.sqrt(np.diag(bent.covariance)[-2:]) / abs(bent.height)
+    swing, ratio = (
+        complex(bent.sizes[2], -bent.sizes[3]),
+        float(bent.vector[1]) / max(bent.decay, 1e-6 * float(bent.vector[1])),
+    )
+    turn = np.array([[-1.0, 1j * ratio]]) / swing  # of both sizes, into - damping + i ratio frequency
+    both = np.vstack([-turn.real, turn.imag / ratio])
+    return both @ bent.sizes[-2:], np.sqrt(np.diag(both @ bent.covariance[-2:, -2:] @ both.T))
 
 
 def _again(ring: Ring, *, bent: bool) -> Ring:
     """Fit the same ringing again, bent or not."""
-    return fit_ring(ring.time, ring.values, ring, lines=ring.lines, bent=bent)
+    straight = ring if ring.law is None else replace(ring, law=None, vector=ring.vector[:-2])
+    return fit_ring(ring.time, ring.values, straight, lines=ring.lines, bent=bent)

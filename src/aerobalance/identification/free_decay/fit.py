@@ -12,30 +12,20 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.identification.free_decay.amplitude_dependence import (
-    AmplitudeDependence,
-    amplitude_dependence,
-    bent_where_plain,
-)
+from aerobalance.identification.free_decay.amplitude_dependence import AmplitudeDependence
+from aerobalance.identification.free_decay.decay_doubts import doubts_of, notes_of, possible_modes
 from aerobalance.identification.free_decay.event import first_look
-from aerobalance.identification.free_decay.residual_lines import residual_line
-from aerobalance.identification.free_decay.waveform import (
-    EVIDENCE,
-    HEAVIEST,
-    Ring,
-    fit_ring,
-    freed,
-    ring_up_to,
-)
+from aerobalance.identification.free_decay.law import AmplitudeLaw
+from aerobalance.identification.free_decay.ring_fit import fit_ring
+from aerobalance.identification.free_decay.waveform import Ring, ring_up_to
+from aerobalance.identification.free_decay.window import MOST_LINES, Account, account
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.errors import FitError, argument, warn_quality
-from aerobalance.recording.noise import channel_noise
+from aerobalance.recording.doubts import Doubt, Size, Verdict, verdict_of
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.wording import NOT_TOLD, damping_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,21 +36,9 @@ class DecaySettings:
     ----------
     fewest_periods
         Periods of ringing that a decay must show above the noise.
-    most_change
-        Change of frequency or damping with the amplitude, over their mean, beyond which neither falls in proportion.
-    doubtful_damping
-        Relative standard uncertainty of the damping above which it is called hardly identifiable.
-    block_probability
-        Probability under the noise below which a block of residuals shows that something else happened.
-    most_lines
-        Lines of hum and further modes that are taken up at most.
     """
 
     fewest_periods: float = 2.0
-    most_change: float = 2.0
-    doubtful_damping: float = 0.1
-    block_probability: float = 1e-6
-    most_lines: int = 6
 
 
 SETTINGS: Final = DecaySettings()
@@ -95,14 +73,21 @@ class DecayFit:
         whether it is part of the dynamics or not.
     amplitude_dependence
         Test of damping and frequency for a dependence on the amplitude; None where the ringing cannot tell.
+    amplitude_law
+        Damping and frequency at the first amplitude and at the least, where they depend on it; then `dynamics` has
+        their mean, and their spread in its covariance.
+    force_density
+        Two-sided density near the natural frequency of a force that acts all along [N^2/Hz]; None where none shows.
     residual_deviation
-        Standard deviation of the residuals [N].
+        Standard deviation of the residuals [N]; where a force acts of those that it does not explain.
     degrees_of_freedom
         Samples used less parameters.
     residual_time, residuals
         Residuals on the recording's clock, shape (m,) [s] and [N].
     notes
         What a reader of the result should know, each a sentence.
+    doubts
+        What the record says against the result; effects are of the damping, over it [1].
     """
 
     dynamics: Dynamics
@@ -117,11 +102,20 @@ class DecayFit:
     hum: tuple[tuple[float, float], ...]
     further_modes: tuple[tuple[float, float, float], ...]
     amplitude_dependence: AmplitudeDependence | None
+    amplitude_law: AmplitudeLaw | None
+    force_density: float | None
     residual_deviation: float
     degrees_of_freedom: int
     residual_time: Array
     residuals: Array
     notes: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the dynamics may be used, by what is doubted."""
+        relative = self.dynamics.uncertainty("damping") / self.dynamics.damping
+        return verdict_of(self.doubts, {self.dynamics.component: Size(relative, 1.0, 1.0)})
 
 
 def identify_decay(
@@ -150,8 +144,8 @@ def identify_decay(
         No ringing stands out of the noise, or it is too short; or there are fewer modes than asked for, or further
         modes without a clean release, which alone tells their shares.
     """
-    if modes != "auto" and not 1 <= modes <= SETTINGS.most_lines + 1:
-        raise ValueError(f"modes must be auto or a number from 1 to {SETTINGS.most_lines + 1}, not {modes}")
+    if modes != "auto" and not 1 <= modes <= MOST_LINES + 1:
+        raise ValueError(f"modes must be auto or a number from 1 to {MOST_LINES + 1}, not {modes}")
     value, uncertainty = mass if isinstance(mass, tuple) else (mass, 0.0)
     if not (0 < value < np.inf and uncertainty >= 0):
         raise ValueError(f"mass must be positive, its uncertainty zero or more: {value}, {uncertainty}")
@@ -160,16 +154,16 @@ def identify_decay(
     time = np.arange(recording.samples) / recording.rate
     look = first_look(channel.values, rate=recording.rate, name=f"{recording.name}, {component}")
     ring = fit_ring(time[present], channel.values[present], look)
-    first, bent = bent_where_plain(ring)
-    ring = freed(_widened(_shortened(_complete(_shortened(first))), first))
-    dependence, ring = amplitude_dependence(ring, bent=bent if ring is first and not ring.bent else None)
+    found = account(ring, time[present], channel.values[present], onset=look.start)
+    ring = found.ring
     _check(ring, recording.name, component)
     kept = _kept_modes(ring, modes, f"{recording.name}, {component}")
     dynamics = _dynamics(ring, component, value, uncertainty, kept=kept)
-    notes = [*_notes(ring, dynamics, recording, kept=kept), *_amplitude_notes(dependence, component)]
+    doubts = doubts_of(found, dynamics, recording, kept=kept)
+    notes = [*map(str, doubts), *notes_of(found, recording)]
     for note in notes:
         warn_quality(f"{recording.name}: {note}")
-    return _result(ring, dynamics, recording, dependence, notes)
+    return _result(found, dynamics, recording, doubts, notes)
 
 
 def _usable(channel: Channel, name: str) -> NDArray[np.bool_]:
@@ -188,63 +182,6 @@ def _usable(channel: Channel, name: str) -> NDArray[np.bool_]:
     return usable
 
 
-def _complete(ring: Ring) -> Ring:
-    """Take up the lines that the residuals still show, one at a time."""
-    for _ in range(SETTINGS.most_lines):
-        line = residual_line(ring)
-        if line is None:
-            break
-        larger = fit_ring(ring.time, ring.values, ring, lines=(*ring.lines, line))
-        width = 5 * larger.decay / (2 * np.pi)
-        odd = any(fitted.decay > 0 and abs(fitted.frequency - larger.frequency) < width for fitted in larger.lines)
-        odd |= any(not 0 <= fitted.decay < HEAVIEST * 2 * np.pi * fitted.frequency for fitted in larger.lines)
-        if odd or larger.squares > ring.squares - EVIDENCE * ring.variance:
-            break
-        ring = larger
-    return ring
-
-
-def _shortened(ring: Ring) -> Ring:
-    """Cut the record where something else happens before or after the ringing.
-
-    Blocks of residuals that do not fit count only behind two that do: a misfit that begins at the release itself is
-    the model's, and its lines are looked for instead.
-    """
-    length = max(64, round(3 * ring.rate / ring.frequency))
-    count = ring.time.size // length
-    if count < 6 or ring.variance < (1e-9 * ring.amplitude) ** 2:
-        return ring
-    blocks = np.array_split(ring.residuals, count)
-    sizes = np.array([block.size for block in blocks])
-    squares = np.array([block @ block for block in blocks])
-    unlikely = np.asarray(chdtrc(sizes, squares / float(np.median(squares / sizes)))) < SETTINGS.block_probability
-    edges = np.concatenate(([0], np.cumsum(sizes)))
-    home = min(int(np.searchsorted(edges, np.searchsorted(ring.time, ring.start), side="right")) - 1, count - 1)
-    last = edges[home + 1 + _first_event(unlikely[home + 1 :])]
-    first = edges[home - _first_event(unlikely[:home][::-1])]
-    if first == 0 and last == ring.time.size:
-        return ring
-    part = slice(int(first), int(last))
-    # lines found with the cut parts may be theirs: look for lines afresh
-    return _complete(fit_ring(ring.time[part], ring.values[part], ring))
-
-
-def _widened(ring: Ring, whole: Ring) -> Ring:
-    """The fit over more of the record, where the lines found since explain what had been cut off."""
-    if ring.time.size == whole.time.size or not ring.lines:
-        return ring
-    wider = _shortened(fit_ring(whole.time, whole.values, ring, lines=ring.lines))
-    return wider if wider.time.size > ring.time.size and len(wider.lines) == len(ring.lines) else ring
-
-
-def _first_event(unlikely: NDArray[np.bool_]) -> int:
-    """Place of the first unlikely block behind two that are not, or the number of blocks."""
-    for place in range(2, unlikely.size):
-        if unlikely[place] and not unlikely[place - 2 : place].any():
-            return place
-    return unlikely.size
-
-
 def _check(ring: Ring, name: str, component: str) -> None:
     """Refuse a ring that carries no dynamics."""
     periods = ring_up_to(ring) * ring.frequency
@@ -256,9 +193,16 @@ def _check(ring: Ring, name: str, component: str) -> None:
     u_decay = float(np.sqrt(ring.covariance[0, 0]))
     if not ring.decay > 2 * u_decay:
         raise FitError(
-            f"{name}: the ringing of {component} does not clearly decay ({ring.decay:.3g} 1/s, u = {u_decay:.2g}): "
-            "record it for longer, or it is driven and not released"
+            f"{name}: the ringing of {component} does not clearly decay ({ring.decay:.3g} 1/s, u = {u_decay:.2g}; "
+            f"from {ring.start:.6g} s to {ring.time[-1]:.6g} s of the record{_beside(ring)}): record it for longer, "
+            "or it is driven and not released"
         )
+
+
+def _beside(ring: Ring) -> str:
+    """Return the lines that are fitted beside a ringing."""
+    lines = ", ".join(f"{line.frequency:.4g}" for line in ring.lines)
+    return f", beside lines at {lines} Hz" if lines else ""
 
 
 def _kept_modes(ring: Ring, modes: int | Literal["auto"], name: str) -> list[int]:
@@ -274,31 +218,18 @@ def _kept_modes(ring: Ring, modes: int | Literal["auto"], name: str) -> list[int
     sizes = ring.line_sizes()
     decaying.sort(key=lambda place: -sizes[place])
     if modes == "auto":
-        return _possible_modes(ring, decaying)
+        return possible_modes(ring, decaying)
     if len(decaying) < modes - 1:
         raise FitError(
             f"{name}: {modes} modes are asked for, and the record shows {1 + len(decaying)} above its noise; a larger "
             "release, or one at another place, may show the others"
         )
-    if _possible_modes(ring, decaying[: modes - 1]) != decaying[: modes - 1]:
+    if possible_modes(ring, decaying[: modes - 1]) != decaying[: modes - 1]:
         raise FitError(
             f"{name}: {modes} modes are asked for, but the ringing of one is so strong against the others that its "
             "share would be more than the whole load; ask for fewer modes, or release at another place"
         )
     return decaying[: modes - 1]
-
-
-def _possible_modes(ring: Ring, places: list[int]) -> list[int]:
-    """Those of some places in `Ring.lines` whose share of a load is less than the whole."""
-    decaying = [place for place, line in enumerate(ring.lines) if line.decay > 0]
-    heights = ring.modes()[0][:, 2]
-    kept = list(places)
-    while kept:
-        own = heights[[1 + decaying.index(place) for place in kept]]
-        if np.abs(own).max() < abs(heights[0] + own.sum()):
-            break
-        kept.pop(int(np.argmax(np.abs(own))))
-    return kept
 
 
 def _dynamics(ring: Ring, component: str, mass: float, uncertainty: float, *, kept: list[int]) -> Dynamics:
@@ -345,90 +276,14 @@ def _shares(heights: Array, slopes: Array) -> tuple[Array, Array]:
     return shares, (slopes - shares[:, None] * slopes.sum(axis=0)) / total
 
 
-def _notes(ring: Ring, dynamics: Dynamics, recording: Recording, *, kept: list[int]) -> list[str]:
-    notes = []
-    for place, (line, size) in enumerate(zip(ring.lines, ring.line_sizes(), strict=True)):
-        if line.decay > 0 and place not in kept:
-            notes.append(
-                f"a further mode at {line.frequency:.4g} Hz, {_beside_the_first(size, ring)}, rings "
-                "in the record; it is fitted beside the first one but is not part of the dynamics, so forces near "
-                f"that frequency will be wrong ({_way_to_take_it_up(ring, place)})"
-            )
-    u = dynamics.uncertainty("damping")
-    if u > SETTINGS.doubtful_damping * dynamics.damping:
-        critical = 2 * dynamics.mass * 2 * np.pi * dynamics.natural_frequency
-        notes.append(
-            f"the damping is hardly identifiable ({damping_text(dynamics.damping, u, critical=critical)}); forces at "
-            "the natural frequency carry that much"
-        )
-    if ring.colour > 2:
-        notes.append(
-            f"the residuals near {ring.frequency:.4g} Hz are {ring.colour:.1f} times as strong as white noise; the "
-            "uncertainties are enlarged accordingly"
-        )
-    if ring.shape == "free" and ring.start > 0:
-        notes.append(
-            "the ringing is not that of a clean release from rest; its amplitude and phase are fitted freely, from "
-            f"{recording.start + ring.start:.6g} s on"
-        )
-    if "ground_acceleration" in recording:
-        ground = recording.channel("ground_acceleration")
-        after = ground.values[int(np.ceil(ring.start * recording.rate)) :]
-        after = after[np.isfinite(after)]
-        moving = np.sqrt(max(float(np.var(after)) - 1.25 * channel_noise(ground) ** 2, 0.0)) if after.size else 0.0
-        if dynamics.mass * moving > 0.02 * abs(ring.amplitude):
-            notes.append(
-                f"the ground end moves after the release ({moving:.2g} m/s^2 rms, a load of "
-                f"{dynamics.mass * moving:.3g} N); the fit takes it at rest, so stiffness and damping are those of "
-                "balance and support together"
-            )
-    return notes
-
-
-def _beside_the_first(size: float, ring: Ring) -> str:
-    """Return how strongly a further mode rings beside the first."""
-    part = size / ring.amplitude if ring.amplitude else np.inf
-    return f"{100 * part:.2g} % of the first" if part <= 1 else "as strong as the first or stronger"
-
-
-def _way_to_take_it_up(ring: Ring, place: int) -> str:
-    """Return which record or option makes a further mode part of the dynamics."""
-    if ring.shape == "free":
-        return f"a record of a clean release from rest tells its share of a load, with {argument('modes', 'auto')}"
-    if place in _possible_modes(ring, [place]):
-        return f"{argument('modes', 'auto')} takes it up"
-    return f"its share of a load {NOT_TOLD}: release at another place, or record for longer"
-
-
-def _amplitude_notes(dependence: AmplitudeDependence | None, component: str) -> list[str]:
-    notes = []
-    if dependence is not None and dependence.damping_depends:
-        notes.append(
-            f"the damping of {component} depends on the amplitude: "
-            f"{_change(dependence.damping, dependence.u_damping)} from the smallest to the largest, as friction does; "
-            "the damping found is a mean, and forces at the natural frequency are wrong by as much elsewhere"
-        )
-    if dependence is not None and dependence.frequency_depends:
-        notes.append(
-            f"the frequency of {component} depends on the amplitude: "
-            f"{_change(dependence.frequency, dependence.u_frequency)} from the smallest to the largest: the spring is "
-            "not linear; the stiffness found is a mean"
-        )
-    return notes
-
-
-def _change(part: float, u: float) -> str:
-    """Return a relative change in words; more than twice of what changes is more than a linear change can be."""
-    return f"{100 * part:+.2g} % (u = {100 * u:.1g} %)" if abs(part) <= SETTINGS.most_change else "by more than itself"
-
-
 def _result(
-    ring: Ring,
+    found: Account,
     dynamics: Dynamics,
     recording: Recording,
-    dependence: AmplitudeDependence | None,
+    doubts: list[Doubt],
     notes: list[str],
 ) -> DecayFit:
+    ring = found.ring
     u = np.sqrt(np.diag(ring.covariance))
     hum, modes = [], []
     for line, size in zip(ring.lines, ring.line_sizes(), strict=True):
@@ -449,10 +304,13 @@ def _result(
         window=(recording.start + float(ring.time[0]), recording.start + float(ring.time[-1])),
         hum=tuple(hum),
         further_modes=tuple(modes),
-        amplitude_dependence=dependence,
+        amplitude_dependence=found.dependence,
+        amplitude_law=found.law,
+        force_density=None if ring.force is None else ring.force.density,
         residual_deviation=float(np.sqrt(ring.variance)),
         degrees_of_freedom=ring.degrees_of_freedom,
         residual_time=recording.start + ring.time,
         residuals=ring.residuals,
         notes=tuple(notes),
+        doubts=tuple(doubts),
     )

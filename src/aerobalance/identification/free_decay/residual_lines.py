@@ -2,14 +2,40 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
 from aerobalance.identification.free_decay.waveform import DecayLine, Ring, projected
+from aerobalance.recording.channel import Array
+
+WIDTH: Final = 0.2
+"""Width of the bands in which the level of a spectrum is taken, over their frequency."""
+
+NARROWEST: Final = 32
+"""Their least width [ordinates]."""
 
 FALSE_ALARM: Final = 1e-6
 """Probability that white noise shows a line somewhere in the spectrum of the residuals."""
+
+
+def smooth_level(power: Array) -> Array:
+    """Level of a spectrum without its lines, shape (k,): medians over bands a part of their frequency wide.
+
+    Noise that grows toward low frequencies, or a broad hump, has a level of its own and no lines.
+    """
+    steps = np.maximum(WIDTH * np.arange(power.size), NARROWEST)
+    edges, place = [1], 1
+    while place < power.size:
+        place = min(place + int(steps[place]), power.size)
+        edges.append(place)
+    if len(edges) > 2 and edges[-1] - edges[-2] < NARROWEST:
+        edges.pop(-2)
+    pairs = list(pairwise(edges))
+    height = [np.log(np.median(power[first:last]) / np.log(2) + 1e-300) for first, last in pairs]
+    middle = [0.5 * (first + last) for first, last in pairs]
+    return np.asarray(np.exp(np.interp(np.arange(power.size), middle, height)))
 
 
 def residual_line(ring: Ring) -> DecayLine | None:
@@ -50,11 +76,13 @@ def _strongest_line(ring: Ring) -> float | None:
         duration = left.size / ring.rate
         power = np.abs(np.fft.rfft(left - left.mean(), 2 * left.size)) ** 2
         frequency = np.fft.rfftfreq(2 * left.size, 1 / ring.rate)
+        level = np.maximum(smooth_level(power), left.size * ring.variance)
         power[: int(np.searchsorted(frequency, 4 / duration))] = 0.0
         width = max(5 * ring.decay / (2 * np.pi), 4 / duration)
         power[np.abs(frequency - ring.frequency) < width] = 0.0  # what is left there is the first mode's own misfit
+        power /= level
         place = int(np.argmax(power))
-        significance = power[place] / (left.size * ring.variance) + np.log(FALSE_ALARM / left.size)
+        significance = power[place] + np.log(FALSE_ALARM / left.size)
         if significance > 0 and (best is None or significance > best[0]):
             best = float(significance), float(frequency[place])
     return best[1] if best else None
