@@ -21,7 +21,7 @@ from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.line_noise import Hum, Line
 from aerobalance.estimation.spectra.noise_floor import departure_of
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
-from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, NoiseSpectrum
+from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.estimation.step_search import RINGS, StepSearch
 from aerobalance.motion.platform import SystematicParameter
 from aerobalance.recording.channel import Array
@@ -153,10 +153,10 @@ class Fitted:
         record, signal, fit = self.record, self.signal, self.smoothed
         reading, steps, learned = signal.reading, signal.steps, signal.learned
         doubts = list(self.doubts)
-        if signal.floor is not None:
+        faint = _faint(record, learned) if record.noise is None and record.shared is None else []
+        doubts += faint
+        if signal.floor is not None and signal.floor.may_be_force and not faint:
             doubts.append(signal.floor.doubt(record.dynamics.component, unit=si_unit(record.dynamics.component)))
-        elif record.noise is None and record.shared is None:
-            doubts += _faint(record, learned)
         if signal.ended is not None:
             doubts.append(_search_ended(signal.ended))
         white = fit.innovations
@@ -219,8 +219,8 @@ def _words_on_noise(record: ComponentRecord, learned: SpectralPrior) -> str:
         return f"; noise of the record of noise: {record.noise}"
     if record.shared is not None:
         return "; noise that other components show is taken off"
-    if isinstance(learned.color, ColoredNoise):
-        return f"; noise with {len(learned.color.humps)} hump(s), seen in the run"
+    if learned.color is not None:
+        return "; noise that is not white, as the run shows it"
     return ""
 
 

@@ -13,7 +13,7 @@ from scipy.special import ndtr
 from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
 from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares, least_squares, whitened
 from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_lines, hum_lines
-from aerobalance.estimation.spectra.noise_floor import Floor, floor_of
+from aerobalance.estimation.spectra.noise_floor import Floor, with_floor
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.step_search import StepSearch
 from aerobalance.estimation.steps import Step, columns_of, response_to, shape_of
@@ -30,6 +30,12 @@ LARGEST_HUM: Final = 0.1
 
 SAME_LINE: Final = 0.02
 """Change of a line's frequency in ordinates for which the steps are not looked for again."""
+
+COMPARED: Final = 257
+"""Frequencies at which two noises are compared."""
+
+SAME_NOISE: Final = 0.3
+"""Logarithm of the ratio of two densities of noise up to which the steps are not looked for again."""
 
 AT_ONCE: Final = 4
 """Series that are smoothed together."""
@@ -72,31 +78,49 @@ class SignalModel:
 def fit_signal_model(reading: Observation, *, hum: Hum) -> SignalModel:
     """Find hum, steps and prior of a record.
 
-    Steps ring over a wide band and hide weak lines, so the lines are looked for again when the steps are known. A
-    floor of the noise that is not flat is looked for last; with it, steps and prior are found again.
+    Steps ring over a wide band and hide weak lines and the color of the noise, so both are looked for again when the
+    steps are known.
     """
     lines, large = _hum_of(reading, reading.values, hum)
-    named = replace(reading, hum=tuple(line.frequency for line in lines))
+    named, floor = _looked_above(replace(reading, hum=tuple(line.frequency for line in lines)), [])
     search = StepSearch(named)
     steps, learned = search.run()
-    if steps and hum != "keep":
-        heights = np.array([0.0, *(step.height for step in steps)])
-        left = reading.values - columns_of(steps, reading) @ heights
-        lines, large = _hum_of(reading, left, hum)
-        again = tuple(line.frequency for line in lines)
-        resolved = 1 / (reading.values.size * reading.interval)
-        same = len(again) == len(named.hum) and np.allclose(again, named.hum, rtol=0, atol=SAME_LINE * resolved)
-        named = replace(reading, hum=again)
-        if not same:
-            search = StepSearch(named)
+    if steps:
+        if hum != "keep":
+            heights = np.array([0.0, *(step.height for step in steps)])
+            lines, large = _hum_of(reading, reading.values - columns_of(steps, reading) @ heights, hum)
+        again, other = _looked_above(replace(reading, hum=tuple(line.frequency for line in lines)), steps)
+        if _differ(named, again):
+            named, floor, search = again, other, StepSearch(again)
             steps, learned = search.run()
-    left = reading.values - columns_of(steps, reading) @ np.array([0.0, *(step.height for step in steps)])
-    floor = floor_of(named, learned, left=left)
-    if floor is not None and floor.color is not None:
-        named = replace(named, color=floor.color)
-        search = StepSearch(named)
-        steps, learned = search.run()
+        else:
+            named = replace(named, hum=again.hum)
     return SignalModel(named, steps, learned, lines, large, floor, search if search.said else None)
+
+
+def _looked_above(reading: Observation, steps: Sequence[Step]) -> tuple[Observation, Floor | None]:
+    """The reading with the color of its noise as the record shows it, unless that is known, and what was seen."""
+    columns = columns_of(list(steps), reading)
+    others = np.delete(columns, np.arange(1, 1 + len(steps)), axis=1)
+    left = reading.filled - columns[:, 1 : 1 + len(steps)] @ np.array([step.height for step in steps])
+    sizes, *_ = least_squares(np.where(reading.present, left, 0.0), others * reading.present[:, None])
+    return with_floor(reading, left=left - others @ sizes)
+
+
+def _differ(one: Observation, other: Observation) -> bool:
+    """Whether two readings differ in hum or noise so that the steps are looked for again with the other."""
+    resolved = 1 / (one.values.size * one.interval)
+    if len(one.hum) != len(other.hum) or not np.allclose(one.hum, other.hum, rtol=0, atol=SAME_LINE * resolved):
+        return True
+    if one.rising != other.rising:
+        return True
+    if one.noise is None or other.noise is None or one.color is None or other.color is None:
+        return one.color is not other.color
+    frequency = np.linspace(0, 0.5 / one.interval, COMPARED)
+    ratio = (other.color.density(frequency) + other.noise**2 * one.interval) / (
+        one.color.density(frequency) + one.noise**2 * one.interval
+    )
+    return bool(np.max(np.abs(np.log(ratio))) > SAME_NOISE)
 
 
 def _hum_of(reading: Observation, values: Array, hum: Hum) -> tuple[tuple[Line, ...], tuple[Line, ...]]:

@@ -52,12 +52,15 @@ class SpectralPrior:
         Standard deviation of the white noise of a reading [N].
     color
         What the noise has beyond that; None if nothing.
+    rising
+        Whether the force may be stronger where the balance weakens it than elsewhere.
     """
 
     spectrum: Spectrum
     shaping: ShapingFilter
     noise: float
     color: ColoredNoise | ShapedNoise | None = None
+    rising: bool = False
 
     def noise_density(self, frequency: Array, *, interval: float) -> Array:
         """Two-sided density of the noise of a reading, its mean about evenly spaced frequencies [Hz], [N^2/Hz]."""
@@ -87,6 +90,8 @@ class Observation:
         Frequencies of steady lines that are no force [Hz].
     color
         What the noise has beyond that; None if nothing is known of it.
+    rising
+        Whether the force was seen to be stronger where the balance weakens it than elsewhere.
     """
 
     values: Array
@@ -96,6 +101,7 @@ class Observation:
     noise: float | None = None
     hum: tuple[float, ...] = ()
     color: ColoredNoise | ShapedNoise | None = None
+    rising: bool = False
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -224,23 +230,29 @@ def _widened(reading: Observation, learned: SpectralPrior, *, place: int, width:
 def _learn(reading: Observation, values: Array, *, smooth: bool = False) -> SpectralPrior:
     """The answer from readings without gaps and known shapes; what bridges a gap has no noise."""
     interval, share = reading.interval, share_seen(reading.present)
-    color = reading.color
-    periodogram = Periodogram.of(
-        values,
-        reading.dynamics,
-        interval=interval,
-        input_density=reading.input_density,
-        color=None if color is None else lambda f, width: share * color.density(f, width=width),
-    )
+    periodogram = periodogram_of(reading, values, share=share)
     fit = fit_spectrum(
         periodogram,
         noise_density=None if reading.noise is None else share * reading.noise**2 * interval,
         floor=reading.least_noise**2 * interval,
         smooth=smooth,
+        rising=reading.rising,
     )
     density = fit.noise_density / share
     shaping = _shaped(reading, fit.spectrum, density)
-    return SpectralPrior(fit.spectrum, shaping, float(np.sqrt(density / interval)), color)
+    return SpectralPrior(fit.spectrum, shaping, float(np.sqrt(density / interval)), reading.color, reading.rising)
+
+
+def periodogram_of(reading: Observation, values: Array, *, share: float) -> Periodogram:
+    """Periodogram of readings without gaps and known shapes; what bridges a gap has no noise."""
+    color = reading.color
+    return Periodogram.of(
+        values,
+        reading.dynamics,
+        interval=reading.interval,
+        input_density=reading.input_density,
+        color=None if color is None else lambda f, width: share * color.density(f, width=width),
+    )
 
 
 def _shaped(reading: Observation, spectrum: Spectrum, noise_density: float) -> ShapingFilter:

@@ -33,6 +33,9 @@ from aerobalance.recording.doubts import DOUBTED, Doubt
 from aerobalance.recording.errors import argument
 from aerobalance.recording.wording import frequency_text, share_text
 
+DYNAMICS: Final = ("natural frequency", "damping ratio", "missing mode")
+"""Kinds of doubt about the dynamics."""
+
 
 @dataclass(frozen=True, slots=True)
 class ModelCheckSettings:
@@ -226,8 +229,13 @@ def _raised(force: ComponentForce, found: list[ModelDoubt], own: ModalModel, *, 
 
 
 def _without_vague(force: ComponentForce) -> ComponentForce:
-    """The same without a doubt that names no fault where another explains the same."""
+    """The same without a doubt that names no fault where another explains the same.
+
+    Of dynamics that are not the balance's own the force shows as a noise of some color as well.
+    """
     named = [doubt for doubt in force.doubts if doubt.kind != "unexplained"]
+    if any(doubt.kind in DYNAMICS for doubt in named):
+        named = [doubt for doubt in named if doubt.kind != "colored noise"]
     serious = any(doubt.effect is None or doubt.effect > 0 for doubt in named)
     return replace(force, doubts=tuple(named)) if serious else force
 
@@ -264,6 +272,7 @@ def misfit_of(
         dynamics,
         interval=reading.interval,
         least_noise=max(reading.least_noise, 1e-3 * noise),
+        learned=learned,
     )
     if spoken is not None:
         return _spoken(spoken, dynamics)
@@ -271,6 +280,8 @@ def misfit_of(
     found = _possible(
         _in_spectrum(left, dynamics, interval=reading.interval, noise=noise), most=float(np.nanstd(known))
     )
+    if found.missing is not None and learned is not None and _looks_alike(found.missing, learned, reading.interval):
+        found = replace(found, missing=None, size=None)
     if within and learned is not None:
         change, covariance = change_by_steps(reading, within, learned)
         both = [
@@ -302,6 +313,14 @@ def _spoken(spoken: Spoken, dynamics: Dynamics) -> Misfit:
     if spoken.kind == "damping ratio":
         return Misfit(dynamics.component, damping=(ratio, np.nan))
     return Misfit(dynamics.component, frequency=frequency, damping=(ratio, np.nan))
+
+
+def _looks_alike(mode: Mode, learned: SpectralPrior, interval: float) -> bool:
+    """Whether a force above the natural frequency or the color of the noise there has edges that look like a mode."""
+    if learned.rising or learned.color is None:
+        return learned.rising
+    there = learned.color.density(np.array([mode.natural_frequency]), width=0.0)
+    return float(there[0]) > learned.noise**2 * interval
 
 
 def _peaks(record: ComponentRecord, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]) -> list[Peak]:

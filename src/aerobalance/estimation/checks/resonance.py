@@ -20,6 +20,7 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force_smoother import instant_columns
 from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
+from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
 from aerobalance.estimation.spectra.periodogram import LONGEST, Periodogram
 from aerobalance.estimation.spectra.whittle import fit_spectrum
 from aerobalance.estimation.statespace.kalman import KalmanFilter
@@ -145,19 +146,36 @@ class Evidence:
         Time between samples [s].
     floor
         Least density of the noise of the reading [N^2/Hz].
+    white
+        Density of the white part of its noise where the color is known [N^2/Hz]; None to find it.
+    color
+        What its noise has beyond white; None if nothing is known of it.
+    rising
+        Whether the force was seen to be stronger where the balance weakens it than elsewhere.
     """
 
     values: Array
     interval: float
     floor: float
+    white: float | None = None
+    color: ColoredNoise | ShapedNoise | None = None
+    rising: bool = False
     _known: dict[tuple[float, ...], float] = field(default_factory=dict)
 
     def of(self, dynamics: Dynamics) -> float:
         """Logarithm of the likelihood of the reading with dynamics, less the price of the force's spectrum."""
         key = tuple(number for mode in dynamics.modes for number in (*_numbers(mode),))
         if key not in self._known:
-            periodogram = Periodogram.of(self.values, dynamics, interval=self.interval)
-            self._known[key] = fit_spectrum(periodogram, floor=self.floor).evidence
+            color = self.color
+            periodogram = Periodogram.of(
+                self.values,
+                dynamics,
+                interval=self.interval,
+                color=None if color is None else lambda f, width: color.density(f, width=width),
+            )
+            self._known[key] = fit_spectrum(
+                periodogram, noise_density=self.white, floor=self.floor, rising=self.rising
+            ).evidence
         return self._known[key]
 
     def peaks(self, dynamics: Dynamics) -> list[float]:
@@ -188,7 +206,14 @@ def _numbers(mode: Mode) -> tuple[float, float, float]:
     return mode.natural_frequency, mode.damping_ratio, mode.share
 
 
-def spoken_for(values: Array, dynamics: Dynamics, *, interval: float, least_noise: float) -> Spoken | None:
+def spoken_for(
+    values: Array,
+    dynamics: Dynamics,
+    *,
+    interval: float,
+    least_noise: float,
+    learned: SpectralPrior | None = None,
+) -> Spoken | None:
     """Return the dynamics that a record speaks for clearly instead of its own; None where it does not.
 
     Parameters
@@ -201,9 +226,14 @@ def spoken_for(values: Array, dynamics: Dynamics, *, interval: float, least_nois
         Time between samples [s].
     least_noise
         Least noise of a reading [N].
+    learned
+        What was learned of force and noise; None if nothing was.
     """
     values = values[: SETTINGS.samples]
     evidence = Evidence(values - values.mean(), interval, least_noise**2 * interval)
+    if learned is not None:
+        white = None if learned.color is None else learned.noise**2 * interval
+        evidence = replace(evidence, white=white, color=learned.color, rising=learned.rising)
     own = evidence.of(dynamics)
     none = dynamics.retuned(frequency=SETTINGS.beyond, damping=1.0)
     confirmed = own - evidence.of(none)

@@ -1,53 +1,42 @@
-"""A floor of the reading's noise that is not flat, seen in the record itself where a force cannot well be.
+"""The color of a reading's noise, seen in the record itself where a force cannot well be.
 
-Above its natural frequency the balance shows less and less of a force. So what is broad, about as faint as the noise
-there, and as a force stronger than what lies below it in frequency, is more likely noise with a color. As a force it
-would be enlarged by 1 / |G|. Both are compared: a force with the spectrum that was learned in white noise, and noise
-with humps and no force; the force has to be clearly likelier.
+Above its natural frequency the balance shows less and less of a force. What lies there in the readings is a force
+whose level is constant over bands, which the readings show as |G|^2, or a noise whose level is constant over bands:
+whichever needs fewer changes of level. As a force, noise would be enlarged by 1 / |G|. Converters have filters and
+interpolate, so that a record sampled far above the natural frequency always shows it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
-from aerobalance.estimation.spectra.noise_record import Ordinates, cost_of, fitted, humps_of, model_of
-from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise
+from aerobalance.estimation.prior import BESIDE_A_GAP, Observation, fit_prior, periodogram_of
+from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
+from aerobalance.estimation.spectra.periodogram import Periodogram, share_seen
+from aerobalance.estimation.spectra.piecewise_psd import WEAKENED, NoiseLevels, fit_noise_levels
+from aerobalance.estimation.spectra.whittle import fit_spectrum, quiet_levels
+from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import argument
 from aerobalance.recording.fourier import hann
-
-CERTAIN: Final = 5.0
-"""Level in the reading over the noise from which on a broad band is force."""
-
-WEAKENED: Final = 1.0
-"""Square of the response below which a force and the color of a noise can be told apart."""
-
-GRID: Final = 8193
-"""Frequencies from zero to half the sampling rate at which spectra are compared."""
+from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 DECISIVE: Final = 10.0
-"""Gain in log-likelihood that the force must bring over the humps: by itself, noise is likelier.
+"""Gain in log-likelihood that a force must bring over the color of the noise: by itself, noise is likelier."""
 
-A band of force with an edge at its lower end falls in the reading as f^-4, which is much like a hump.
-"""
-
-MARGIN: Final = 40
-"""Ordinates beside a strong band in which the window leaks noticeably."""
+DIFFERENT: Final = 1.5
+"""Ratio of the densities of a noise below which it is taken for white: its uncertainty is then right to a fifth."""
 
 DEPARTURE: Final = 0.2
 """Logarithm of the ratio of powers from which on the noise of a run is not that of the record of noise."""
 
 FEWEST_ORDINATES: Final = 64
-"""Independent ordinates from which on a floor is looked at."""
-
-SEEN: Final = 3.0
-"""Gain in log-likelihood that a floor must bring over white noise alone before it is spoken of."""
-
+"""Independent ordinates above the natural frequency from which on a floor is looked at."""
 
 BLOCKS: Final = 16
 """Parts of a record whose powers are compared."""
@@ -55,116 +44,161 @@ BLOCKS: Final = 16
 LASTING: Final = 0.5
 """Power beyond white noise of the middlemost part over the mean of all, below which it is there only for a while."""
 
+GRID: Final = 8193
+"""Frequencies at which spectra are compared."""
+
+CLOSE: Final = 0.03
+"""Error of the root of the noise's density where it is approximated, over the root of its mean."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Floor:
-    """What is broad, faint and far above the natural frequency.
+    """A noise that is not white.
 
     Attributes
     ----------
     first, last
-        Where it is [Hz].
-    in_reading, as_force
-        Its root mean square in the reading, and as a force [N].
+        Where it is above its lowest level [Hz].
+    in_reading
+        Its root mean square in the reading, beyond white noise [N].
+    as_force
+        Root mean square of a force that would look about as likely [N]; 0 where none does.
+    white
+        Standard deviation of its white part [N].
     color
-        The noise that explains it about as well as a force does, or better; None if none does.
+        What it has beyond that.
     """
 
     first: float
     last: float
     in_reading: float
     as_force: float
-    color: ColoredNoise | None
+    white: float
+    color: ShapedNoise
+
+    @property
+    def may_be_force(self) -> bool:
+        """Whether a force would look much the same: where the balance weakens it, it is more than the reading."""
+        return self.as_force > self.in_reading
 
     def doubt(self, component: str, *, unit: str) -> Doubt:
         """What it says against the force."""
         seen = (
             f"{component} shows {self.in_reading:.2g} {unit} rms between {self.first:.3g} and {self.last:.3g} Hz "
-            "above the white noise of its readings"
+            "above the white noise of its readings: it is taken for noise of the electronics and not for a force of "
+            f"{self.as_force:.2g} {unit} rms, which would look much the same and is then missing from the result"
         )
-        if self.color is not None:
-            what = (
-                f"it is taken for noise of the electronics and not for a force of {self.as_force:.2g} {unit} rms: if "
-                "it is force it is missing from the result"
-            )
-        else:
-            what = (
-                f"it is taken for a force of {self.as_force:.2g} {unit} rms, but is so faint that it may be noise of "
-                "the electronics, and is then an error of the result"
-            )
-        advice = f"a record of noise alone ({argument('noise')}) decides"
-        effect = self.as_force if self.color is None else 0.0
-        return Doubt("colored noise", component, f"{seen}; {what}", advice, effect, unit)
+        return Doubt(
+            "colored noise", component, seen, f"a record of noise alone ({argument('noise')}) decides", 0.0, unit
+        )
 
 
-def floor_of(reading: Observation, learned: SpectralPrior, *, left: Array) -> Floor | None:
-    """Look for a color in the floor of a record.
+def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor | None]:
+    """The reading with what it shows far above the natural frequency: the color of the noise, or a force there.
 
     Parameters
     ----------
     reading
-        The record; what has gaps is not looked at.
-    learned
-        What was learned from it with white noise.
+        The record; what is known of the color of its noise stays as it is.
     left
-        The readings without steps and hum, shape (n,) [N].
+        The readings without steps and hum as far as they are known, shape (n,) [N].
     """
-    spectrum, interval = learned.spectrum, reading.interval
-    if reading.color is not None or spectrum.roll_off or spectrum.levels.size < 2 or not reading.present.all():
+    if reading.color is not None:
+        return reading, None
+    left = interpolate_gaps_linearly(np.where(reading.present, left, np.nan), beside=BESIDE_A_GAP)
+    share = share_seen(reading.present)
+    periodogram = periodogram_of(reading, left, share=share)
+    if float(np.sum(periodogram.weight[periodogram.gain < WEAKENED])) < FEWEST_ORDINATES:
+        return reading, None
+    given = None if reading.noise is None else share * reading.noise**2 * reading.interval
+    least = reading.least_noise**2 * reading.interval
+    starts = quiet_levels(periodogram) if given is None else [given]
+    found = [fit_noise_levels(periodogram, max(start, least)) for start in starts]
+    found = [replace(one, density=np.maximum(one.density, given or least)) for one in found]
+    rising = min(one.rising for one in found)
+    if np.isfinite(rising) and lasts(
+        left, first=rising, interval=reading.interval, noise=np.sqrt(starts[0] / reading.interval)
+    ):
+        reading = replace(reading, rising=True)
+    colored = [one for one in found if one.density.max() > DIFFERENT * one.density.min()]
+    floor = _likeliest(reading, periodogram, colored, left=left, given=given) if colored else None
+    if floor is None or not lasts(
+        left, first=floor.first, last=floor.last, interval=reading.interval, noise=floor.white
+    ):
+        return reading, None
+    return replace(reading, color=floor.color, noise=floor.white), floor
+
+
+def _likeliest(
+    reading: Observation, periodogram: Periodogram, found: Sequence[NoiseLevels], *, left: Array, given: float | None
+) -> Floor | None:
+    """The color of the noise that explains a record without gaps as well as force in white noise does, or better."""
+    share, best, evidence = share_seen(reading.present), None, -np.inf
+    for one in found:
+        floor = _floor(reading, periodogram, one, share=share)
+        colored = periodogram_of(replace(reading, color=floor.color), left, share=share)
+        white = share * floor.white**2 * reading.interval
+        fit = fit_spectrum(colored, noise_density=white, rising=reading.rising)
+        if fit.evidence - _price(one, periodogram) > evidence:
+            best, evidence = floor, fit.evidence - _price(one, periodogram)
+    if best is None:
         return None
-    white = learned.noise**2 * interval
-    frequency: Array = np.linspace(0, 0.5 / interval, GRID)[1:]
-    gain = np.abs(reading.dynamics.response(frequency)) ** 2
-    shown = gain * spectrum.density(frequency)
-    strong = frequency[(shown > CERTAIN * white) | (gain > WEAKENED)]
-    edge = float(strong[-1]) if strong.size else 0.0
-    # a tail that falls is a force's own; what rises again is doubtful
-    rising = [
-        place
-        for place in range(1, spectrum.levels.size)
-        if spectrum.levels[place] > spectrum.levels[place - 1] and spectrum.edges[place] > edge
-    ]
-    if not rising:
-        return None
-    step = float(frequency[1] - frequency[0])
-    first = max(edge, float(spectrum.edges[rising[0] - 1]))
-    beyond = frequency > first
-    if _gain_expected(shown[beyond] / white) * reading.values.size / (2 * frequency.size) < SEEN:
-        return None
-    if not lasts(left, first=first, interval=interval, noise=learned.noise):
-        return None
-    last = float(spectrum.edges[np.flatnonzero(spectrum.levels)[-1]])
-    in_reading, as_force = (
-        float(np.sqrt(2 * step * np.sum(part[beyond]))) for part in (shown, spectrum.density(frequency))
-    )
-    start = edge + MARGIN / (reading.values.size * interval)
-    color = _likelier_color(reading, learned, left=left, start=start)
-    if color is None and reading.noise is not None:
-        return None  # more white noise than was given for the channel, throughout or for a while, looks like that
-    return Floor(first, last, in_reading, as_force, color)
+    # the competitor that segments cannot imitate: a force that rolls off into white noise
+    least = reading.least_noise**2 * reading.interval
+    plain = fit_spectrum(periodogram, noise_density=given, floor=least, smooth=True)
+    if evidence > plain.evidence + DECISIVE:
+        return best
+    frequency = np.linspace(best.first, 0.5 / reading.interval, GRID)
+    as_force = float(np.sqrt(2 * np.trapezoid(plain.spectrum.density(frequency), frequency)))
+    return replace(best, as_force=as_force) if evidence > plain.evidence - DECISIVE else None
 
 
-def _gain_expected(ratio: Array) -> float:
-    """Log-likelihood that ordinates with this power over the noise are expected to gain by it, summed over them.
-
-    Every ordinate of noise of power 1 + r has the mean of r - log(1 + r).
-    """
-    return float(np.sum(ratio - np.log1p(ratio)))
+def _price(found: NoiseLevels, periodogram: Periodogram) -> float:
+    """Schwarz's price of the levels of a noise and the edges between them [1]."""
+    changes = np.count_nonzero(np.diff(found.density))
+    return changes * float(np.log(np.sum(periodogram.weight)))
 
 
-def lasts(left: Array, *, first: float, interval: float, noise: float) -> bool:
-    """Whether what is above a frequency [Hz] is there all the time, as the noise of electronics is.
+def _floor(reading: Observation, periodogram: Periodogram, found: NoiseLevels, *, share: float) -> Floor:
+    """The noise of a record by its levels."""
+    profile = found.density
+    interval, frequency = reading.interval, periodogram.frequency
+    white = float(profile.min())
+    above = profile - white
+    highest = 0.5 / interval
+    step = np.flatnonzero(np.diff(above))
+    centre = float(frequency[step[int(np.argmax(np.abs(np.diff(above))[step]))]])
+    mean = float(np.average(profile, weights=periodogram.count))
+
+    def whole(f: Array) -> Array:
+        # the process goes on beyond half the sampling rate, and is folded back as much as it has fallen there
+        ratio = f / highest
+        folded = 1 / (1 + ratio**8) + 1 / (1 + (2 - np.minimum(ratio, 2)) ** 8)
+        known = np.interp(np.where(f > highest, 2 * highest - f, f), frequency, above) + CLOSE**2 * white
+        return np.asarray(known / folded / (1 + ratio**8))
+
+    shaping = ShapingFilter.of_spectrum(whole, centre=centre, tolerance=CLOSE * float(np.sqrt(mean)))
+    colored = frequency[found.seen & (profile > DIFFERENT * white)]
+    power = 2 * periodogram.step * float(np.sum(periodogram.count * above))
+    color = ShapedNoise(shaping, interval)
+    first, last = float(colored[0]), float(colored[-1])
+    return Floor(first, last, float(np.sqrt(power / share)), 0.0, float(np.sqrt(white / interval / share)), color)
+
+
+def lasts(left: Array, *, first: float, interval: float, noise: float, last: float = np.inf) -> bool:
+    """Whether what lies between two frequencies [Hz] is there all the time, as the noise of electronics is.
 
     A burst is none, and is told where the innovations show it (`aerobalance.estimation.force`).
     """
     taper = hann(left.size)  # without it the ends of the record, which do not meet, ring in all of it
     transform = np.fft.rfft((left - left.mean()) * taper)
     frequency = np.fft.rfftfreq(left.size, interval)
-    high = np.fft.irfft(np.where(frequency > first, transform, 0.0), left.size)
+    inside = (frequency >= first) & (frequency <= last)
+    high = np.fft.irfft(np.where(inside, transform, 0.0), left.size)
     inner = slice(1, -1)  # the taper leaves nothing of the first and the last part
     squares, weights = (np.array_split(part**2, BLOCKS)[inner] for part in (high, taper))
     power = np.array([one.sum() / weight.sum() for one, weight in zip(squares, weights, strict=True)])
-    ordinates = np.count_nonzero(frequency > first)
+    ordinates = np.count_nonzero(inside)
     white = noise**2 * ordinates / frequency.size
     middle = float(np.median(power))
     # the variance of a part scatters by 1 / sqrt(its ordinates), the median of n such by 1.25 / sqrt(n) of that
@@ -185,21 +219,3 @@ def departure_of(reading: Observation) -> float | None:
     ratio = (free.noise / reading.noise) ** 2
     chance = float(np.sqrt(2 / np.count_nonzero(reading.present)))
     return None if abs(np.log(ratio)) < max(DEPARTURE, 6 * chance) else ratio
-
-
-def _likelier_color(reading: Observation, learned: SpectralPrior, *, left: Array, start: float) -> ColoredNoise | None:
-    """Humps of the noise that explain what is above a frequency [Hz] about as well as a force; None if none do."""
-    seen = Ordinates.of(
-        left, reading.dynamics, interval=reading.interval, input_density=reading.input_density, taper=1.0
-    ).above(start)
-    if float(np.sum(seen.weight)) < FEWEST_ORDINATES:
-        return None
-    point = fitted(seen, slow=False)
-    humps = humps_of(point)
-    spectrum, white = learned.spectrum, learned.noise**2 * reading.interval
-    force = seen.gain * spectrum.density(seen.frequency) + seen.fixed + white
-    numbers = 2 * np.count_nonzero(spectrum.levels[spectrum.edges > start]) - 3 * len(humps)
-    gained = cost_of(force, seen) - cost_of(model_of(point, seen), seen)
-    if not humps or gained + 0.5 * numbers * np.log(np.sum(seen.weight)) < -DECISIVE:
-        return None
-    return ColoredNoise(np.zeros(0), np.zeros(0), humps, reading.interval)

@@ -25,8 +25,17 @@ FAINTEST: Final = 1e-2
 LEVELS_A_DECADE: Final = 20
 """Levels that are tried in a factor of ten."""
 
-BROAD: Final = 0.1
+LINES: Final = 0.1
 """Share of the band in which the balance strengthens the force that a level must fill to count as no line."""
+
+WIDE: Final = 0.3
+"""Width over its lowest frequency from which on a force far above resonance is no mode that the dynamics lack."""
+
+BROAD: Final = 16.0
+"""Independent ordinates from which on a segment of noise is no line, and not what the window leaks at an edge."""
+
+WEAKENED: Final = 1.0
+"""Square of the response below which a force and the color of a noise can be told apart."""
 
 LEAK: Final = 40
 """Ordinates on either side of an edge between which the window leaks noticeably."""
@@ -35,21 +44,25 @@ FAR: Final = 128
 """The same for a force 1e11 times as strong as the noise, as it is in a record without any."""
 
 
-def fit_segments(periodogram: Periodogram, noise: float) -> Spectrum:
+def fit_segments(periodogram: Periodogram, noise: float, *, rising: bool = False) -> Spectrum:
     """The segments of constant level that are most likely at the price of a change, by dynamic programming.
 
-    Where the balance weakens the force, no level is allowed above those elsewhere (lines apart): there the reading's
-    color, hum and other modes would be taken for a force, and enlarged by 1 / |G|.
+    Where the balance weakens the force, no level is allowed above those elsewhere (lines apart), unless that was seen
+    to be force before: hum, other modes and shocks would be taken for a force there, and enlarged by 1 / |G|.
+
+    Parameters
+    ----------
+    periodogram
+        Of the reading.
+    noise
+        Density of its noise [N^2/Hz].
+    rising
+        Whether the force may be stronger where the balance weakens it.
     """
     gain, background = periodogram.gain, periodogram.background(noise)
     levels, cost = _costs(periodogram, background)
-    strong = gain >= 1
-    if strong.any():
-        below = levels[_cheapest(cost[strong])]
-        order = np.argsort(-below)
-        share = np.cumsum(periodogram.weight[strong][order]) / np.sum(periodogram.weight[strong])
-        highest = below[order][np.searchsorted(share, BROAD)]
-        cost[np.ix_(~strong, levels > highest)] = np.inf
+    if not rising:
+        cost[np.ix_(gain < WEAKENED, levels > _highest(periodogram, levels, cost))] = np.inf
     path = _cheapest(cost)
     first = np.concatenate([[0], np.flatnonzero(np.diff(path)) + 1])
     last = np.append(first[1:], gain.size)
@@ -62,6 +75,103 @@ def fit_segments(periodogram: Periodogram, noise: float) -> Spectrum:
     rough = Spectrum(edges[kept], np.array(found)[kept])
     rough = pruned(rough, lambda spectrum: periodogram.log_likelihood(periodogram.load(spectrum), noise), worth=WORTH)
     return _sharpened(rough, periodogram, noise)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseLevels:
+    """What the readings show where the balance weakens a force.
+
+    Attributes
+    ----------
+    density
+        Density of the noise of each average, shape (m,) [N^2/Hz].
+    seen
+        Where it is seen and not hidden by a force, shape (m,).
+    rising
+        Lowest frequency of a force that is stronger than any where the balance does not weaken it [Hz]; infinite for
+        none.
+    """
+
+    density: Array
+    seen: NDArray[np.bool_]
+    rising: float = np.inf
+
+
+def fit_noise_levels(periodogram: Periodogram, noise: float) -> NoiseLevels:
+    """Density of the noise of each average if segments of force and segments of noise are alike [N^2/Hz].
+
+    Above the natural frequency a segment is either a force of constant level, which the reading shows as |G|^2, or a
+    noise of constant level: whichever needs fewer changes of level. Where the force hides the noise it is as above.
+
+    Parameters
+    ----------
+    periodogram
+        Of the reading.
+    noise
+        Density of the noise beside a force [N^2/Hz].
+    """
+    weight, density, fixed = periodogram.weight, periodogram.density, periodogram.background(0.0)
+    weakened = periodogram.gain < WEAKENED
+    found = np.full(weight.size, noise)
+    if not weakened.any():
+        return NoiseLevels(found, weakened)
+    levels, cost = _costs(periodogram, periodogram.background(noise))
+    least = max(float(density[weakened].min()), 1e-6 * noise)
+    most = max(float(density[weakened].max()), 2 * least)
+    count = int(LEVELS_A_DECADE * np.log10(most / least)) + 2
+    model = fixed[:, None] + np.geomspace(least, most, count)
+    alone = weight[:, None] * (np.log(model) + density[:, None] / model)
+    alone[~weakened] = np.inf
+    force = cost.shape[1]
+    table = np.hstack([cost, alone])
+    while True:
+        path = _cheapest(table)
+        first = np.concatenate([[0], np.flatnonzero(np.diff(path)) + 1])
+        parts = [slice(a, b) for a, b in zip(first, np.append(first[1:], path.size), strict=True)]
+        means = [float(np.average(density[part] - fixed[part], weights=weight[part])) for part in parts]
+        noises = np.array([path[part.start] >= force for part in parts])
+        level = np.where(noises, means, 0.0)
+        beside = np.maximum(np.maximum.accumulate(level), np.maximum.accumulate(level[::-1])[::-1])
+        hidden = [
+            part
+            for part, mean, other in zip(parts, means, beside, strict=True)
+            if 0 < path[part.start] < force and weakened[part.start] and mean < other
+        ]
+        if not hidden:
+            break
+        # fainter than the noise elsewhere: more likely the noise that falls there, as behind the filter of a converter
+        for part in hidden:
+            table[part, 1:force] = np.inf
+    seen = np.zeros(path.size, dtype=np.bool_)
+    for part, mean, noisy in zip(parts, means, noises, strict=True):
+        if noisy and float(np.sum(weight[part])) >= BROAD:
+            found[part], seen[part] = max(mean, 0.0), True
+    # a force hides the noise: it is taken for what it is above that, or else below
+    shown = periodogram.gain * np.append(levels, np.zeros(count))[path]
+    quiet = (path < force) & (shown < noise)
+    if quiet.any():
+        found[quiet] = max(float(np.average((density - fixed - shown)[quiet], weights=weight[quiet])), noise / 2)
+    seen |= quiet
+    known = np.flatnonzero(seen)
+    if known.size:
+        after = np.minimum(np.searchsorted(known, np.arange(path.size)), known.size - 1)
+        found = found[known[after]]
+    strong = np.append(levels, np.zeros(count))[path] > _highest(periodogram, levels, cost)
+    rising = weakened & strong & (shown > noise)
+    above = float(periodogram.frequency[rising][0]) if rising.any() else np.inf
+    wide = periodogram.step * float(np.sum(periodogram.count[rising]))
+    return NoiseLevels(found, seen, above if wide > WIDE * above else np.inf)
+
+
+def _highest(periodogram: Periodogram, levels: Array, cost: Array) -> float:
+    """Highest level of the force, lines apart, where the balance does not weaken it [N^2/Hz]."""
+    strong = periodogram.gain >= WEAKENED
+    if not strong.any():
+        return np.inf
+    weight, below = periodogram.weight[strong], levels[_cheapest(cost[strong])]
+    order = np.argsort(-below)
+    share = np.cumsum(weight[order]) / np.sum(weight)
+    return float(below[order][np.searchsorted(share, LINES)])
 
 
 def pruned(spectrum: Spectrum, likelihood: Callable[[Spectrum], float], *, worth: float) -> Spectrum:

@@ -63,7 +63,12 @@ class SpectrumFit:
 
 
 def fit_spectrum(
-    periodogram: Periodogram, *, noise_density: float | None = None, floor: float = 0.0, smooth: bool = False
+    periodogram: Periodogram,
+    *,
+    noise_density: float | None = None,
+    floor: float = 0.0,
+    smooth: bool = False,
+    rising: bool = False,
 ) -> SpectrumFit:
     """Find the spectrum of the force and the noise of the reading.
 
@@ -77,14 +82,16 @@ def fit_spectrum(
         Least density of that noise [N^2/Hz].
     smooth
         Whether only a spectrum that rolls off is looked for.
+    rising
+        Whether the force may be stronger where the balance weakens it than elsewhere.
     """
-    starts = _quiet_levels(periodogram) if noise_density is None else [noise_density]
+    starts = quiet_levels(periodogram) if noise_density is None else [noise_density]
     noises = [max(start, floor) for start in starts]
     least = floor if noise_density is None else None
     nothing = Spectrum(np.zeros(0), np.zeros(0))
     fits = [
         *(_with_noise(nothing, periodogram, noise, floor=least) for noise in noises if not smooth),
-        *(_segmented(periodogram, noise, floor=least) for noise in noises if not smooth),
+        *(_segmented(periodogram, noise, floor=least, rising=rising) for noise in noises if not smooth),
         *(
             _with_noise(spectrum, periodogram, noise, floor=None)
             for spectrum, noise in fit_roll_offs(periodogram, noises, floor=least)
@@ -93,10 +100,10 @@ def fit_spectrum(
     return max(fits, key=lambda fit: fit.evidence)
 
 
-def _segmented(periodogram: Periodogram, noise: float, *, floor: float | None) -> SpectrumFit:
+def _segmented(periodogram: Periodogram, noise: float, *, floor: float | None, rising: bool) -> SpectrumFit:
     """Segments and noise in turn, from a noise; it is kept where no floor is given."""
     for _ in range(TURNS):
-        spectrum = fit_segments(periodogram, noise)
+        spectrum = fit_segments(periodogram, noise, rising=rising)
         here = _with_noise(spectrum, periodogram, noise, floor=floor)
         change, noise = here.noise_density / noise - 1, here.noise_density
         if abs(change) < SETTLED:
@@ -119,7 +126,7 @@ def _with_noise(spectrum: Spectrum, periodogram: Periodogram, noise: float, *, f
     return SpectrumFit(spectrum, noise, likelihood, likelihood - price)
 
 
-def _quiet_levels(periodogram: Periodogram) -> list[float]:
+def quiet_levels(periodogram: Periodogram) -> list[float]:
     """Densities of the noise to begin with: the lower quartile of the bands' levels, the mean of the upper ones."""
     place = (periodogram.frequency * periodogram.interval * 2 * BANDS).astype(int)
     weight = np.bincount(place, periodogram.weight)
