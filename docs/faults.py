@@ -23,9 +23,9 @@ HEAD = """# Faults
 
 Records of a known force that are wrong in one thing each, and sound ones, simulated apart from the package
 (`tests/faults`); axial component of the paper's balance, mostly 2.5 s at 1600 Hz and 2 N of noise, {seeds} seeds each.
-Error and u are medians of the rms over a record, in N; cover is the share of samples within 95 % intervals. A row is
-marked where an error of more than 3 u is called fit for use. What a record cannot show is marked "assumed". This page
-is written by `make faults`.
+Error and u are medians of the rms over a record, in N (of six components in percent of half range); cover is the share
+of samples within 95 % intervals. A row is marked where an error of more than 3 u is called fit for use. What a record
+cannot show is marked "assumed". This page is written by `make faults`.
 """
 
 SUBJECTS = {
@@ -43,6 +43,7 @@ SUBJECTS = {
     "filter": "Filters that are not declared",
     "clock": "Sampling rates that are wrong",
     "direct": "The other methods",
+    "six": "Six coupled components, in percent of half range",
 }
 
 

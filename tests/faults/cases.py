@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.recording.components import COMPONENTS
 from faults.scene import (
     DAMPING,
     FREQUENCY,
@@ -32,6 +34,7 @@ from faults.scene import (
     step,
     together,
 )
+from faults.six import HIGHEST, SIX, SixScene, drawn, moved
 
 Change = Callable[[Record, np.random.Generator], Record]
 """What is done to the readings."""
@@ -52,7 +55,7 @@ class Case:
     change
         What is done to the readings afterwards.
     dynamics
-        The dynamics that the force is worked out with.
+        The dynamics that the force is worked out with; for six components what makes them of those identified.
     settings
         How it is worked out.
     shown
@@ -61,10 +64,10 @@ class Case:
 
     name: str
     group: str
-    scene: Scene
+    scene: Scene | SixScene
     kinds: tuple[str, ...] = ()
     change: Change | None = None
-    dynamics: Dynamics = field(default_factory=lambda: dynamics())  # noqa: PLW0108 - defined below
+    dynamics: Dynamics | Callable[[CoupledDynamics], CoupledDynamics] = field(default_factory=lambda: dynamics())  # noqa: PLW0108 - defined below
     settings: dict[str, Any] = field(default_factory=dict)
     shown: bool = True
 
@@ -73,6 +76,12 @@ class Case:
         rng = np.random.default_rng([seed, *self.name.encode()])
         made = self.scene.record(rng)
         return made if self.change is None else self.change(made, rng)
+
+    def known(self, seed: int) -> Dynamics | CoupledDynamics:
+        """Return the dynamics that the force of a seed is worked out with; of six components as releases give them."""
+        if isinstance(self.dynamics, Dynamics):
+            return self.dynamics
+        return self.dynamics(drawn(np.random.default_rng([seed, 6])))
 
 
 def dynamics(
@@ -125,6 +134,7 @@ def wrong() -> list[Case]:
         filters_not_told,
         clocks,
         direct_inverses,
+        six_components,
     )
     return [one for make in makers for one in make()]
 
@@ -161,7 +171,81 @@ def sound() -> list[Case]:
             Case(f"{name}, 400 Hz", "sound", Scene(force, Clock(rate=400.0, samples=1000))),
             Case(f"{name}, 8 kHz", "sound", Scene(force, Clock(rate=8000.0, samples=16000, fine=8))),
         ]
+    found += [Case(f"six components, {name}", "sound", scene, dynamics=as_identified) for name, scene in SIXES.items()]
     return found
+
+
+def as_identified(known: CoupledDynamics) -> CoupledDynamics:
+    """Return the dynamics as they were identified."""
+    return known
+
+
+SIXES: dict[str, SixScene] = {
+    "0-347 Hz": SixScene(),
+    "0-347 Hz, 2 s": SixScene(clock=replace(SIX, samples=16000)),
+    "0-200 Hz": SixScene([band(0.1, 0, 200)] * 6),
+    "soft 30 Hz": SixScene([soft(0.1, 30.0)] * 6),
+    "narrow at 165 Hz": SixScene([together(band(0.02, 160, 172), band(0.05, 0, 60))] * 6),
+    "sine 173 Hz": SixScene([together(shaped(lambda t: 0.05 * np.sin(2 * np.pi * 173.3 * t)), band(0.05, 0, 60))] * 6),
+    "AF alone": SixScene([*[band(1e-9, 0, 100)] * 5, band(0.1, 0, HIGHEST)]),
+}
+"""Loads of six components, over half range."""
+
+
+def six_components() -> Iterator[Case]:
+    """Return records of six components whose channels or dynamics are wrong."""
+    loads = {name: SIXES[name] for name in ("0-347 Hz", "soft 30 Hz", "AF alone")}
+    for name, scene in loads.items():
+        made = partial(Case, group="six", scene=scene)
+        for one in COMPONENTS:
+            yield made(
+                f"six components, sign of {one}, {name}",
+                kinds=("swapped sign",),
+                change=partial(turned, component=one),
+                dynamics=as_identified,
+            )
+        for one, other in (("NF", "SF"), ("PM", "YM"), ("YM", "RM")):
+            yield made(
+                f"six components, {one} and {other} exchanged, {name}",
+                kinds=("swapped channels",),
+                change=partial(exchanged, one=one, other=other),
+                dynamics=as_identified,
+            )
+        for factor in (1.03, 1.1, 0.8):
+            yield made(
+                f"six components, modes at {factor:g} times their frequency, {name}",
+                kinds=("natural frequency",),
+                dynamics=partial(moved, factor=factor),
+            )
+    for milliseconds in (1, 2):
+        yield Case(
+            f"six components, 3 gaps of {milliseconds} ms in PM, 0-347 Hz",
+            "six",
+            SIXES["0-347 Hz"],
+            change=partial(with_gaps, seconds=1e-3 * milliseconds),
+            dynamics=as_identified,
+        )
+
+
+def turned(record: Record, rng: np.random.Generator, *, component: str) -> Record:
+    """Return the record with a component, its readings and its force, of the other sign."""
+    sign = np.where(np.array(COMPONENTS) == component, -1.0, 1.0)
+    return replace(record.with_column(component, -record.columns[component]), force=record.force * sign)
+
+
+def exchanged(record: Record, rng: np.random.Generator, *, one: str, other: str) -> Record:
+    """Return the record with two components exchanged, their readings and their forces."""
+    columns = {**record.columns, one: record.columns[other], other: record.columns[one]}
+    force, (i, j) = record.force.copy(), (COMPONENTS.index(one), COMPONENTS.index(other))
+    force[:, [i, j]] = force[:, [j, i]]
+    return replace(record, columns=columns, force=force)
+
+
+def with_gaps(record: Record, rng: np.random.Generator, *, seconds: float) -> Record:
+    """Return the record with three gaps in one of six channels."""
+    for _ in range(3):
+        record = with_gap(record, rng, seconds=seconds, channel="PM")
+    return record
 
 
 def wrong_dynamics() -> Iterator[Case]:

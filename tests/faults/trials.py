@@ -15,25 +15,30 @@ from typing import Any
 
 import numpy as np
 
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from faults.cases import Case, all_cases
 from faults.scene import Record
+from faults.six import HALF_RANGE
 
-UNITS = {"AF": "N", "ground_acceleration": "m/s^2", "pitch": "rad"}
+UNITS = {"ground_acceleration": "m/s^2", "pitch": "rad"} | {name: si_unit(name) for name in COMPONENTS}
 
 
 def recording_of(record: Record, name: str = "record") -> Recording:
     """Return the readings as a recording."""
     channels = {key: Channel(key, values, UNITS[key]) for key, values in record.columns.items()}
-    return Recording.from_columns(np.arange(record.force.size) / record.rate, channels, name=name)
+    return Recording.from_columns(np.arange(len(record.force)) / record.rate, channels, name=name)
 
 
-def worked_out(record: Record, dynamics: Dynamics, settings: dict[str, Any]) -> tuple[Force | None, list[str]]:
+def worked_out(
+    record: Record, dynamics: Dynamics | CoupledDynamics, settings: dict[str, Any]
+) -> tuple[Force | None, list[str]]:
     """Return the force, or None where it is refused, and what was said."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", DataQualityWarning)
@@ -60,12 +65,23 @@ def scores(force: Array, u: Array, truth: Array) -> dict[str, float]:
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
+def of_one(force: Force) -> tuple[Array, Array]:
+    """Return a force and its uncertainty [N]."""
+    return force.only.values, force.only.uncertainty
+
+
+def in_percent(force: Force, truth: Array) -> tuple[Array, Array, Array]:
+    """Return the forces of six components, their uncertainty and the truth, in percent of half range."""
+    found, u = (np.column_stack([getattr(one, what) for one in force.values()]) for what in ("values", "uncertainty"))
+    return 100 * found / HALF_RANGE, 100 * u / HALF_RANGE, 100 * truth / HALF_RANGE
+
+
 def trial(given: tuple[Case, int]) -> dict[str, Any]:
     """Return what came of one record."""
     case, seed = given
     record = case.record(seed)
     began = time.process_time()
-    force, said = worked_out(record, case.dynamics, case.settings)
+    force, said = worked_out(record, case.known(seed), case.settings)
     spent = time.process_time() - began
     result: dict[str, Any] = {
         "name": case.name,
@@ -78,8 +94,7 @@ def trial(given: tuple[Case, int]) -> dict[str, Any]:
         "refused": force is None,
     }
     if force is not None:
-        one = force.only
-        result |= scores(one.values, one.uncertainty, record.force)
+        result |= scores(*in_percent(force, record.force)) if len(force) > 1 else scores(*of_one(force), record.force)
         result["verdict"] = str(getattr(force, "verdict", "fit for use"))
         result["kinds"] = [doubt.kind for doubt in getattr(force, "doubts", ())]
     return result
