@@ -163,13 +163,17 @@ def with_balance(
 
 def with_doubt(estimate: ComponentForce, doubt: Doubt, *errors: Contribution) -> ComponentForce:
     """Add a doubt to an estimate, and what it does to the force to its uncertainty."""
+    return replace(with_errors(estimate, *errors), doubts=(*estimate.doubts, doubt))
+
+
+def with_errors(estimate: ComponentForce, *errors: Contribution) -> ComponentForce:
+    """Add contributions to the uncertainty of an estimate."""
     whole = np.sqrt(estimate.uncertainty**2 + sum(error.deviation**2 for error in errors))
     return replace(
         estimate,
         uncertainty=np.asarray(whole),
         budget={**estimate.budget, **{error.name: float(np.sqrt(np.mean(error.deviation**2))) for error in errors}},
         contributions=(*estimate.contributions, *errors),
-        doubts=(*estimate.doubts, doubt),
     )
 
 

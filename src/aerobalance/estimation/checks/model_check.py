@@ -17,6 +17,7 @@ from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
+from aerobalance.estimation.checks.mode_shapes import shape_doubts
 from aerobalance.estimation.checks.model_error import as_noise, error_under
 from aerobalance.estimation.checks.peaks import Peak, peak_doubts
 from aerobalance.estimation.checks.resonance import Spoken, change_by_steps, spoken_for, without_tones
@@ -195,8 +196,12 @@ def checked(force: Force) -> Force:
 
     record, parts = force.record, dict(force.parts)
     if isinstance(record, CoupledRecord):
-        decoupled = record.component_records(force.filled)
-        peaks = [peak for name in force for peak in _peaks(decoupled[name], **known(name))]
+        filled = force.filled
+        otherwise = shape_doubts(record, filled, parts)
+        parts |= {name: _named_only(part) for name, part in otherwise.items()}
+        # what rings otherwise leaves peaks everywhere
+        decoupled = {} if otherwise else record.component_records(filled)
+        peaks = [peak for name in decoupled for peak in _peaks(decoupled[name], **known(name))]
         turning = turning_by_angles(force.recording, record.dynamics, force)
         for doubt in [*peak_doubts(peaks, record.dynamics.modes), *turning]:
             part = parts[doubt.component]
@@ -226,6 +231,12 @@ def _raised(force: ComponentForce, found: list[ModelDoubt], own: ModalModel, *, 
         noise = as_noise(error, name=f"{DOUBTED}{doubt.kind}", period=period, interval=interval)
         force = with_doubt(force, doubt, noise)
     return force
+
+
+def _named_only(force: ComponentForce) -> ComponentForce:
+    """The same without doubts that name no fault, or a color of what rings as the dynamics do not."""
+    kept = tuple(doubt for doubt in force.doubts if doubt.kind not in ("unexplained", "colored noise"))
+    return replace(force, doubts=kept)
 
 
 def _without_vague(force: ComponentForce) -> ComponentForce:

@@ -1,0 +1,333 @@
+"""Whether coupled components ring together as the modes of their dynamics do, in sign, order and frequency.
+
+A mode moves all components in proportions of its own. Rows of D and A that go with these proportions take the ringing
+out of every component's force; where a channel has another sign, or two are exchanged, they leave it there, many times
+as large as the force. So the dynamics as they are, exchanged channels and moved modes are compared by the likelihood
+of the forces (`aerobalance.estimation.checks.ringing`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from scipy.optimize import minimize
+
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.estimation.checks.model_error import as_noise
+from aerobalance.estimation.checks.ringing import Ringing, Rows, powers_of
+from aerobalance.estimation.checks.steady_tones import without_tones
+from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.result import ComponentForce, with_errors
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.doubts import DOUBTED, Doubt
+from aerobalance.recording.resampling import align_channels
+
+
+@dataclass(frozen=True, slots=True)
+class ModeShapeSettings:
+    """What is tried, and from which evidence on it is believed.
+
+    Attributes
+    ----------
+    decisive, moved
+        Gain in log-likelihood, beside the band that brings most, that other signs or another order must bring, and
+        that modes must which have moved: chance and narrow bands of the load brought 9 and 14.
+    shifts, dampings
+        Changes of the logarithm of all natural frequencies that are tried, up and down, and factors of all damping
+        ratios.
+    tries
+        Dynamics that are tried at most to come closer to the best.
+    tones_above
+        Frequency above which tones are taken out, over the lowest natural frequency.
+    told, told_damping
+        Changes of the logarithms of a natural frequency and a damping ratio from which they are told.
+    """
+
+    decisive: float = 20.0
+    moved: float = 25.0
+    shifts: tuple[float, ...] = (0.01, 0.02, 0.04, 0.08, 0.16, 0.25, 0.35, 0.5)
+    dampings: tuple[float, ...] = (0.4, 2.5)
+    tries: int = 40
+    tones_above: float = 0.5
+    told: float = 0.001
+    told_damping: float = 0.3
+
+
+SETTINGS: Final = ModeShapeSettings()
+"""Settings that are used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moved:
+    """Modes of coupled dynamics, some of them moved.
+
+    Attributes
+    ----------
+    dynamics
+        The dynamics.
+    changes
+        Logarithms of the factors of natural frequency and damping ratio of every mode, shape (modes, 2).
+    """
+
+    dynamics: CoupledDynamics
+    changes: Array
+
+    @classmethod
+    def none(cls, dynamics: CoupledDynamics) -> Moved:
+        """All where they are."""
+        return cls(dynamics, np.zeros((len(dynamics.modes), 2)))
+
+    def by(self, place: int | slice, change: Array) -> Moved:
+        """The same with one mode, or all, moved further, by shape (2,)."""
+        changes = self.changes.copy()
+        changes[place] += change
+        return replace(self, changes=changes)
+
+    @property
+    def moved(self) -> CoupledDynamics:
+        """Dynamics whose modes are those, in shapes as they were."""
+        poles, shapes, _ = self.dynamics.modal_form
+        up = np.flatnonzero(poles.imag > 0)
+        up = up[np.argsort(np.abs(poles[up]))]
+        size, shapes = len(shapes), shapes[:, up]
+        frequency = np.abs(poles[up]) * np.exp(self.changes[:, 0])
+        ratio = np.minimum(-poles[up].real / np.abs(poles[up]) * np.exp(self.changes[:, 1]), 0.99)
+        found = frequency * (-ratio + 1j * np.sqrt(1 - ratio**2))
+        both, found = np.hstack([shapes, shapes.conj()]), np.concatenate([found, found.conj()])
+        # x'' = -A^-1 (x + D x') for every mode
+        forward = np.real((both * found**2) @ np.linalg.inv(np.vstack([both, both * found])))
+        inertia = -np.linalg.inv(forward[:, :size])
+        return replace(self.dynamics, inertia=inertia, damping=-inertia @ forward[:, size:])
+
+    @property
+    def rows(self) -> Rows:
+        """Their rows."""
+        dynamics = self.moved
+        return Rows(np.stack([np.eye(len(dynamics.inertia)), dynamics.damping, dynamics.inertia], axis=-1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OtherShapes:
+    """What the ringing of coupled components speaks for.
+
+    Attributes
+    ----------
+    kind
+        ``"swapped sign"``, ``"swapped channels"``, ``"natural frequency"`` or ``"damping ratio"``.
+    places
+        Rows of the channels that are exchanged; none where modes have moved.
+    rows
+        The rows that it speaks for.
+    gain
+        Gain in log-likelihood.
+    moved
+        Modes that have moved; None where channels are exchanged.
+    """
+
+    kind: str
+    places: tuple[int, ...]
+    rows: Rows
+    gain: float
+    moved: Moved | None = None
+
+
+def gain_of(evidence: Array, known: Array) -> float:
+    """Gain in log-likelihood over what is known, less that of the band that brings most.
+
+    A narrow band or the edge of a load is in one band, and looks there as modes do that are elsewhere.
+    """
+    gains = evidence - known
+    return float(np.sum(gains) - max(np.max(gains), 0.0))
+
+
+def other_shapes(ringing: Ringing, dynamics: CoupledDynamics) -> OtherShapes | None:
+    """Return the signs, the order or the modes that a record speaks for; None where it does not speak against its own.
+
+    Parameters
+    ----------
+    ringing
+        The spectra of the record.
+    dynamics
+        The dynamics that it was read with.
+    """
+    own, count = ringing.own, len(dynamics.components)
+    volume = ringing.determinant(own)
+    known = ringing.evidence(own, determinant=volume)
+    exchanged: list[tuple[str, tuple[int, ...], Rows]] = []
+    for number in (1, 2):
+        for places in combinations(range(count), number):
+            signs = np.ones(count)
+            signs[list(places)] = -1
+            exchanged.append(("swapped sign", places, own.with_signs(signs)))
+    for places in combinations(range(count), 2):
+        order = np.arange(count)
+        order[list(places)] = places[::-1]
+        exchanged.append(("swapped channels", places, own.reordered(order)))
+    gains = [gain_of(ringing.evidence(rows, determinant=volume), known) for _, _, rows in exchanged]
+    best = int(np.argmax(gains))
+    gain, (kind, places, rows) = gains[best], exchanged[best]
+    moved = _moved(ringing, dynamics, known, least=max(gain, SETTINGS.moved))
+    if moved is not None:
+        return moved
+    return OtherShapes(kind, places, rows, gain) if gain > SETTINGS.decisive else None
+
+
+def _moved(ringing: Ringing, dynamics: CoupledDynamics, known: Array, *, least: float) -> OtherShapes | None:
+    """The modes that a record speaks for, where that brings more than other explanations.
+
+    All are moved together first: a single one that seems to have moved may be a narrow band of the load.
+    """
+    if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
+        return None
+    own, everything = Moved.none(dynamics), slice(None)
+    together = [(sign * size, 0.0) for size in SETTINGS.shifts for sign in (-1, 1)]
+    together += [(0.0, float(np.log(factor))) for factor in SETTINGS.dampings]
+    tried = [own.by(everything, np.array(step)) for step in together]
+    gains = [gain_of(_evidence(ringing, one), known) for one in tried]
+    if max(gains) < 0.5 * least:
+        return None
+    found = _closer(ringing, own, everything, tried[int(np.argmax(gains))])
+    gain = gain_of(_evidence(ringing, found), known)
+    if gain < least:
+        return None
+    for place in range(len(found.changes)):
+        found = _closer(ringing, found, place, found)
+    frequency, damping = np.max(np.abs(found.changes), axis=0)
+    kind = "natural frequency" if frequency > SETTINGS.told or damping < SETTINGS.told_damping else "damping ratio"
+    return OtherShapes(kind, (), found.rows, gain, found)
+
+
+def _evidence(ringing: Ringing, moved: Moved) -> Array:
+    """Evidence of moved modes; none where a balance with them cannot be."""
+    try:
+        return ringing.evidence(moved.rows)
+    except (ValueError, np.linalg.LinAlgError):
+        return np.full(ringing.bands.size, -np.inf)
+
+
+def _closer(ringing: Ringing, before: Moved, place: int | slice, first: Moved) -> Moved:
+    """The likeliest change of modes near a first guess."""
+    start = first.changes[place].reshape(-1, 2)[0] - before.changes[place].reshape(-1, 2)[0]
+    size = np.array([max(0.3 * abs(float(start[0])), 0.003), 0.3])
+
+    def lost(change: Array) -> float:
+        return -float(np.sum(_evidence(ringing, before.by(place, start + change * size))))
+
+    simplex = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    most = SETTINGS.tries
+    best = minimize(lost, np.zeros(2), method="Nelder-Mead", options={"maxfev": most, "initial_simplex": simplex})
+    return before.by(place, start + best.x * size)
+
+
+def force_errors(record: CoupledRecord, loads: Array, rows: Rows, bandwidth: Array) -> Array:
+    """Return how far forces are off if other rows are right, up to a frequency each, shape (samples, n) [N, N*m].
+
+    Parameters
+    ----------
+    record
+        The record.
+    loads
+        The loads without gaps, less what the ground's motion has put on them, shape (samples, n).
+    rows
+        The rows that are right.
+    bandwidth
+        Frequencies up to which the forces are resolved [Hz], shape (n,).
+    """
+    count = loads.shape[0]
+    back = 0.5 + 0.5 * np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    frequency = np.fft.rfftfreq(2 * count, record.interval)
+    errors = []
+    for one, other, highest in zip(record.decoupled, rows.forces, bandwidth, strict=True):
+        powers = powers_of(one, loads, interval=record.interval)
+        change = np.einsum("npj,jp->n", powers, one.row - other, optimize=True)
+        closed = np.concatenate([change, change[0] + (change[-1] - change[0]) * back])  # its ends meet
+        lines = np.fft.rfft(closed) / one.dynamics.response(frequency) * (frequency <= highest)
+        errors.append(np.fft.irfft(lines, 2 * count)[:count])
+    return np.stack(errors, axis=1)
+
+
+def shape_doubts(
+    record: CoupledRecord, filled: Array, parts: Mapping[str, ComponentForce]
+) -> dict[str, ComponentForce]:
+    """Return the forces that a record speaks against, with doubts and the errors counted; nothing where it does not.
+
+    Parameters
+    ----------
+    record
+        The record.
+    filled
+        Its readings with their gaps filled, shape (samples, n).
+    parts
+        The forces of all components.
+    """
+    if not record.is_coupled:
+        return {}
+    dynamics, interval = record.dynamics, record.interval
+    loads = align_channels(filled, record.channels, to=record.channels[0], interval=interval) - record.from_ground
+    names = dynamics.components
+    other = _spoken(record, loads, parts)
+    if other is not None:  # a tone is narrower than any resonance, and looks like one that is elsewhere
+        above = SETTINGS.tones_above * dynamics.modes[0].natural_frequency * interval
+        other = _spoken(record, without_tones(loads, above=above), parts)
+    if other is None:
+        return {}
+    bandwidth = np.array([parts[name].bandwidth for name in names])
+    errors = force_errors(record, loads, other.rows, bandwidth)
+    size = np.sqrt(np.mean(errors**2, axis=0))
+    relative = size / np.array([max(float(np.sqrt(np.mean(parts[name].values ** 2))), 1e-300) for name in names])
+    told = other.places or (int(np.argmax(relative)),)
+    found = {}
+    for place, name in enumerate(names):
+        part = parts[name]
+        period = 1 / record.decoupled[place].dynamics.natural_frequency
+        error = as_noise(errors[:, place], name=f"{DOUBTED}{other.kind}", period=period, interval=interval)
+        part = with_errors(part, error)
+        if place in told:
+            doubt = Doubt(other.kind, name, *_words(other, dynamics), float(size[place]), si_unit(name))
+            part = replace(part, doubts=(*part.doubts, doubt))
+        found[name] = part
+    return found
+
+
+def _spoken(record: CoupledRecord, loads: Array, parts: Mapping[str, ComponentForce]) -> OtherShapes | None:
+    """What the ringing of loads speaks for, where they are enough to say so."""
+    ringing = Ringing.of(record, loads, parts)
+    return None if ringing is None else other_shapes(ringing, record.dynamics)
+
+
+def _words(other: OtherShapes, dynamics: CoupledDynamics) -> tuple[str, str]:
+    """What was seen and what it does, and what to do next."""
+    names = " and ".join(dynamics.components[place] for place in other.places)
+    several = len(other.places) > 1
+    if other.kind == "swapped sign":
+        text = (
+            f"the components ring together as in the modes of the dynamics if {names} {'have' if several else 'has'} "
+            "the other sign: the forces of all components that ring with it are wrong"
+        )
+        return text, f"check the sign of {names} in this record and in the releases of the identification"
+    if other.kind == "swapped channels":
+        text = (
+            f"the components ring together as in the modes of the dynamics if {names} are exchanged: the forces of "
+            "all components that ring with them are wrong"
+        )
+        return text, f"check the channels of {names} in this record and in the releases of the identification"
+    changed = []
+    moved = other.moved or Moved.none(dynamics)
+    for mode, (shift, ratio) in zip(dynamics.modes, moved.changes, strict=True):
+        if abs(shift) > SETTINGS.told or abs(ratio) > SETTINGS.told_damping:
+            now, before = mode.natural_frequency * np.exp(shift), mode.natural_frequency
+            what = f"at {now:.4g} Hz and not {before:.4g} Hz"
+            if abs(ratio) > SETTINGS.told_damping:
+                now, before = mode.damping_ratio * np.exp(ratio), mode.damping_ratio
+                what += f" (damping ratio {now:.2g} and not {before:.2g})"
+            changed.append(what)
+    text = (
+        f"the components ring together {', '.join(changed)}: stiffness, mass or damping have changed since they were "
+        "identified, or the dynamics are those of another balance; forces near these frequencies are wrong"
+    )
+    return text, "identify the dynamics again"

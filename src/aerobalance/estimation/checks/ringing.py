@@ -1,0 +1,234 @@
+"""How likely forces are that rows of polynomials make of the readings of coupled components.
+
+The forces' spectra are taken for constant over bands much wider than a resonance. The likelihood counts what the
+balance makes of a force as well, |det(1 + D s + A s^2)|, so other frequencies may be compared with each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.dynamics.condensation import partial_fractions
+from aerobalance.dynamics.decoupling import DecoupledChannel
+from aerobalance.dynamics.driven_modes import values_and_rates
+from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.result import ComponentForce
+from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, Periodogram
+from aerobalance.recording.channel import Array
+from aerobalance.recording.fourier import hann
+
+
+@dataclass(frozen=True, slots=True)
+class RingingSettings:
+    """What of a record is compared.
+
+    Attributes
+    ----------
+    samples
+        Samples that are looked at at most.
+    highest
+        Frequency up to which forces are compared, over the highest natural frequency.
+    width, fewest
+        Width of a band over its frequency, and ordinates in it at least.
+    iterations
+        Iterations by which the level of a band is found.
+    fine
+        Points of an ordinate in which the determinant is averaged.
+    stands_out
+        Power of the channels over that of their noise, their mean in a band, from which the band is compared.
+    """
+
+    samples: int = 1 << 15
+    highest: float = 1.5
+    width: float = 0.12
+    fewest: int = 8
+    iterations: int = 6
+    fine: int = 2
+    stands_out: float = 10.0
+
+
+SETTINGS: Final = RingingSettings()
+"""Settings that are used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """What turns the loads felt into the forces: polynomials in s over a common one, shape (n, n, p).
+
+    Attributes
+    ----------
+    forces
+        Row i has what component i takes of every channel; powers of s rise along the last axis.
+    """
+
+    forces: Array
+
+    def at(self, frequency: Array) -> NDArray[np.complex128]:
+        """Their values at frequencies of shape (m,) [Hz], shape (m, n, n)."""
+        s, found = 2j * np.pi * frequency[:, None, None], np.zeros((frequency.size, *self.forces.shape[:2]), complex)
+        for powers in np.moveaxis(self.forces, -1, 0)[::-1]:
+            found = found * s + powers
+        return found
+
+    def with_signs(self, signs: Array) -> Rows:
+        """The same for channels of other signs, shape (n,)."""
+        return Rows(self.forces * np.outer(signs, signs)[..., None])
+
+    def reordered(self, order: NDArray[np.intp]) -> Rows:
+        """The same for channels that hold what others should."""
+        back = np.argsort(order)
+        return Rows(self.forces[np.ix_(back, back)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ringing:
+    """Spectra of all that rows of polynomials can make of a record.
+
+    Attributes
+    ----------
+    frequency
+        Frequencies of the ordinates [Hz], shape (m,).
+    lines
+        Spectral lines of every channel's powers of s over the modes of every decoupled component, shape (n, p, n, m).
+    gain
+        Square of the response of the decoupled components, as the window sees it, shape (n, m).
+    over
+        Square of the product of their modes, shape (n, m).
+    noise
+        Densities of the channels' noise, shape (n,).
+    bands
+        First ordinate of every band.
+    shown
+        True where the channels are clearly above their noise: elsewhere they say nothing of the modes, shape (m,).
+    own
+        The rows that the record was read with.
+    """
+
+    frequency: Array
+    lines: NDArray[np.complex128]
+    gain: Array
+    over: Array
+    noise: Array
+    bands: NDArray[np.intp]
+    shown: NDArray[np.bool_]
+    own: Rows
+
+    @classmethod
+    def of(cls, record: CoupledRecord, loads: Array, parts: Mapping[str, ComponentForce]) -> Ringing | None:
+        """Take the spectra of loads without gaps, shape (samples, n); None where a record is too short.
+
+        Parameters
+        ----------
+        record
+            The record that they are from.
+        loads
+            The loads, less what the ground's motion has put on them.
+        parts
+            The forces that were worked out.
+        """
+        loads = loads[: SETTINGS.samples] - loads[: SETTINGS.samples].mean(axis=0)
+        count, interval = loads.shape[0], record.interval
+        step = 1 / (count * interval)
+        top = SETTINGS.highest * max(mode.natural_frequency for mode in record.dynamics.modes)
+        last = int(min(top / step, count // 2 - 2))
+        if last - 2 < SETTINGS.fewest:
+            return None
+        bands = _bands(last - 2)
+        window = hann(count)
+        window = window * np.sqrt(interval / float(np.sum(window**2)))
+        lines, gains, overs = [], [], []
+        inside = slice(2, last)
+        for one in record.decoupled:
+            powers = powers_of(one, loads, interval=interval)
+            lines.append(np.fft.rfft(powers * window[:, None, None], axis=0)[inside])
+            seen = Periodogram.of(loads[:, one.place], one.dynamics, interval=interval)
+            gains.append(seen.ordinates[2, : last - 2])
+            overs.append(_product_of_modes(one, seen.ordinates[0, : last - 2]))
+        frequency = np.arange(2, last) * step
+        noise = np.array([parts[name].noise for name in record.dynamics.components]) ** 2 * interval
+        raw = np.abs(np.fft.rfft(loads * window[:, None], axis=0)[inside].T) ** 2
+        widths = np.diff(np.append(bands, frequency.size))
+        level = _sums(raw / noise[:, None], bands).mean(axis=0) / widths
+        shown = np.repeat(level > SETTINGS.stands_out, widths)
+        return cls(
+            frequency,
+            np.stack(lines).transpose(0, 2, 3, 1),
+            np.stack(gains),
+            np.stack(overs),
+            noise,
+            bands,
+            shown,
+            Rows(np.stack([one.row for one in record.decoupled])),
+        )
+
+    def readings(self, rows: Rows) -> NDArray[np.complex128]:
+        """Spectral lines of the decoupled components' readings by other rows, shape (n, m)."""
+        return np.asarray(np.einsum("ijp,ipjm->im", rows.forces, self.lines, optimize=True))
+
+    def evidence(self, rows: Rows, *, determinant: Array | None = None) -> Array:
+        """Logarithm of the likelihood in every band, the levels of the forces there at their best, shape (bands,).
+
+        Parameters
+        ----------
+        rows
+            The rows.
+        determinant
+            What `determinant` gives of them, where it is known.
+        """
+        power = np.abs(self.readings(rows)) ** 2
+        whole = rows.at(self.frequency)
+        quiet = np.einsum("mij,j->im", np.abs(whole) ** 2, self.noise) / self.over
+        widths = np.diff(np.append(self.bands, self.frequency.size))
+        level = np.maximum(_sums((power - quiet) / self.gain, self.bands) / widths, 0.0)
+        for _ in range(SETTINGS.iterations):
+            weight = (self.gain / (np.repeat(level, widths, axis=1) * self.gain + quiet)) ** 2
+            wanted = _sums(weight * (power - quiet) / self.gain, self.bands) / _sums(weight, self.bands)
+            level = np.maximum(wanted, 0.0)
+        model = np.repeat(level, widths, axis=1) * self.gain + quiet
+        volume = self.determinant(rows) if determinant is None else determinant
+        found = (volume - np.sum(np.log(model) + power / model, axis=0)) * self.shown
+        return np.asarray(np.add.reduceat(found, self.bands)) / HANN_BANDWIDTH
+
+    def determinant(self, rows: Rows) -> Array:
+        """Mean about every ordinate of the logarithm of the squared determinant of the rows, shape (m,)."""
+        step = self.frequency[1] - self.frequency[0]
+        offsets = (np.arange(SETTINGS.fine) + 0.5) / SETTINGS.fine - 0.5
+        whole = rows.at((self.frequency[:, None] + step * offsets).ravel())
+        return np.asarray(2 * np.linalg.slogdet(whole)[1].reshape(-1, SETTINGS.fine).mean(axis=1))
+
+
+def _sums(values: Array, first: NDArray[np.intp]) -> Array:
+    return np.asarray(np.add.reduceat(values, first, axis=1))
+
+
+def _bands(count: int) -> NDArray[np.intp]:
+    """First ordinates of bands, each a part of its frequency wide."""
+    first, place = [], 0
+    while place < count:
+        first.append(place)
+        place += max(SETTINGS.fewest, round(SETTINGS.width * place))
+    return np.array(first[:-1] if len(first) > 1 and count - first[-1] < SETTINGS.fewest else first, dtype=np.intp)
+
+
+def _product_of_modes(one: DecoupledChannel, frequency: Array) -> Array:
+    s, whole = 2j * np.pi * frequency, np.ones(frequency.size)
+    for mode in one.dynamics.modes:
+        w = mode.angular_frequency
+        whole = whole * np.abs(1 + 2 * mode.damping_ratio * s / w + (s / w) ** 2) ** 2
+    return np.asarray(whole)
+
+
+def powers_of(one: DecoupledChannel, loads: Array, *, interval: float) -> Array:
+    """All powers of s over the modes of a decoupled component, driven by every channel, shape (samples, p, n)."""
+    count = one.row.shape[1]
+    direct, by_value, by_rate = partial_fractions(np.eye(count), one.dynamics.modes)
+    found = direct[:, None] * loads[:, None, :]
+    for place, mode in enumerate(one.dynamics.modes):
+        value, rate = values_and_rates(mode, loads, interval=interval)
+        found += by_value[:, place, None] * value.T[:, None, :] + by_rate[:, place, None] * rate.T[:, None, :]
+    return np.asarray(found)

@@ -1,0 +1,147 @@
+"""Channels and dynamics of six components that do not go together, and records whose uncertainty has to hold."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.checks.mode_shapes import Moved
+from aerobalance.estimation.checks.steady_tones import without_tones
+from aerobalance.estimation.force import estimate_force
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.doubts import Verdict
+from aerobalance.recording.errors import DataQualityWarning
+from faults.scene import band, shaped, soft, together
+from faults.six import HALF_RANGE, SIX, SixScene, balance, drawn, moved, recording_of
+
+RECORDS = 4
+
+
+def _record(scene: SixScene, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Readings and forces of a record, (samples, 6)."""
+    record = scene.record(rng)
+    return np.column_stack(list(record.columns.values())), record.force
+
+
+def _force(values: Array, dynamics: CoupledDynamics) -> Force:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)  # each doubt is told as one
+        return estimate_force(recording_of(values, SIX.rate), dynamics)
+
+
+def _scores(force: Force, truth: Array) -> tuple[Array, Array]:
+    """Errors over their standard uncertainty, and the rms of the errors over half range."""
+    found, u = (np.column_stack([getattr(one, what) for one in force.values()]) for what in ("values", "uncertainty"))
+    error = found - truth
+    return error / u, np.sqrt(np.mean(error**2, axis=0)) / HALF_RANGE
+
+
+@pytest.mark.parametrize("exact", [True, False], ids=["known exactly", "from six releases"])
+def test_short_records_of_broad_loads_are_covered(exact: bool, rng) -> None:
+    """Half a second under loads up to 1.2 times the highest of six modes, simulated without straight lines."""
+    scores = []
+    for _ in range(RECORDS):
+        values, truth = _record(SixScene(), rng)
+        force = _force(values, balance() if exact else drawn(rng))
+        assert force.verdict == Verdict.FIT
+        scores.append(_scores(force, truth)[0])
+    # 0.5 s of a band of 347 Hz hold 347 independent values: of 24 series 95 % lie within 0.95 +- 0.0024 * 4. What the
+    # releases leave is the same along a record: rms z of a series scatters by up to 0.25 of it, by 0.05 of 24
+    share = float(np.mean(np.abs(scores) < 1.96))
+    rms = float(np.sqrt(np.mean(np.square(scores))))
+    assert abs(share - 0.95) < (0.02 if exact else 0.05)
+    assert abs(rms - 1) < (0.07 if exact else 0.2)
+
+
+@pytest.mark.parametrize(
+    "maker",
+    [
+        band(0.1, 0, 200),
+        soft(0.1, 30.0),
+        together(band(0.02, 160, 172), band(0.05, 0, 60)),
+        together(
+            *(shaped(lambda t, f=f: 0.03 * np.sin(2 * np.pi * f * t)) for f in (141, 162, 230)), band(0.05, 0, 60)
+        ),
+    ],
+    ids=["ends amid the modes", "soft", "narrow beside a mode", "tones"],
+)
+def test_sound_records_are_not_doubted(maker, rng) -> None:
+    values, _ = _record(SixScene([maker] * 6), rng)
+    kinds = {doubt.kind for doubt in _force(values, drawn(rng)).doubts}
+    assert not kinds & {"swapped sign", "swapped channels", "natural frequency", "damping ratio"}
+
+
+@pytest.mark.parametrize("component", COMPONENTS)
+def test_a_sign_is_named_and_counted(component: str, rng) -> None:
+    values, truth = _record(SixScene(), rng)
+    sign = np.where(np.array(COMPONENTS) == component, -1.0, 1.0)
+    force = _force(values * sign, drawn(rng))
+    assert [(doubt.kind, doubt.component) for doubt in force.doubts] == [("swapped sign", component)]
+    assert force.verdict != Verdict.FIT
+    z, error = _scores(force, truth * sign)
+    assert error.max() > 0.02, "the fault is large"
+    # its error is known but for the noise, and counted as a noise of its local size: a sine's is within it to sqrt 2
+    assert float(np.mean(np.abs(z) < 1.96)) > 0.9
+
+
+def test_exchanged_channels_are_named(rng) -> None:
+    values, truth = _record(SixScene(), rng)
+    order = np.array([COMPONENTS.index(name) for name in ("SF", "PM", "NF", "YM", "RM", "AF")])
+    force = _force(values[:, order], drawn(rng))
+    named = {(doubt.kind, doubt.component) for doubt in force.doubts}
+    assert named == {("swapped channels", "NF"), ("swapped channels", "SF")}
+    assert force.verdict == Verdict.NOT_USABLE
+    z, _ = _scores(force, truth[:, order])
+    assert float(np.mean(np.abs(z) < 1.96)) > 0.9
+
+
+@pytest.mark.parametrize("factor", [1.1, 0.8])
+def test_modes_of_another_balance_are_named_and_counted(factor: float, rng) -> None:
+    values, truth = _record(SixScene(), rng)
+    force = _force(values, moved(drawn(rng), factor=factor))
+    (doubt,) = force.doubts
+    assert doubt.kind == "natural frequency"
+    assert force.verdict != Verdict.FIT
+    own = [mode.natural_frequency for mode in balance().modes]
+    said = [float(words.split(" Hz")[0]) for words in doubt.text.split("at ")[1:]]
+    # the modes ring for 0.02 to 0.2 s: half a per cent of a frequency is a third of their width, or less
+    assert said == pytest.approx(own, rel=0.02)
+    z, _ = _scores(force, truth)
+    assert float(np.mean(np.abs(z) < 1.96)) > 0.85
+
+
+def test_moved_modes_are_those_of_the_dynamics() -> None:
+    dynamics = balance()
+    same = Moved.none(dynamics).moved
+    scale = np.abs(dynamics.inertia).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(same.inertia / scale, dynamics.inertia / scale, atol=1e-10)
+    other = Moved.none(dynamics).by(2, np.array([0.03, np.log(2.0)])).moved
+    for place, (was, now) in enumerate(zip(dynamics.modes, other.modes, strict=True)):
+        by = (np.exp(0.03), 2.0) if place == 2 else (1.0, 1.0)
+        assert now.natural_frequency == pytest.approx(by[0] * was.natural_frequency, rel=1e-9)
+        assert now.damping_ratio == pytest.approx(by[1] * was.damping_ratio, rel=1e-7)
+
+
+def test_tones_are_taken_out_and_ringing_is_not(rng) -> None:
+    time = np.arange(4000) / 8000.0
+    tone = np.outer(np.sin(2 * np.pi * 173.3 * time + 1), [1.0, -0.5])
+    decay = np.outer(np.exp(-20 * time) * np.sin(2 * np.pi * 230 * time), [1.0, 2.0])
+    noise = 1e-4 * rng.normal(size=(4000, 2))
+    # the noise itself is left, and of the sine's four numbers next to nothing
+    assert np.std(without_tones(tone + noise, above=0.01), axis=0).max() < 1.1e-4
+    np.testing.assert_allclose(without_tones(decay + noise, above=0.01), decay + noise - (decay + noise).mean(axis=0))
+
+
+def test_components_that_are_not_coupled_say_nothing(rng) -> None:
+    dynamics = balance()
+    alone = replace(
+        dynamics, inertia=np.diag(np.diag(dynamics.inertia)), damping=np.diag(np.abs(np.diag(dynamics.damping)))
+    )
+    values = rng.normal(size=(2000, 6)) * HALF_RANGE * 1e-3
+    assert not {doubt.kind for doubt in _force(values, alone).doubts} & {"swapped sign", "swapped channels"}
