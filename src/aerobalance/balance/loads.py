@@ -538,4 +538,6 @@ def _with_loads(recording: Recording, felt: Loads) -> Recording:
         channels[name] = Channel(
             name, felt.values[:, index], unit, noise=noise or None, delay=float(np.mean(delays)), file_unit=unit
         )
-    return replace(recording, channels=channels, gravity_on_zero=felt.zero.pull, from_outputs=True)
+    gauges = {name for name in recording.channels if is_gauge(name)}
+    declared = recording.declared | (set(felt.components) if gauges and gauges <= recording.declared else set())
+    return replace(recording, channels=channels, gravity_on_zero=felt.zero.pull, from_outputs=True, declared=declared)

@@ -16,7 +16,7 @@ from aerobalance.estimation.forces import ForceRecord, ForceSettings
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
-from aerobalance.recording.doubts import Doubt, Size, Verdict, verdict_of
+from aerobalance.recording.doubts import Assumption, Doubt, Size, Verdict, verdict_of
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps
 
@@ -97,6 +97,11 @@ class Force(Mapping[str, ComponentForce]):
     def doubts(self) -> tuple[Doubt, ...]:
         """What the record says against the forces of all components."""
         return tuple(doubt for part in self.parts.values() for doubt in part.doubts)
+
+    @property
+    def assumed(self) -> tuple[Assumption, ...]:
+        """What the record cannot show and is not in the uncertainties, with what it would do to the forces."""
+        return tuple(one for part in self.parts.values() for one in part.assumed)
 
     @property
     def verdict(self) -> Verdict:

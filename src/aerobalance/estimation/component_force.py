@@ -11,6 +11,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
+from aerobalance.estimation.checks.assumptions import assumptions_of
 from aerobalance.estimation.checks.ground_channels import ground_doubts
 from aerobalance.estimation.direct import band_limited, central_differences
 from aerobalance.estimation.force_smoother import LinearSmoother, SignalModel, SmootherResult, fit_signal_model
@@ -205,6 +206,7 @@ class Fitted:
             learned=learned,
             shared=record.shared,
             doubts=tuple(doubts),
+            assumed=tuple(assumptions_of(record, fit, through)),
             found_motion=self.found_motion,
         )
 

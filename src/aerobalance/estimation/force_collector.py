@@ -15,7 +15,7 @@ from aerobalance.estimation.spectra.line_noise import Line
 from aerobalance.estimation.steps import Step
 from aerobalance.estimation.sums import ForceSums, Key, SpectrumSums, segment_length
 from aerobalance.recording.channel import Array
-from aerobalance.recording.doubts import Doubt, of_all_parts
+from aerobalance.recording.doubts import Assumption, Doubt, of_all_parts
 
 SAME_LINE: Final = 2.0
 """Distance of two lines of hum in ordinates of a part's spectrum up to which they are the same line."""
@@ -47,6 +47,7 @@ class SummaryOfParts:
     _hum: list[Line] = field(default_factory=list)
     _assumptions: dict[str, None] = field(default_factory=dict)
     _doubts: list[tuple[Doubt, str]] = field(default_factory=list)
+    _assumed: dict[str, Assumption] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._spectrum = SpectrumSums(segment_length(self.samples))
@@ -77,9 +78,12 @@ class SummaryOfParts:
         self._bandwidth = max(self._bandwidth, found.bandwidth)
         self._methods += [found.method] if found.method not in self._methods else []
         self._assumptions |= dict.fromkeys(found.assumptions)
+        for one in found.assumed:  # of all parts the one where it would do most
+            if one.kind not in self._assumed or one.effect > self._assumed[one.kind].effect:
+                self._assumed[one.kind] = one
         resolved = SAME_LINE * given.force.recording.rate / given.force.recording.samples
         for line in found.hum:
-            same = [one for one in self._hum if abs(one.frequency - line.frequency) < resolved]
+            same = [other for other in self._hum if abs(other.frequency - line.frequency) < resolved]
             if not same:
                 self._hum.append(line)
             elif line.amplitude > same[0].amplitude:
@@ -112,6 +116,7 @@ class SummaryOfParts:
             sums=self._sums,
             spectrum=self._spectrum,
             doubts=of_all_parts(self._doubts, parts=self._parts),
+            assumed=tuple(self._assumed.values()),
         )
 
 
@@ -172,4 +177,5 @@ class ForceCollector:
             ),
             summary=summary,
             doubts=summary.doubts,
+            assumed=summary.assumed,
         )

@@ -13,7 +13,7 @@ from aerobalance.estimation.spectra.line_noise import Line
 from aerobalance.estimation.steps import Step
 from aerobalance.estimation.sums import ForceSums, SpectrumSums
 from aerobalance.recording.channel import Array
-from aerobalance.recording.doubts import Doubt, Size
+from aerobalance.recording.doubts import Assumption, Doubt, Size
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,7 +22,7 @@ class ForceSummary:
 
     Attributes
     ----------
-    component, method, noise, bandwidth, noise_gain, steps, hum, assumptions, doubts
+    component, method, noise, bandwidth, noise_gain, steps, hum, assumptions, doubts, assumed
         As in `ComponentForce`.
     sums, spectrum
         Sums over its samples.
@@ -39,6 +39,7 @@ class ForceSummary:
     sums: ForceSums
     spectrum: SpectrumSums
     doubts: tuple[Doubt, ...] = ()
+    assumed: tuple[Assumption, ...] = ()
 
     @property
     def rms_uncertainty(self) -> float:
@@ -100,6 +101,8 @@ class ComponentForce:
         What sums up the force, where it was worked out in parts; None where the contributions tell it.
     doubts
         What the record says against the force.
+    assumed
+        What the record cannot show and is not in the uncertainty, with what it would do to the force.
     found_motion
         What gaps hid of the ground's motion, as the load shows it, shape (n,) [m/s^2]; None without gaps.
     """
@@ -120,6 +123,7 @@ class ComponentForce:
     shared: SharedNoise | None = None
     summary: ForceSummary | None = None
     doubts: tuple[Doubt, ...] = ()
+    assumed: tuple[Assumption, ...] = ()
     found_motion: Array | None = None
 
 

@@ -75,6 +75,34 @@ class Doubt:
         return f"{self.text}; {self.advice}" if self.advice else self.text
 
 
+@dataclass(frozen=True, slots=True)
+class Assumption:
+    """One thing that is taken for granted because the record cannot show it, and that is not in the uncertainty.
+
+    Attributes
+    ----------
+    kind
+        What it is: ``"load filter"``, ``"gain"``, ``"cross-axis"`` or ``"natural frequency"``.
+    component
+        Component whose force is meant.
+    text
+        What is assumed, and what a usual departure from it would do to the force.
+    effect
+        Root mean square of that change of the force [unit].
+    unit
+        Unit of the effect.
+    """
+
+    kind: str
+    component: str
+    text: str
+    effect: float
+    unit: str = "N"
+
+    def __str__(self) -> str:
+        return self.text
+
+
 class Verdict(StrEnum):
     """Whether a force may be used."""
 

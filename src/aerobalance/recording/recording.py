@@ -50,6 +50,8 @@ class Recording:
         Whether the loads were worked out from gauge outputs, by a matrix whose errors the recording does not hold.
     extent
         Which part of a longer record it is; the whole where it is no part.
+    declared
+        Channels of which an analog filter was stated, and has been undone.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Recording:
     gravity_on_zero: GravityOnZero = field(default_factory=GravityOnZero)
     from_outputs: bool = False
     extent: Extent = field(default_factory=Extent)
+    declared: frozenset[str] = frozenset()
     _means: dict[str, float] = field(init=False, default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:

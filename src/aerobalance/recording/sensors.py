@@ -51,7 +51,8 @@ def corrected(recording: Recording) -> Recording:
     straight = {name: _straightened(channel, channels, recording) for name, channel in channels.items()}
     if all(straight[name] is channel for name, channel in recording.channels.items()):
         return recording
-    return replace(recording, channels=straight)
+    declared = recording.declared | {name for name, one in recording.channels.items() if one.filter is not None}
+    return replace(recording, channels=straight, declared=declared)
 
 
 def _unfiltered(channel: Channel, rate: float) -> Channel:

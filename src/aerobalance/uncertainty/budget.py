@@ -13,7 +13,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -235,6 +235,8 @@ class BudgetLine:
         Rms of the whole uncertainty if the cause were half as large [N].
     scalars
         What it adds to the standard uncertainty of mean, rms_about_mean, largest and least [N].
+    assumed
+        Whether it is no contribution, but what would come of an assumption that the record cannot show to be wrong.
     """
 
     name: str
@@ -243,17 +245,25 @@ class BudgetLine:
     share: float
     if_halved: float
     scalars: Mapping[str, float]
+    assumed: bool = False
 
 
 def budget(force: Mapping[str, ComponentForce]) -> dict[str, tuple[BudgetLine, ...]]:
-    """Uncertainty budget of a force [N, N*m] by component, the largest contribution first.
+    """Uncertainty budget of a force [N, N*m] by component, the largest contribution first, what is assumed last.
 
     Parameters
     ----------
     force
         The forces, as `aerobalance.estimate_force` gives them.
     """
-    return {name: component_budget(part) for name, part in force.items()}
+    return {name: (*component_budget(part), *_assumed(part)) for name, part in force.items()}
+
+
+def _assumed(estimate: ComponentForce) -> Iterator[BudgetLine]:
+    """What is assumed: it has no share of the variance."""
+    whole = float(np.linalg.norm(list(estimate.budget.values())))
+    for one in estimate.assumed:
+        yield BudgetLine(f"assumed: {one.kind}", one.text, one.effect, 0.0, whole, {}, assumed=True)
 
 
 def component_budget(estimate: ComponentForce | ForceSummary) -> tuple[BudgetLine, ...]:

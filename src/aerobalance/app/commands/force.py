@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -112,6 +112,7 @@ def force(
         "written": out.name,
         "verdict": str(verdict),
         "doubts": [doubt_result(doubt) for doubt in doubts],
+        "assumed": [asdict(assumed) for one in found.summaries.values() for assumed in one.assumed],
         "components": {
             name: _component_result(summaries[name], origins, found.noises.get(name), checked.get(name))
             for name in summaries

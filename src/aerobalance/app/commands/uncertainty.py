@@ -169,7 +169,7 @@ def force_text(result: Result) -> str:
     if len(components) == 1:
         texts += [found["improve_first"] for found in components.values() if found["improve_first"]]
     assumed = dict.fromkeys(text for found in components.values() for text in found["assumptions"])
-    texts += [f"assumed: {text}" for text in assumed]
+    texts += [f"assumed: {text}" for text in (*assumed, *(one["text"] for one in result.get("assumed", ())))]
     lacking = result["components_without_dynamics"]
     texts += [f"no dynamics for {', '.join(lacking)}"] if lacking else []
     texts += [f"verdict: {result['verdict']}"] if result.get("verdict") else []

@@ -1,0 +1,159 @@
+"""What is assumed of a record and its balance because no record can show it, and what it would do to the force.
+
+An analog filter before the load channel looks like another force. A gain that is wrong is wrong in everything. An
+accelerometer that looks a degree aside reads a motion that nothing else shows. A natural frequency that is half a
+percent off is seen where something rings, and not under a broad load in a short record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.estimation.checks.model_error import error_under
+from aerobalance.estimation.decoupled_record import DecoupledRecord
+from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
+from aerobalance.estimation.prior import generalised_least_squares
+from aerobalance.estimation.record import ComponentRecord, SingleRecord, Through
+from aerobalance.motion.platform import SystematicParameter
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import IS_FORCE, acceleration_name, si_unit
+from aerobalance.recording.doubts import Assumption
+from aerobalance.recording.errors import FitError
+from aerobalance.recording.sensors import Transfer, filtered
+
+
+@dataclass(frozen=True, slots=True)
+class AssumptionSettings:
+    """How far what is assumed may usually be off.
+
+    Attributes
+    ----------
+    corner
+        Corner of an anti-alias filter of second order over the sampling rate: as usual.
+    gain
+        Relative error of a gain [1].
+    aside
+        Angle by which an accelerometer looks aside [rad].
+    frequency
+        Relative error of a natural frequency [1].
+    told
+        Its standard uncertainty by the record, over that, up to which the record tells it.
+    """
+
+    corner: float = 0.4
+    gain: float = 0.01
+    aside: float = float(np.radians(1.0))
+    frequency: float = 0.005
+    told: float = 0.5
+
+
+SETTINGS: Final = AssumptionSettings()
+"""Sizes that are used."""
+
+
+def assumptions_of(record: ComponentRecord, fit: SmootherResult, through: Through) -> Iterator[Assumption]:
+    """Yield what is assumed for a force, each with what it would do to it.
+
+    Parameters
+    ----------
+    record
+        The component with its record.
+    fit
+        Its force by the smoother.
+    through
+        What the smoother makes of readings.
+    """
+    name, reading = record.dynamics.component, fit.reading
+    unit = si_unit(name)
+
+    def effect_of(change: Array) -> float:
+        return float(np.sqrt(np.mean(through(np.where(reading.present, change, 0.0)[:, None])[:, 0] ** 2)))
+
+    if name not in record.recording.declared:
+        corner = SETTINGS.corner * record.recording.rate
+        change = filtered(reading.filled, _low_pass(corner), rate=record.recording.rate) - reading.filled
+        text = (
+            f"no analog filter or amplifier is declared for {name}: one of second order at {corner:.4g} Hz, "
+            f"{SETTINGS.corner:g} of the rate, would change the force by {{}}"
+        )
+        late = float(np.sqrt(2)) / (2 * np.pi * corner)  # by so much it delays what is slow, and the steps
+        at_steps = np.sum([step.height**2 for step in fit.steps]) * late / (fit.force.size * record.interval)
+        yield _told("load filter", name, text, float(np.hypot(effect_of(change), np.sqrt(at_steps))), unit)
+    if isinstance(record, SingleRecord):
+        yield from _of_single(record, fit, unit)
+    aside = _aside(record)
+    if aside is not None:
+        item, channel = aside
+        text = (
+            f"{channel} reads nothing across its axis: one degree aside, and a motion across as large as along it, "
+            "would change the force by {}"
+        )
+        yield _told("cross-axis", name, text, effect_of(record.felt_under(item)), unit)
+
+
+def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator[Assumption]:
+    """What is assumed of the gain of a load and of the natural frequency."""
+    name, own = record.dynamics.component, record.dynamics
+    channel = record.recording.channel(name)
+    if channel.relative_uncertainty == 0 and not record.recording.from_outputs:
+        net = fit.force + record.motion.force(own.mass)
+        text = f"the gain of {name} is exact: {100 * SETTINGS.gain:g} % would change the force by {{}}"
+        yield _told("gain", name, text, SETTINGS.gain * float(np.sqrt(np.mean(net**2))), unit)
+    stated = own.uncertainty("natural_frequency") / own.natural_frequency
+    if stated > SETTINGS.told * SETTINGS.frequency:
+        return
+    error = error_under(
+        fit.force, own=own, other=own.retuned(frequency=1 + SETTINGS.frequency, damping=1.0), interval=record.interval
+    )
+    felt = record.felt_under(SystematicParameter("", "", -error / own.mass, 0.0))
+    known = instant_columns(fit.reading, fit.steps, heights=[step.height for step in fit.steps])[0]
+    try:
+        _, covariance, _ = generalised_least_squares(fit.filter, fit.reading.filled, np.column_stack([known, felt]))
+    except FitError:
+        return
+    u = float(np.sqrt(covariance[-1, -1]))
+    if 0 < u < SETTINGS.told:
+        return
+    text = (
+        f"the natural frequency of {name} is {own.natural_frequency:.5g} Hz, which this record does not tell: "
+        f"{100 * SETTINGS.frequency:g} % more or less would change the force by {{}}"
+    )
+    yield _told("natural frequency", name, text, float(np.sqrt(np.mean(error**2))), unit)
+
+
+def _told(kind: str, component: str, text: str, effect: float, unit: str) -> Assumption:
+    return Assumption(kind, component, text.format(f"{effect:.2g} {unit} rms"), effect, unit)
+
+
+def _low_pass(corner: float) -> Transfer:
+    """A Butterworth filter of second order."""
+
+    def response(frequency: Array) -> NDArray[np.complex128]:
+        x = frequency / corner
+        return np.asarray(1 / (1 - x**2 + 1j * np.sqrt(2) * x), dtype=np.complex128)
+
+    return response
+
+
+def _aside(record: ComponentRecord) -> tuple[SystematicParameter, str] | None:
+    """The motion that an accelerometer would show of one across its axis, and its name; None where nothing moves."""
+    if isinstance(record, DecoupledRecord):
+        moving = record.platform.acceleration * IS_FORCE
+        slope = SETTINGS.aside * (moving - moving.mean(axis=0))
+        return (SystematicParameter("", "", slope, 0.0), "the ground's accelerometers") if slope.any() else None
+    names = (acceleration_name("ground", record.dynamics.component), "ground_acceleration")
+    channel: Channel | None = next(
+        (record.recording.channel(name) for name in names if name in record.recording), None
+    )
+    if channel is None or channel.cross_axis or not isinstance(record, SingleRecord):
+        return None
+    force = record.motion.specific_force
+    if not np.ptp(force) > 0:
+        return None
+    values = np.where(np.isfinite(channel.values), channel.values, np.nanmean(channel.values))
+    return SystematicParameter("", "", SETTINGS.aside * (values - values.mean()), 0.0), channel.name

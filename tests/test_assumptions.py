@@ -1,0 +1,111 @@
+"""What no record can show: named with what it would do to the force, which is what it does."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import aerobalance as ab
+from aerobalance.app.cli.program import main
+from aerobalance.estimation.applied_force import Force
+from aerobalance.io import write_recording
+from aerobalance.io.dynamics_file import write_dynamics
+from aerobalance.recording.analog_filter import AntiAlias
+from aerobalance.recording.errors import DataQualityWarning
+from faults.cases import Case, all_cases, dynamics
+from faults.trials import recording_of, worked_out
+
+CASES = {case.name: case for case in all_cases()}
+
+
+def tried(case: Case, seed: int = 0) -> tuple[Force, float]:
+    """The force of a case, and how far it is off [N rms]."""
+    record = case.record(seed)
+    force, said = worked_out(record, case.dynamics, case.settings)
+    assert force is not None, said
+    return force, float(np.sqrt(np.mean((force.only.values - record.force) ** 2)))
+
+
+def effects(force: Force) -> dict[str, float]:
+    return {one.kind: one.effect for one in force.assumed}
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "times"),
+    [
+        # the corner that is assumed is that of the case, 0.4 of 1600 Hz
+        ("load behind a filter of 640 Hz, 0-100 Hz", "load filter", 1.0),
+        ("load behind a filter of 640 Hz, step", "load filter", 1.0),
+        # 0.05 of a motion across, which is 2.9 degrees
+        ("accelerometer 3 deg across, 0-60 Hz", "cross-axis", np.degrees(0.05)),
+        ("accelerometer 3 deg across, step", "cross-axis", np.degrees(0.05)),
+        # half a percent of the stiffness is a quarter of a percent of the frequency
+        ("stiffness 0.5 %, broad, 2.5 s", "natural frequency", 0.5),
+    ],
+)
+def test_the_effect_is_what_the_fault_does(name, kind, times):
+    force, error = tried(CASES[name])
+    # to first order, of one realisation: within a third
+    assert times * effects(force)[kind] == pytest.approx(error, rel=0.35)
+    assert all(f"{one.effect:.2g} N rms" in one.text for one in force.assumed)
+
+
+def test_a_gain_changes_the_force_by_as_much():
+    case = CASES["0-100 Hz, 200 N"]
+    record = case.record(0)
+    force, _ = worked_out(record, case.dynamics, {})
+    more, _ = worked_out(record.with_column("AF", 1.01 * record.columns["AF"]), case.dynamics, {})
+    assert force is not None
+    assert more is not None
+    change = float(np.sqrt(np.mean((more.only.values - force.only.values) ** 2)))
+    assert effects(force)["gain"] == pytest.approx(change, rel=0.05)
+
+
+def test_what_is_declared_or_shown_is_not_assumed():
+    case = CASES["0-100 Hz, 200 N, shaken"]
+    run = recording_of(case.record(0))
+    load = replace(run.channel("AF"), filter=AntiAlias("butterworth", 2, 700.0), relative_uncertainty=1e-3)
+    declared = replace(run, channels={**run.channels, "AF": load})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)  # nothing of it is true
+        kinds = set(effects(ab.estimate_force(declared, case.dynamics)))
+    assert kinds <= {"cross-axis", "natural frequency"}
+    # ringing tells the frequency
+    assert "natural frequency" not in effects(tried(CASES["step alone"])[0])
+    # so does a covariance that says how far it is off
+    vague = dynamics()
+    vague = replace(vague, covariance=1e5 * vague.covariance)
+    assert "natural frequency" not in effects(
+        tried(replace(CASES["stiffness 0.5 %, broad, 2.5 s"], dynamics=vague))[0]
+    )
+
+
+def test_it_is_in_the_budget_without_a_share():
+    force, _ = tried(CASES["0-100 Hz, 200 N"])
+    rows = ab.budget(force)["AF"]
+    assumed = [row for row in rows if row.assumed]
+    assert [row.name for row in assumed] == [f"assumed: {one.kind}" for one in force.assumed]
+    assert [row.rms for row in assumed] == [one.effect for one in force.assumed]
+    assert sum(row.share for row in rows) == pytest.approx(1.0)
+    assert not any(row.share for row in assumed)
+
+
+def test_the_command_and_the_report_list_it_once(tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    case = CASES["0-100 Hz, 200 N, shaken"]
+    write_recording(tmp_path / "run.h5", recording_of(case.record(0), "run"))
+    write_dynamics(tmp_path / "d.json", {"AF": case.dynamics})
+    assert main(["force", "run.h5", "--dynamics", "d.json", "-o", "f.csv", "--json", "--report", "r.html"]) == 0
+    found = json.loads(capsys.readouterr().out)["assumed"]
+    assert {one["kind"] for one in found} >= {"load filter", "gain", "cross-axis"}
+    assert all(set(one) == {"kind", "component", "text", "effect", "unit"} for one in found)
+    page = Path("r.html").read_text(encoding="utf-8")
+    assert page.count("No analog filter or amplifier is declared for AF") == 1
+    assert main(["force", "run.h5", "--dynamics", "d.json", "-o", "g.csv"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.count("assumed: no analog filter or amplifier is declared for AF") == 1
