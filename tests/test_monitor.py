@@ -200,6 +200,32 @@ def test_a_gap_is_told_with_its_length_and_the_force_goes_on() -> None:
     assert np.isnan(raw[80][1][:64, 0]).all() and np.isfinite(raw[80][1][64:, 0]).all()
 
 
+def test_the_verdict_on_the_live_force_is_shown_with_its_reasons() -> None:
+    source = source_of("cable_cut", seed=9)
+    sound, dead = view_of(source), view_of(source)
+    own = sound.panel.dynamics["AF"]
+    other = View(replace(sound.panel, dynamics={"AF": replace(own, stiffness=1.3 * own.stiffness)}))
+    verdicts, reasons = [], []
+    for number in range(700):
+        if number == 600:
+            source.control("cut", 1)
+        block = source.read(1.0)
+        for view in (sound, other):
+            view.feed(block)
+            snapshot = view.lines["AF"].due()
+            if snapshot is not None:
+                view.lines["AF"].adopt(snapshot.learn())
+        samples = block.samples.copy()
+        samples[:, 0] = 500.0 if number > 300 else samples[:, 0]
+        dead.feed(replace(block, samples=samples))
+        verdicts += [health.get("verdict") for health in sound.take().health.values() if number < 600]
+        reasons += [doubt["kind"] for health in other.take().health.values() for doubt in health.get("doubts", ())]
+    verdicts = [one for one in verdicts if one]  # none before there is a force
+    assert verdicts.count("fit for use") >= 0.95 * len(verdicts) > 0
+    assert "unexplained" in reasons or "natural frequency" in reasons  # it rings after the cut, and elsewhere
+    assert "stuck channel" in [doubt["kind"] for doubt in dead.take().health["AF"]["doubts"]]
+
+
 def test_what_was_departed_from_is_learned_anew() -> None:
     source = source_of("cable_cut", seed=9)
     view = view_of(source)

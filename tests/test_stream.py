@@ -9,7 +9,7 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.live.decoupling import Decoupler, decoupled
 from aerobalance.estimation.live.filter import false_alarm_evidence
-from aerobalance.estimation.live.health import wide_process
+from aerobalance.estimation.live.health import Health, wide_process
 from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
 from aerobalance.estimation.live.platform import LiveChannel
 from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
@@ -436,3 +436,24 @@ def test_a_step_is_named_in_the_time_of_the_stream(rng):
     (step,) = live.steps
     assert isinstance(step, Step)
     assert step.instant == pytest.approx(1.00017, abs=5 * step.instant_uncertainty + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("resonance", "mean_square", "process", "still", "told"),
+    [
+        (1.0, 1.0, "learned", False, []),
+        (1.0, 1.0, "start-up", False, []),
+        # 10 times the power that is expected: 3 times the size is too much
+        (10.0, 1.0, "learned", False, [("natural frequency", 6.0)]),
+        # less than expected says that they are others, not by how much the force is off
+        (0.05, 1.0, "learned", False, [("natural frequency", None)]),
+        (1.0, 5.0, "learned", False, [("unexplained", 4.0)]),
+        (1.0, 5.0, "fallback", False, [("unexplained", 4.0)]),
+        (1.0, 1.0, "learned", True, [("stuck channel", None)]),
+    ],
+)
+def test_the_state_of_health_says_what_speaks_against_the_force(resonance, mean_square, process, still, told):
+    health = Health(process, None, 5000, 0, 0, mean_square, resonance, 2.0, 2.0)
+    found = health.doubts("AF", uncertainty=2.0, still=still)
+    assert [(one.kind, one.effect) for one in found] == told
+    assert {one.component for one in found} <= {"AF"}

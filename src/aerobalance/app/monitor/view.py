@@ -15,6 +15,7 @@ from aerobalance.acquisition.fouling import ContactFinder
 from aerobalance.acquisition.guards import ContactCircuit, felt, load_columns, loads_of
 from aerobalance.acquisition.intake import contact_text
 from aerobalance.acquisition.source import Block
+from aerobalance.app.monitor.health import health_of, is_still, verdict_on
 from aerobalance.app.monitor.messages import LINES, ShownForce, ShownReading, Update
 from aerobalance.app.monitor.minmax_strips import Extremes
 from aerobalance.app.monitor.running_spectrum import RunningSpectrum
@@ -327,7 +328,8 @@ class View:
             parts, self._estimates[name] = self._estimates[name], []
             if parts:
                 self.update.estimates[name] = _estimate(np.concatenate(parts), line.interval)
-            self.update.health[name] = _health(line, name)
+            still = is_still(held[:, self.panel.names.index(name)])
+            self.update.health[name] = health_of(line, name) | verdict_on(line, name, parts, still=still)
         self._since_spectra += 1
         if self._since_spectra * NUMBERS >= SPECTRA:
             self._since_spectra = 0
@@ -422,23 +424,3 @@ def _weights(panel: Panel, means: Array) -> dict[str, float]:
         one = dynamics if isinstance(dynamics, CoupledDynamics) else dynamics[name]
         found[name] = float(one.weight(name, pitch=pitch, roll=roll, gravity=panel.gravity)[0])
     return found
-
-
-def _health(live: LiveForce, name: str) -> dict[str, object]:
-    health = live.health.get(name)
-    told: dict[str, object] = {"lag": live.lag, "rate": 1 / live.interval, "moving": live.moving}
-    if health is None:
-        return told | {"process": "waiting"}
-    low, high = health.resonance_limits
-    return told | {
-        "process": health.process,
-        "explained": health.explained,
-        "drifted": health.drifted,
-        "mean_square": health.mean_square,
-        "mean_square_limit": health.mean_square_limit,
-        "resonance": health.resonance,
-        "resonance_limits": [low, high],
-        "noise": health.noise,
-        "noise_now": health.noise_now,
-        "missing": health.missing,
-    }

@@ -18,6 +18,8 @@ from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.estimation.step_search import find_steps
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.noise import white_noise
 
 STRETCH: Final = 256
@@ -107,6 +109,38 @@ class Health:
         """Whether the residuals ring too much or too little: the dynamics are not as they were identified."""
         low, high = self.resonance_limits
         return not low <= self.resonance <= high
+
+    def doubts(self, component: str, *, uncertainty: float, still: bool = False) -> tuple[Doubt, ...]:
+        """Return what the last readings say against the live force of a component.
+
+        Parameters
+        ----------
+        component
+            Which component.
+        uncertainty
+            Standard uncertainty of its force [N, N*m].
+        still
+            Whether its readings have not changed of late.
+        """
+        found, unit = [], si_unit(component)
+        if still:
+            text, advice = f"{component} repeats one reading", "look at the cable and the converter of the channel"
+            found.append(Doubt("stuck channel", component, text, advice, None, unit))
+        if self.drifted and self.process == "learned":
+            # the error has at least the size that the residuals have too much
+            effect = _beyond(self.resonance) * uncertainty if self.resonance > 1 else None
+            size = "more" if self.resonance > 1 else "less"
+            text = f"{component} rings {size} than its dynamics: stiffness, mass or damping are others"
+            found.append(Doubt("natural frequency", component, text, "identify the dynamics again", effect, unit))
+        elif not self.explained or self.process == "fallback":
+            text = f"{component} departs from what its dynamics and what was learned of the load expect"
+            found.append(Doubt("unexplained", component, text, "", _beyond(self.mean_square) * uncertainty, unit))
+        return tuple(found)
+
+
+def _beyond(square: float) -> float:
+    """Rms of what is beyond residuals of size 1, where their mean square is this [1]."""
+    return float(np.sqrt(max(square - 1.0, 0.0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -72,8 +72,28 @@ function showComponent(name, health) {
   ]);
 }
 
+const VERDICTS = ["fit for use", "doubtful", "not usable"]; // the worst last
+
+function showVerdict(numbers, panel) {
+  const known = panel.components.map((name) => numbers.health?.[name]).filter((health) => health?.verdict);
+  if (!panel.components.length) return;
+  if (!known.length) {
+    put("Forces", null, "waiting for the first");
+    return;
+  }
+  const worst = VERDICTS[Math.max(...known.map((health) => VERDICTS.indexOf(health.verdict)))],
+    reasons = known.flatMap((health) => health.doubts.map(reasonOf));
+  put("Forces", worst === VERDICTS[0], [worst, ...reasons].join(". "));
+}
+
+function reasonOf(doubt) {
+  const size = doubt.effect ? ` (error about ${number(doubt.effect, 2)} ${doubt.unit.replace("*", "·")})` : "";
+  return `${doubt.text}${size}${doubt.advice ? `: ${doubt.advice}` : ""}`;
+}
+
 export function showHealth() {
   const { numbers, panel, state } = page;
+  showVerdict(numbers, panel);
   for (const name of panel.components) if (numbers.health?.[name]) showComponent(name, numbers.health[name]);
   const saturated = Object.entries(numbers.saturated || {}).filter(([, count]) => count > 0);
   put(
