@@ -19,6 +19,7 @@ OPTIONS: Final[Mapping[str, str]] = {
     "form": "--form",
     "hum": "--hum",
     "keep_outliers": "--keep-outliers",
+    "align": "--align",
     "mass": "--mass",
     "model": "--model",
     "model_on": "--model-on-zero",

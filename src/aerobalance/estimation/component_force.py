@@ -12,7 +12,13 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from aerobalance.estimation.checks.assumptions import assumptions_of
-from aerobalance.estimation.checks.ground_channels import ground_doubts
+from aerobalance.estimation.checks.ground_channels import SETTINGS as GROUND_CHANNELS
+from aerobalance.estimation.checks.ground_channels import (
+    Alignment,
+    driving_channels,
+    ground_doubts,
+    with_channel_aligned,
+)
 from aerobalance.estimation.direct import band_limited, central_differences
 from aerobalance.estimation.force_smoother import LinearSmoother, SignalModel, SmootherResult, fit_signal_model
 from aerobalance.estimation.ground_gaps import has_hidden_motion, with_hidden_motion
@@ -111,7 +117,8 @@ class Fitted:
     doubts
         What the record said against the noise that was given.
     found_motion
-        What gaps hid of the ground's motion, as the load shows it, shape (n,) [m/s^2]; None without gaps.
+        What gaps hid of the ground's motion and its channels lack, as the load shows it, shape (n,) [m/s^2]; None
+        where that was not looked for.
     """
 
     record: ComponentRecord
@@ -122,8 +129,17 @@ class Fitted:
     found_motion: Array | None = None
 
     @classmethod
-    def of(cls, record: ComponentRecord, *, hum: Hum) -> Fitted:
+    def of(cls, record: ComponentRecord, *, hum: Hum, align: bool = False) -> Fitted:
         """Work out the force of a component that has been made ready.
+
+        Parameters
+        ----------
+        record
+            The component.
+        hum
+            What is to be taken for hum.
+        align
+            Whether the channels of the ground's motion are brought to what the load shows of it.
 
         Raises
         ------
@@ -131,6 +147,8 @@ class Fitted:
             The balance is not in the range that can be calculated with, or the noise has another sampling rate.
         """
         _check(record)
+        if align and isinstance(record, SingleRecord):
+            return cls._aligned(record, hum)
         found = cls._fitted(record, hum)
         if not has_hidden_motion(record):
             return found
@@ -141,6 +159,28 @@ class Fitted:
         smoothed = SmootherResult.of(signal.reading, learned=signal.learned, steps=signal.steps)
         change = better.motion.specific_force - record.motion.specific_force
         return cls(better, hum, signal, smoothed, found.doubts, change)
+
+    @classmethod
+    def _aligned(cls, record: SingleRecord, hum: Hum) -> Fitted:
+        """The force with the channels of the ground's motion at the delays and of the gains that the load shows."""
+        moved, found = record, cls.of(record, hum=hum)
+        told: dict[str, Alignment] = {}
+        for _ in range(GROUND_CHANNELS.rounds):
+            settled = True
+            for name in driving_channels(record):
+                step = with_channel_aligned(moved, found.smoothed, name)
+                if step is None:
+                    continue
+                moved, now = step
+                told[name] = now.after(told[name]) if name in told else now
+                settled &= now.settled
+            found = cls.of(moved, hum=hum)
+            if settled:
+                break
+        doubts = tuple(one.doubt(record.dynamics.component) for one in told.values() if one.clear)
+        change = moved.motion.specific_force - record.motion.specific_force
+        hidden = 0.0 if found.found_motion is None else found.found_motion
+        return replace(found, doubts=(*found.doubts, *doubts), found_motion=change + hidden)
 
     @classmethod
     def _fitted(cls, record: ComponentRecord, hum: Hum) -> Fitted:

@@ -61,6 +61,7 @@ def estimate_force(
     gravity_uncertainty: float = 0.0,
     hum: Hum = "mains",
     keep_outliers: bool = False,
+    align: bool = False,
 ) -> Force:
     """Forces and moments applied [N, N*m], Eq. (17) of [Gorbushin2020]_, with a standard uncertainty of every sample.
 
@@ -77,7 +78,7 @@ def estimate_force(
         A record of noise alone (wind off, balance at rest) with the sampling rate, gains and filters of the run, or
         spectra by component as `noise_spectra` finds them. Without one the noise is taken as white, but for what the
         run itself shows far above the natural frequency.
-    method, bandwidth, gravity, gravity_uncertainty, hum, keep_outliers
+    method, bandwidth, gravity, gravity_uncertainty, hum, keep_outliers, align
         See `ForceSettings`.
 
     Raises
@@ -88,7 +89,7 @@ def estimate_force(
     ValueError
         A setting is not allowed, or the loads count from the weight of the model and do not say what it is.
     """
-    settings = ForceSettings(method, bandwidth, gravity, gravity_uncertainty, hum, keep_outliers)
+    settings = ForceSettings(method, bandwidth, gravity, gravity_uncertainty, hum, keep_outliers, align)
     model = dynamics_of(dynamics)
     if balance is None and zero is not None:
         raise ValueError("a zero is of gauge outputs: give the balance matrix that makes loads of them as well")

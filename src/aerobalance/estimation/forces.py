@@ -59,6 +59,10 @@ class ForceSettings:
         [Hz].
     keep_outliers
         Whether single samples that are far from their neighbours are taken as they are, and not for missing.
+    align
+        Whether accelerometer and inclinometer are brought to the delay and the gain that the load shows of the motion,
+        whose uncertainties then count; of components that are not coupled, by the smoother. A force that goes with the
+        motion is then taken for a fault of the channel.
     """
 
     method: Method = "smoother"
@@ -67,6 +71,7 @@ class ForceSettings:
     gravity_uncertainty: float = 0.0
     hum: Hum = "mains"
     keep_outliers: bool = False
+    align: bool = False
 
     @property
     def earth(self) -> dict[str, float]:
@@ -109,7 +114,7 @@ def forces_of(
         inverse = partial(estimated, method=settings.method, bandwidth=settings.bandwidth, hum=settings.hum)
         found = _with_gaps_filled(record, inverse, lambda one: (one.values, one.noise), noises=noises)[0]
         return {name: with_few(one) if few else one for name, one in found.items()}
-    fitted = partial(Fitted.of, hum=settings.hum)
+    fitted = partial(Fitted.of, hum=settings.hum, align=settings.align)
     with PROGRESS.stage(0.0, 0.5, "spectrum and steps"):
         fits, filled = _with_gaps_filled(
             record, fitted, lambda fit: (fit.smoothed.force, fit.signal.learned.noise), noises=noises

@@ -15,11 +15,13 @@ import numpy as np
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.prior import whitened
 from aerobalance.estimation.record import ComponentRecord, SingleRecord
+from aerobalance.motion.gaps import GAP
+from aerobalance.motion.platform import SystematicParameter
 
 
 def has_hidden_motion(record: ComponentRecord) -> TypeGuard[SingleRecord]:
     """Return whether something of the ground's motion is hidden in a gap that the load can tell."""
-    return isinstance(record, SingleRecord) and any(item.local for item in record.unknowns)
+    return isinstance(record, SingleRecord) and any(_in_gap(item) for item in record.unknowns)
 
 
 def with_hidden_motion(record: SingleRecord, fit: SmootherResult) -> SingleRecord:
@@ -37,7 +39,7 @@ def with_hidden_motion(record: SingleRecord, fit: SmootherResult) -> SingleRecor
     FitError
         The readings cannot be whitened.
     """
-    hidden = [item for item in record.unknowns if item.local]
+    hidden = [item for item in record.unknowns if _in_gap(item)]
     felt = np.column_stack([record.felt_under(item) for item in hidden])
     reading = record.reading(hum=fit.reading.hum)
     known = instant_columns(fit.reading, fit.steps, heights=[step.height for step in fit.steps])[0]
@@ -51,9 +53,13 @@ def with_hidden_motion(record: SingleRecord, fit: SmootherResult) -> SingleRecor
     slopes = np.column_stack([item.slope for item in hidden])
     level, turned = np.linalg.eigh(covariance)
     left = slopes @ (turned * np.sqrt(np.maximum(level, 0.0)))
-    unknowns = [item for item in record.unknowns if not item.local]
+    unknowns = [item for item in record.unknowns if not _in_gap(item)]
     unknowns += [replace(item, slope=slope) for item, slope in zip(hidden, left.T, strict=True)]
     motion = replace(
         record.motion, specific_force=record.motion.specific_force + slopes @ sizes, unknowns=tuple(unknowns)
     )
     return replace(record, motion=motion)
+
+
+def _in_gap(item: SystematicParameter) -> bool:
+    return item.name.startswith(GAP)

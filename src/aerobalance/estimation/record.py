@@ -18,6 +18,7 @@ from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
+from aerobalance.motion.gaps import GAP
 from aerobalance.motion.platform import SystematicParameter
 from aerobalance.motion.single_axis import GroundMotion, load_from_ground
 from aerobalance.recording.channel import Array
@@ -192,7 +193,7 @@ class ComponentRecord(ABC):
         """Where a channel of the ground's motion has a gap, shape (n,)."""
         found = np.zeros(self.recording.samples, dtype=bool)
         for item in self.unknowns:
-            if item.local:
+            if item.name.startswith(GAP):
                 size = np.abs(item.slope).reshape(found.size, -1).max(axis=1)
                 found |= size > RINGING * size.max()
         return found

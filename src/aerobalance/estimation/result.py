@@ -104,7 +104,8 @@ class ComponentForce:
     assumed
         What the record cannot show and is not in the uncertainty, with what it would do to the force.
     found_motion
-        What gaps hid of the ground's motion, as the load shows it, shape (n,) [m/s^2]; None without gaps.
+        What gaps hid of the ground's motion and its channels lack, as the load shows it, shape (n,) [m/s^2]; None
+        where that was not looked for.
     """
 
     component: str

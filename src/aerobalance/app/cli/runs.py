@@ -94,6 +94,12 @@ def force(
     keep_outliers: Annotated[
         bool, typer.Option("--keep-outliers", help="Take single samples far from their neighbours as they are.")
     ] = False,
+    align: Annotated[
+        bool,
+        typer.Option(
+            "--align", help="Bring accelerometer and inclinometer to the delay and gain that the load shows."
+        ),
+    ] = False,
     noise_record: Annotated[
         Path | None,
         typer.Option("--noise-record", help="Record of noise alone (wind off, at rest), for noise that is not white."),
@@ -126,7 +132,9 @@ def force(
             rec,
             out,
             dynamics=dynamics,
-            settings=ForceSettings(method.value, bandwidth, gravity, u_gravity, command.hum_of(hum), keep_outliers),
+            settings=ForceSettings(
+                method.value, bandwidth, gravity, u_gravity, command.hum_of(hum), keep_outliers, align
+            ),
             noise_record=noise_record,
             files=files,
             channel_map=channel_map,

@@ -37,28 +37,41 @@ class GroundChannelSettings:
     Attributes
     ----------
     sure
-        Standard uncertainties that a delay or a gain has to be off: once in 16 000 by chance.
+        Standard uncertainties that a delay or a gain has to be off: once in 2000 by chance.
     beside
         Error of the force from a gain over that from a delay, and the other way, from which both are told: the one is
         else what the other does to second order.
+    clock
+        Change of a delay along the record over the delay, from which it is told: a delay makes less to second order.
     matters
         Error of the force from it over the uncertainty of the force (both rms) from which it is told.
     worth_a_look
         Chi-square of delay, gain and drift (three degrees of freedom) from which the force's spectrum is learned again
         without them: once in a hundred by chance.
     bands, stands_out
-        Bands of a channel's spectrum, and its level over that of its noise from which a band is motion.
+        Bands of a channel's spectrum, and its level over that of its noise from which a band is motion: where the
+        force has no power, a shape is compared with the noise of the load alone, and its own noise counts against it.
     probe
         Delay by which slopes are taken [samples], and change of the gain [1].
+    most
+        Delay that an alignment takes off at once [samples].
+    settled
+        What is left of delay and gain over their standard uncertainties, from which on an alignment is at its end.
+    rounds
+        Most times that delay and gain are looked for.
     """
 
-    sure: float = 4.0
+    sure: float = 3.5
     beside: float = 0.5
+    clock: float = 0.2
     matters: float = 0.3
     worth_a_look: float = 11.3
     bands: int = 100
-    stands_out: float = 4.0
+    stands_out: float = 30.0
     probe: float = 0.02
+    most: float = 64.0
+    settled: float = 0.1
+    rounds: int = 5
 
 
 SETTINGS: Final = GroundChannelSettings()
@@ -93,6 +106,58 @@ class _Found:
     errors: Array
 
 
+ALIGNED: Final = "alignment of "
+"""How the name of what is not known of an alignment begins, before the channel."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """How a channel was brought to what the load shows.
+
+    Attributes
+    ----------
+    channel
+        The channel.
+    delay, u_delay
+        Time by which it was late and its standard uncertainty [s].
+    gain, u_gain
+        What its gain was changed by, relative, and its standard uncertainty [1].
+    """
+
+    channel: str
+    delay: float
+    u_delay: float
+    gain: float
+    u_gain: float
+
+    def after(self, earlier: Alignment) -> Alignment:
+        """Both, one after the other."""
+        gain = (1 + earlier.gain) * (1 + self.gain) - 1
+        return replace(self, delay=earlier.delay + self.delay, gain=gain)
+
+    @property
+    def settled(self) -> bool:
+        """Whether it is less than what is not known of it."""
+        share = SETTINGS.settled
+        return abs(self.delay) < share * self.u_delay and abs(self.gain) < share * self.u_gain
+
+    def doubt(self, component: str) -> Doubt:
+        """What is to be said of it; the force is mended."""
+        late = "late" if self.delay > 0 else "early"
+        text = (
+            f"{self.channel} was {1e3 * abs(self.delay):.3g} ms {late} (u = {1e3 * self.u_delay:.2g} ms) against what "
+            f"{component} shows of it, and {component} shows {1 + self.gain:.4g} times (u = {self.u_gain:.2g}) what "
+            "it reads: both are taken into account, as asked"
+        )
+        kind = f"{'attitude' if self.channel == 'pitch' else 'ground'} delay"
+        return Doubt(kind, component, text, f"declare the delay of {self.channel}", 0.0, si_unit(component))
+
+    @property
+    def clear(self) -> bool:
+        """Whether it is more than chance."""
+        return abs(self.delay) > SETTINGS.sure * self.u_delay or abs(self.gain) > SETTINGS.sure * self.u_gain
+
+
 def ground_doubts(
     record: SingleRecord, fit: SmootherResult, through: Through, *, errors: Sequence[Contribution]
 ) -> Iterator[tuple[Doubt, Systematic]]:
@@ -109,18 +174,55 @@ def ground_doubts(
     errors
         What its uncertainty consists of so far.
     """
-    names = (acceleration_name("ground", record.dynamics.component), "ground_acceleration", "pitch")
-    for name in dict.fromkeys(names):
-        if name not in record.recording:
-            continue
+    for name in driving_channels(record):
         found = _compared(record, fit, through, record.recording.channel(name))
         if found is not None:
             uncertainty = float(np.sqrt(np.sum([np.mean(error.deviation**2) for error in errors])))
             yield from _doubts(record, found, uncertainty=uncertainty)
 
 
+def driving_channels(record: SingleRecord) -> tuple[str, ...]:
+    """Return the channels of the ground's motion and attitude that a component's force is worked out with."""
+    names = (acceleration_name("ground", record.dynamics.component), "ground_acceleration")
+    accelerometer = next(((name,) for name in names if name in record.recording), ())
+    return (*accelerometer, "pitch") if "pitch" in record.recording else accelerometer
+
+
 def _compared(record: SingleRecord, fit: SmootherResult, through: Through, channel: Channel) -> _Found | None:
-    """What the load says of a channel; None where it does not show the motion."""
+    """What the load says of a channel, and what that does to the force; None where it does not show the motion."""
+    measured = _measured(record, fit, channel)
+    if measured is None:
+        return None
+    sizes, u = measured.sizes, np.sqrt(np.diag(measured.covariance))
+    moved = through(measured.felt) * sizes
+    errors = np.column_stack([moved[:, 0], moved[:, 1], moved[:, 0] + moved[:, 2]])
+    delay, gain, drift = (np.array([-1.0, 1.0, -1.0]) * sizes).tolist()
+    return _Found(channel.name, delay, float(u[0]), gain, float(u[1]), drift, float(u[2]), errors)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Measured:
+    """What readings of the load have of a channel's rate, of itself, and of its rate growing along the record.
+
+    Attributes
+    ----------
+    sizes, covariance
+        How much of each, shape (3,), and its covariance, shape (3, 3): less the delay [s], the gain [1], less the
+        change of the delay [s].
+    slopes
+        The specific force that a unit of each makes, shape (n, 3).
+    felt
+        The load felt under it, shape (n, 3) [N].
+    """
+
+    sizes: Array
+    covariance: Array
+    slopes: Array
+    felt: Array
+
+
+def _measured(record: SingleRecord, fit: SmootherResult, channel: Channel) -> _Measured | None:
+    """Delay, gain and drift of a channel by what the load shows; None where it does not show the motion."""
     values = interpolate_gaps_linearly(channel.values)
     if not np.isfinite(values).all() or float(np.ptp(values)) == 0:
         return None
@@ -151,33 +253,22 @@ def _compared(record: SingleRecord, fit: SmootherResult, through: Through, chann
         learned = fit_prior(reading, columns=shapes, before=fit.learned)
         filter_ = KalmanFilter.of(reading.system(learned), reading.present)
         sizes, covariance, _ = generalised_least_squares(filter_, reading.filled, shapes)
-    delay, gain, drift = np.array([-1.0, 1.0, -1.0]) * sizes[-3:]
-    u_delay, u_gain, u_drift = np.sqrt(np.diag(covariance)[-3:])
-    moved = through(felt) * sizes[-3:]
-    errors = np.column_stack([moved[:, 0], moved[:, 1], moved[:, 0] + moved[:, 2]])
-    return _Found(
-        channel.name,
-        float(delay),
-        float(u_delay),
-        float(gain),
-        float(u_gain),
-        float(drift),
-        float(u_drift),
-        errors,
-    )
+    return _Measured(sizes[own], covariance[own, own], np.column_stack(slopes), felt)
 
 
 def _above_noise(values: Array, *, noise: float) -> Array:
     """A channel at the frequencies where it stands out of its white noise, shape (n,)."""
     count = values.size
-    mirrored = np.concatenate([values, values[::-1]])  # its ends meet
-    lines = np.fft.rfft(mirrored)
+    line = np.linspace(values[0], values[-1], count)
+    # reflected at points, its rate goes on at the ends: what a bend there does, the load would have to show as well
+    reflected = np.concatenate([values - line, (line - values)[::-1]])
+    lines = np.fft.rfft(reflected)
     power = np.abs(lines) ** 2 / (2 * count)
     edges = np.unique(np.round(np.geomspace(1, power.size, SETTINGS.bands)).astype(int))
     level = np.add.reduceat(power, edges[:-1]) / np.diff(edges)
     kept = np.zeros(power.size)
     kept[edges[0] : edges[-1]] = np.repeat(level > SETTINGS.stands_out * noise**2, np.diff(edges))
-    return np.asarray(np.fft.irfft(lines * kept, 2 * count)[:count])
+    return np.asarray(line + np.fft.irfft(lines * kept, 2 * count)[:count])
 
 
 def _moved(record: SingleRecord, channel: Channel, values: Array) -> Array:
@@ -199,7 +290,7 @@ def _doubts(record: SingleRecord, found: _Found, *, uncertainty: float) -> Itera
     cause = f"or a force that goes with {name}, as that of the flow may"
     effects = np.sqrt(np.mean(found.errors**2, axis=0))
     late = abs(found.delay) > SETTINGS.sure * found.u_delay
-    drifts = abs(found.drift) > SETTINGS.sure * found.u_drift
+    drifts = abs(found.drift) > max(SETTINGS.sure * found.u_drift, SETTINGS.clock * abs(found.delay))
     by_delay = float(effects[2 if drifts else 0]) if late or drifts else 0.0
     by_gain = float(effects[1]) if abs(found.gain) > SETTINGS.sure * found.u_gain else 0.0
     least = max(SETTINGS.matters * uncertainty, SETTINGS.beside * max(by_delay, by_gain))
@@ -235,3 +326,42 @@ def _with_error(
     doubt = Doubt(kind, component, *words, effect, unit)
     name = f"{DOUBTED}{kind}"
     return doubt, Systematic(name, found.channel, (name,), error[:, None], np.eye(1), local=True)
+
+
+def with_channel_aligned(
+    record: SingleRecord, fit: SmootherResult, name: str
+) -> tuple[SingleRecord, Alignment] | None:
+    """Return the record with one channel at the delay and of the gain that the load shows, and what these are.
+
+    To first order in both, from where the channel is: to be repeated until nothing changes.
+
+    Parameters
+    ----------
+    record
+        The component with its record.
+    fit
+        Its force.
+    name
+        The channel.
+    """
+    channel = record.recording.channel(name)
+    measured = _measured(record, fit, channel)
+    if measured is None:
+        return None
+    delay, gain = -float(measured.sizes[0]), float(measured.sizes[1])
+    delay = float(np.clip(delay, -SETTINGS.most * record.interval, SETTINGS.most * record.interval))
+    values = interpolate_gaps_linearly(channel.values)
+    swing = fractional_delay(values - values.mean(), delay=-delay, interval=record.interval)
+    values = values.mean() + (1 + gain) * swing
+    change = _moved(record, channel, values)
+    moved = replace(channel, values=np.where(channel.missing, np.nan, values))
+    recording = replace(record.recording, channels={**record.recording.channels, name: moved})
+    level, turned = np.linalg.eigh(measured.covariance[:2, :2])
+    left = measured.slopes[:, :2] @ (turned * np.sqrt(np.maximum(level, 0.0)))
+    unknowns = [
+        *(item for item in record.motion.unknowns if item.name != f"{ALIGNED}{name}"),
+        *(SystematicParameter(f"{ALIGNED}{name}", name, slope, 1.0, local=True) for slope in left.T),
+    ]
+    motion = replace(record.motion, specific_force=record.motion.specific_force + change, unknowns=tuple(unknowns))
+    u_delay, u_gain = np.sqrt(np.diag(measured.covariance)[:2]).tolist()
+    return replace(record, recording=recording, motion=motion), Alignment(name, delay, u_delay, gain, u_gain)
