@@ -34,6 +34,8 @@ KINDS: Final[Mapping[str, str]] = {
     "damping hardly told": "the ringing tells the damping to no better than a tenth",
     "record cut": "a part of the record does not go with the ringing and is left out",
     "moving ground": "the ground end moves while the balance rings down",
+    "outlying point": "one point of a weighing does not go with the others",
+    "hysteresis": "the loads of a weighing depend on the way its points were reached",
     "unexplained": "the readings depart from what the model of balance and load expects",
 }
 """Kinds of doubt, and what each says."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from aerobalance.app.commands.answers import quantities, quantity_table, short
 from aerobalance.app.commands.balance_files import BalanceFiles
+from aerobalance.app.commands.doubts import doubt_result
 from aerobalance.app.commands.shared import Result, check_out, collected_warnings, known_component, recording_of
 from aerobalance.balance.weighing.from_outputs import weigh as weigh_recordings
 from aerobalance.io import load_channel_map
@@ -62,7 +63,8 @@ def weigh(
     if len(weighing.components) == 1:  # what is found of one force stands at the top as well
         (single,) = weighing.components
         result = {**result, "component": single, **result["components"][single]}
-    return {**result, "warnings": collected, "summary": text}
+    doubted = {"verdict": str(weighing.verdict), "doubts": [doubt_result(doubt) for doubt in weighing.doubts]}
+    return {**doubted, **result, "warnings": collected, "summary": f"{weighing.verdict}\n\n{text}"}
 
 
 def summary(paths: Sequence[Path], result: Result) -> str:

@@ -15,6 +15,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -23,6 +24,7 @@ from scipy.special import fdtrc
 from aerobalance.balance.weighing.adjustment import Adjustment, Readings, adjust
 from aerobalance.balance.weighing.advice import unidentified, what_would_help
 from aerobalance.balance.weighing.model import LEVERS, WeightModel
+from aerobalance.balance.weighing.point_doubts import doubts_of_points
 from aerobalance.balance.weighing.points import LoadPoints
 from aerobalance.balance.weighing.result import Agreement, MovingMass, Weighing, centre_of
 from aerobalance.recording.channel import Array
@@ -76,7 +78,8 @@ def fit_weight(points: LoadPoints, *, gravity: float = STANDARD_GRAVITY) -> Weig
     Warns
     -----
     DataQualityWarning
-        The masses or the centres of gravity of the components differ.
+        The masses or the centres of gravity of the components differ; a point does not go with the others, or loads
+        depend on the way the points were reached.
     """
     components = points.components
     if not any(name in FORCE_AXES for name in components):
@@ -97,7 +100,11 @@ def fit_weight(points: LoadPoints, *, gravity: float = STANDARD_GRAVITY) -> Weig
         _warn(separate, own_masses=own_masses, own_centres=own_centres)
         model = WeightModel(components, own_masses=own_masses, own_centres=own_centres, gravity=gravity)
         chosen = adjust(model, readings, assumed=_common_values(model, common))
-    return _result(readings, separate=separate, common=common, chosen=chosen, agreements=(masses, centres))
+    doubts = doubts_of_points(chosen.model, readings, chosen)
+    for doubt in doubts:
+        warn_quality(str(doubt))
+    found = _result(readings, separate=separate, common=common, chosen=chosen, agreements=(masses, centres))
+    return replace(found, doubts=doubts)
 
 
 def _readings(points: LoadPoints, gravity: float) -> tuple[str, Readings]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from aerobalance.balance.weighing.model import WeightModel
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, FORCE_AXES, STANDARD_GRAVITY
+from aerobalance.recording.doubts import Doubt, Size, Verdict, verdict_of
 from aerobalance.recording.gravity import Attitudes, weight_direction
 
 LEAST_PROBABILITY: Final = 0.001
@@ -142,6 +143,8 @@ class Weighing:
         Number of readings less number of parameters; the uncertainties are not widened for few of them.
     unidentified
         What the readings cannot tell, and what would help.
+    doubts
+        What the points say against the result; effects are of the mass [kg].
     """
 
     model: WeightModel
@@ -166,6 +169,7 @@ class Weighing:
     deviations: Mapping[str, float]
     degrees_of_freedom: int
     unidentified: Mapping[str, str]
+    doubts: tuple[Doubt, ...] = ()
 
     def __post_init__(self) -> None:
         if set(self.assumed) != set(self.left_out):
@@ -185,6 +189,12 @@ class Weighing:
             raise ValueError(f"mass must be positive and finite, not {self.mass} (u {self.u_mass})")
         if not all(0 <= scale < np.inf for scale in self.left_out.values()):
             raise ValueError("the scales of what was left out must be zero or more and finite")
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the mass may be used, by what is doubted."""
+        size = Size(self.u_mass, self.mass, self.mass)
+        return verdict_of(self.doubts, dict.fromkeys(self.components, size))
 
     @property
     def components(self) -> tuple[str, ...]:
