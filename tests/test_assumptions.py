@@ -12,6 +12,7 @@ import pytest
 
 import aerobalance as ab
 from aerobalance.app.cli.program import main
+from aerobalance.app.commands.uncertainty import force_text
 from aerobalance.estimation.applied_force import Force
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
@@ -109,3 +110,22 @@ def test_the_command_and_the_report_list_it_once(tmp_path: Path, monkeypatch, ca
     assert main(["force", "run.h5", "--dynamics", "d.json", "-o", "g.csv"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert said.count("assumed: no analog filter or amplifier is declared for AF") == 1
+
+
+def test_several_components_are_told_in_one_line():
+    found = {
+        "file": "run.h5",
+        "components": {
+            name: {"uncertainty_rms": u, "assumptions": [], "unit": "N", "steps": [], "improve_first": "", "u_mean": u}
+            | dict.fromkeys(("mean", "rms_about_mean", "u_rms_about_mean", "largest", "u_largest"), 1.0)
+            | {"least": 1.0, "u_least": u}
+            for name, u in (("NF", 1.0), ("AF", 0.1))
+        },
+        "assumed": [
+            {"kind": "gain", "component": "NF", "text": "of NF", "effect": 2.0, "unit": "N"},
+            {"kind": "gain", "component": "AF", "text": "of AF", "effect": 1.0, "unit": "N"},
+        ],
+        "components_without_dynamics": [],
+    }
+    lines = [line for line in force_text(found).split("\n") if line.startswith("assumed")]
+    assert lines == ["assumed: of AF (alike for NF)"]  # ten times its uncertainty, and twice that of NF

@@ -169,11 +169,25 @@ def force_text(result: Result) -> str:
     if len(components) == 1:
         texts += [found["improve_first"] for found in components.values() if found["improve_first"]]
     assumed = dict.fromkeys(text for found in components.values() for text in found["assumptions"])
-    texts += [f"assumed: {text}" for text in (*assumed, *(one["text"] for one in result.get("assumed", ())))]
+    texts += [f"assumed: {text}" for text in (*assumed, *_assumed_texts(result))]
     lacking = result["components_without_dynamics"]
     texts += [f"no dynamics for {', '.join(lacking)}"] if lacking else []
     texts += [f"verdict: {result['verdict']}"] if result.get("verdict") else []
     return "\n".join(texts) + "\n"
+
+
+def _assumed_texts(result: Result) -> list[str]:
+    """What the record cannot show, once a kind: for the component where it would do most beside its uncertainty."""
+    kinds: dict[str, list[Result]] = {}
+    for one in result.get("assumed", ()):
+        kinds.setdefault(one["kind"], []).append(one)
+    texts = []
+    for group in kinds.values():
+        u = {one["component"]: result["components"][one["component"]]["uncertainty_rms"] for one in group}
+        most = max(group, key=lambda one: one["effect"] / (u[one["component"]] or 1.0))
+        others = ", ".join(one["component"] for one in group if one is not most)
+        texts.append(f"{most['text']}{f' (alike for {others})' if others else ''}")
+    return texts
 
 
 def _steps_text(name: str, found: Result) -> list[str]:
