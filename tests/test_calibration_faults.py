@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -222,3 +223,33 @@ def test_few_points_are_refused(rng) -> None:
 def test_healthy_schedules_raise_nothing(make: Maker, rng) -> None:
     for _ in range(10):
         assert problem(make(rng), model="96") == ""
+
+
+def warned(schedule: Schedule) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with suppress(FitError):  # of some no matrix comes besides
+            calibrate(schedule)
+    return [str(one.message) for one in caught if issubclass(one.category, DataQualityWarning)]
+
+
+@pytest.mark.parametrize(("factor", "named"), [(4.4482, "lbf and N"), (9.80665, "kgf and N"), (1e3, "a thousand")])
+@pytest.mark.parametrize("up", [True, False])
+def test_a_wrong_unit_of_all_loads_is_asked_about(factor, named, up, rng):
+    sound = single(rng)
+    assert not [text for text in warned(sound) if "units" in text]
+    wrong = replace(sound, loads=sound.loads * (factor if up else 1 / factor))
+    if not up and factor > 100:  # loads of a thousandth of capacity are none
+        refused(wrong, match="is never loaded")
+        return
+    asked = [text for text in warned(wrong) if "are loads and capacity in the units" in text]
+    assert len(asked) == 6  # each component
+    assert all(named in text for text in asked)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_a_wrong_unit_of_the_outputs_is_asked_about(factor, rng):
+    sound = single(rng)
+    wrong = replace(sound, outputs=sound.outputs * factor)
+    assert [text for text in warned(wrong) if "are the outputs in the unit" in text]
+    assert not [text for text in warned(sound) if "are the outputs in the unit" in text]

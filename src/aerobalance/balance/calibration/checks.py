@@ -33,6 +33,13 @@ class CheckSettings:
         The same that is refused.
     slope_far
         The same from which the median says nothing of the series, and no percentage of it is given.
+    beyond
+        Largest load over capacity from which units are asked about; balances are loaded up to their capacity.
+    hardly
+        The same below which they are.
+    outputs
+        Least and largest output at capacity that bridges may well have [mV/V]: metal gauges give 0.3 to 4, those of
+        semiconductor ten times that.
     doubtful
         Standard deviation of the residuals, over capacity, that is doubted.
     unfit
@@ -51,6 +58,9 @@ class CheckSettings:
     slope_doubt: float = 0.05
     slope_fault: float = 0.3
     slope_far: float = 10.0
+    beyond: float = 1.5
+    hardly: float = 0.25
+    outputs: tuple[float, float] = (0.03, 40.0)
     doubtful: float = 0.005
     unfit: float = 0.05
     drift: float = 0.005
@@ -59,6 +69,17 @@ class CheckSettings:
 
 SETTINGS: Final = CheckSettings()
 """Thresholds that are used."""
+
+
+FACTORS: Final = {
+    4.4482: "lbf and N",
+    9.80665: "kgf and N",
+    1000.0: "a unit and a thousand of it",
+    1.35582: "ft-lbf and N*m",
+    8.8507: "in-lbf and N*m",
+    12.0: "ft-lbf and in-lbf",
+}
+"""Factors between units that are mistaken for each other, and the units."""
 
 
 def check_schedule(schedule: Schedule) -> None:
@@ -73,7 +94,7 @@ def check_schedule(schedule: Schedule) -> None:
     Warns
     -----
     DataQualityWarning
-        A series' sensitivity departs from the others.
+        A series' sensitivity departs from the others, or loads or outputs are of a size that a wrong unit makes.
     """
     used = schedule.fitted
     if np.count_nonzero(used) < schedule.loads.shape[1] + 2:
@@ -94,10 +115,44 @@ def check_schedule(schedule: Schedule) -> None:
                 f"{outputs.shape[0]} points"
             )
     sensitivity = _sensitivity(loads, outputs, series)
+    _check_units(schedule, np.abs(loads).max(axis=0), np.max(np.abs(sensitivity), axis=1))
     slopes = [_slopes(loads, outputs, series, index) for index in range(loads.shape[1])]
     _check_signs(schedule, slopes, np.max(np.abs(sensitivity), axis=1))
     _check_wiring(schedule, sensitivity)
     _check_slopes(schedule, slopes)
+
+
+def _check_units(schedule: Schedule, reach: Array, answers: Array) -> None:
+    """Ask about units where loads are far from capacity, or outputs from those of strain gauges.
+
+    `reach` is the largest load over capacity, `answers` the output at capacity [mV/V], each by component.
+    """
+    for name, part in zip(schedule.components, reach.tolist(), strict=True):
+        if SETTINGS.hardly <= part <= SETTINGS.beyond:
+            continue
+        too_large = part > SETTINGS.beyond
+        units = [
+            f"{words} ({factor:.4g})"
+            for factor, words in FACTORS.items()
+            if SETTINGS.hardly <= (part / factor if too_large else part * factor) <= 1.0 + SETTINGS.loaded
+        ]
+        reason = f"; between {' or '.join(units)} lies such a factor" if units else ""
+        only = "" if too_large else "If so, the matrix holds up to there only. "
+        warn_quality(
+            f"{schedule.name}: the loads of {name} reach {part:.3g} times its capacity{reason}: are loads and "
+            f"capacity in the units that the file says? {only}"
+            "A wrong unit makes all loads of a run wrong by the same factor"
+        )
+    low, high = SETTINGS.outputs
+    odd = [(name, size) for name, size in zip(schedule.components, answers.tolist(), strict=True) if size > 0]
+    odd = [(name, size) for name, size in odd if not low <= size <= high]
+    if odd and len(odd) > len(schedule.components) / 2:
+        told = ", ".join(f"{name} {size:.3g}" for name, size in odd)
+        warn_quality(
+            f"{schedule.name}: the bridges give at capacity [mV/V]: {told}; strain gauges give 0.3 to 4: are the "
+            "outputs in the unit that the file says, and is the capacity? The matrix carries the error into no load "
+            "as long as runs have the same unit, but into every uncertainty in mV/V"
+        )
 
 
 def _sensitivity(loads: Array, outputs: Array, series: NDArray[np.intp]) -> Array:
