@@ -217,7 +217,7 @@ def six_components() -> Iterator[Case]:
                 kinds=("natural frequency",),
                 dynamics=partial(moved, factor=factor),
             )
-    for milliseconds in (1, 2):
+    for milliseconds in (1, 2, 4):
         yield Case(
             f"six components, 3 gaps of {milliseconds} ms in PM, 0-347 Hz",
             "six",

@@ -170,7 +170,7 @@ class DecoupledRecord(ComponentRecord):
     def _taken_off(self, series: Array, other: DecoupledChannel) -> Array:
         return np.zeros_like(series) if self.shared is None else self.shared.slopes(series, other.place)
 
-    def _read(self, felt: Array) -> Array:
+    def reading_of(self, felt: Array) -> Array:
         """Reading of the decoupled component under a part of the loads felt, shape (samples,) [N]."""
         own = self.decoupled.reading(felt, interval=self.interval)
         for other in self.others:
@@ -205,7 +205,7 @@ class DecoupledRecord(ComponentRecord):
             if channel.relative_uncertainty > 0:
                 alone = np.zeros_like(self.loads)
                 alone[:, place] = self.loads[:, place]
-                slope = through(self._read(alone)[:, None])
+                slope = through(self.reading_of(alone)[:, None])
                 name, variance = f"gain of {channel.name}", channel.relative_uncertainty**2
                 parts.append(Systematic(name, channel.name, (name,), slope, np.array([[variance]])))
         own = self.channels[self.decoupled.place]

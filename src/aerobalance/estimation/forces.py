@@ -21,8 +21,9 @@ from aerobalance.estimation.component_force import Fitted, Method, by_smoother, 
 from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.decoupled_record import mass_rows
+from aerobalance.estimation.missing_readings import MissingReadings
 from aerobalance.estimation.record import ComponentRecord, IndependentRecord
-from aerobalance.estimation.result import ComponentForce, with_balance, with_few
+from aerobalance.estimation.result import ComponentForce, with_balance, with_errors, with_few
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
@@ -115,10 +116,14 @@ def forces_of(
         found = _with_gaps_filled(record, inverse, lambda one: (one.values, one.noise), noises=noises)[0]
         return {name: with_few(one) if few else one for name, one in found.items()}
     fitted = partial(Fitted.of, hum=settings.hum, align=settings.align)
+    missing: MissingReadings | None = None
     with PROGRESS.stage(0.0, 0.5, "spectrum and steps"):
-        fits, filled = _with_gaps_filled(
-            record, fitted, lambda fit: (fit.smoothed.force, fit.signal.learned.noise), noises=noises
-        )
+        if isinstance(record, CoupledRecord) and record.has_gaps and MissingReadings.are_few(record):
+            fits, filled, missing = _with_gaps_found(record, fitted, noises=noises)
+        else:
+            fits, filled = _with_gaps_filled(
+                record, fitted, lambda fit: (fit.smoothed.force, fit.signal.learned.noise), noises=noises
+            )
 
     def anew(name: str) -> Fitted:
         component = record.component_record(name, filled, shared=better[name])
@@ -129,7 +134,10 @@ def forces_of(
         fits |= dict(zip(better, side_by_side(anew, better, what="component"), strict=True))
 
     def estimated_with(name: str) -> ComponentForce:
-        found = fits.pop(name).estimate(few=few)
+        fit = fits.pop(name)
+        found = fit.estimate(few=few)
+        if missing is not None:
+            found = with_errors(found, missing.error(fit))
         return with_few(found) if few else found
 
     with PROGRESS.stage(0.8, 1.0, "uncertainty"):
@@ -174,6 +182,21 @@ def _with_gaps_filled(
         filled = better
         found = _worked(work, record.component_records(filled, noises=noises))
     return found, filled
+
+
+def _with_gaps_found(
+    record: CoupledRecord, fitted: Callable[[ComponentRecord], Fitted], *, noises: Mapping[str, NoiseSpectrum] | None
+) -> tuple[dict[str, Fitted], Array, MissingReadings]:
+    """Return fits by component, and the readings with few that are missing in their places, and how well known.
+
+    The first priors are learned with what ringing a gap leaves, so they are learned, and the readings found, again.
+    """
+    filled = interpolate_gaps(record.loads)
+    found = _worked(fitted, record.component_records(filled, noises=noises))
+    for _ in range(PASSES):
+        filled, missing = MissingReadings.of(record, found, filled=filled)
+        found = _worked(fitted, record.component_records(filled, noises=noises))
+    return found, filled, missing
 
 
 def predicted_noise(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: Array) -> dict[str, SharedNoise]:
