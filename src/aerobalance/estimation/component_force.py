@@ -6,12 +6,14 @@ a band. Each gives every sample a standard uncertainty.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
 import numpy as np
 
 from aerobalance.estimation.checks.assumptions import assumptions_of
+from aerobalance.estimation.checks.faint_force import hidden_force
 from aerobalance.estimation.checks.ground_channels import SETTINGS as GROUND_CHANNELS
 from aerobalance.estimation.checks.ground_channels import (
     Alignment,
@@ -19,8 +21,17 @@ from aerobalance.estimation.checks.ground_channels import (
     ground_doubts,
     with_channel_aligned,
 )
+from aerobalance.estimation.checks.mains_hum import hum_doubts
+from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error, step_of
 from aerobalance.estimation.direct import band_limited, central_differences
-from aerobalance.estimation.force_smoother import LinearSmoother, SignalModel, SmootherResult, fit_signal_model
+from aerobalance.estimation.error_sources import Contribution
+from aerobalance.estimation.force_smoother import (
+    LARGEST_HUM,
+    LinearSmoother,
+    SignalModel,
+    SmootherResult,
+    fit_signal_model,
+)
 from aerobalance.estimation.ground_gaps import has_hidden_motion, with_hidden_motion
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import ComponentRecord, SingleRecord
@@ -209,7 +220,7 @@ class Fitted:
         doubts += strange
         lines = fit.sized(signal.hum)
         if self.hum == "mains":
-            _tell_of_hum(record, lines, large=signal.large)
+            _tell_of_hum(record, lines, driven=self._driven)
         estimator, whole = fit.estimator, bool(reading.present.all())
 
         def through(series: Array) -> Array:
@@ -223,7 +234,7 @@ class Fitted:
             return -through(record.felt_under(item)[:, None])[:, 0]
 
         noise = learned.noise if record.shared is None else record.shared.before
-        errors = [
+        errors: list[Contribution] = [
             *fit.noise_errors(level, sources=(record.dynamics.component, record.motion_source)),
             *fit.step_errors(estimator),
             record.parameter_errors(lambda: through(reading.filled[:, None])[:, 0], again, through, few=few),
@@ -234,6 +245,9 @@ class Fitted:
             for doubt, error in ground_doubts(record, fit, through, errors=tuple(errors)):
                 doubts.append(doubt)
                 errors.append(error)
+        for told, unseen in self._unseen(errors):
+            errors.append(unseen)
+            doubts += told
         return record.finish(
             fit.force,
             errors,
@@ -249,6 +263,34 @@ class Fitted:
             assumed=tuple(assumptions_of(record, fit, through)),
             found_motion=self.found_motion,
         )
+
+    @property
+    def _driven(self) -> tuple[Line, ...]:
+        """Lines at frequencies of the mains that are so large that nobody would record such hum."""
+        largest = LARGEST_HUM * float(np.nanmax(np.abs(self.record.load)))
+        return tuple(line for line in self.signal.large if line.amplitude > largest)
+
+    def _unseen(self, errors: Sequence[Contribution]) -> Iterator[tuple[list[Doubt], Contribution]]:
+        """What the record leaves open of a force that noise or steps of the converter hide, and of hum."""
+        record, reading, learned = self.record, self.signal.reading, self.signal.learned
+        component, count = record.dynamics.component, reading.values.size
+        unit = si_unit(component)
+        hidden = hidden_force(reading, learned, left=self.smoothed.residuals)
+        if hidden is not None:
+            told = hidden.doubt(component, unit=unit)
+            yield [told] if told else [], hidden.error(component, count=count, interval=reading.interval)
+        if self.hum == "mains" and not self._driven:
+            large = self.signal.large
+            for doubt, noise in hum_doubts(
+                record.dynamics, learned, large=large, count=count, interval=reading.interval, unit=unit
+            ):
+                yield [doubt], noise
+        step = step_of(record.load) if isinstance(record, SingleRecord) else 0.0
+        error = rounding_error(reading, learned, step=step) if step else None
+        if error is not None:
+            rest = float(np.sqrt(sum(np.mean(one.deviation**2) for one in errors)))
+            told = resolution_doubt(component, error, step=step, rest=rest, unit=unit)
+            yield [told] if told else [], error
 
 
 def _with_values_of(record: ComponentRecord, reading: Observation) -> Observation:
@@ -314,8 +356,8 @@ def _faint(record: ComponentRecord, learned: SpectralPrior) -> list[Doubt]:
     ]
 
 
-def _tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, large: tuple[Line, ...]) -> None:
-    """Say which lines at frequencies of the mains are not in the force, and which are because they are large."""
+def _tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, driven: tuple[Line, ...]) -> None:
+    """Say which lines at frequencies of the mains are not in the force, and which are, as they are a drive."""
     told = (
         (
             lines,
@@ -325,7 +367,7 @@ def _tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, large: tup
             ),
         ),
         (
-            large,
+            driven,
             (
                 "lie where the mains do, but are so large a part of the record that they are taken for force; if they "
                 f"are hum, the force is wrong by them: name their frequencies with {argument('hum')}"

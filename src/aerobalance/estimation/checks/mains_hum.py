@@ -1,0 +1,97 @@
+"""Lines at frequencies of the mains that are taken for force, and may be hum."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from aerobalance.dynamics.modal import ModalModel
+from aerobalance.estimation.error_sources import Noise
+from aerobalance.estimation.prior import SpectralPrior
+from aerobalance.estimation.spectra.line_noise import MAINS, MOST_HARMONICS, Line
+from aerobalance.recording.doubts import Doubt
+from aerobalance.recording.errors import argument
+
+NARROW: Final = 0.05
+"""Width of a band over its frequency up to which it may be hum that drifts."""
+
+NEAR: Final = 0.01
+"""Relative distance from a multiple of the mains' frequency up to which it may be."""
+
+STANDS_OUT: Final = 3.0
+"""Level over those beside it from which it is a band of its own."""
+
+BINS: Final = 4096
+"""Frequencies at which the spectrum of an error is kept: a line is narrow."""
+
+
+def hum_doubts(
+    dynamics: ModalModel, learned: SpectralPrior, *, large: Sequence[Line], count: int, interval: float, unit: str
+) -> list[tuple[Doubt, Noise]]:
+    """Doubts about lines that are taken for force, each with what it does to the force if it is hum.
+
+    Parameters
+    ----------
+    dynamics
+        The balance.
+    learned
+        What was learned of the force.
+    large
+        Lines at frequencies of the mains that are a large part of the record.
+    count, interval
+        Samples of the record, and time between them [s].
+    unit
+        Unit of the force.
+    """
+    component, found = dynamics.component, []
+    for line in large:
+        gain = float(np.abs(dynamics.response(np.array([line.frequency])))[0])
+        size = f"{line.amplitude:.3g} {unit} in the reading"
+        found.append(
+            (f"a line at {line.frequency:.5g} Hz ({size})", line.frequency, line.amplitude / gain / np.sqrt(2))
+        )
+    if not large:
+        found += [
+            (f"a narrow band at {middle:.4g} Hz", middle, rms) for middle, rms in _narrow_bands(learned, interval)
+        ]
+    return [
+        (
+            Doubt(
+                "hum",
+                component,
+                f"{component} shows {what}, where the mains are: it is taken for a force of {rms:.2g} {unit} rms, and "
+                "is an error of that size if it is hum",
+                f"if it is hum, shield the cables, or name a steady line with {argument('hum')}; if it is force, keep "
+                f"it with {argument('hum', 'keep')}",
+                rms,
+                unit,
+            ),
+            _error(component, frequency, rms, count=count, interval=interval),
+        )
+        for what, frequency, rms in found
+    ]
+
+
+def _error(component: str, frequency: float, rms: float, *, count: int, interval: float) -> Noise:
+    density = np.zeros(BINS)
+    density[min(round(2 * frequency * interval * (BINS - 1)), BINS - 1)] = BINS
+    return Noise(f"hum at {frequency:.4g} Hz", component, np.full(count, rms), density)
+
+
+def _narrow_bands(learned: SpectralPrior, interval: float) -> Iterator[tuple[float, float]]:
+    """Middle [Hz] and rms [N] of narrow bands of the force at frequencies of the mains."""
+    spectrum = learned.spectrum
+    if spectrum.roll_off:
+        return
+    edges, levels = np.append(0.0, spectrum.edges), np.concatenate([[0.0], spectrum.levels, [0.0]])
+    for place, level in enumerate(spectrum.levels):
+        low, high = float(edges[place]), min(float(edges[place + 1]), 0.5 / interval)
+        middle, beside = (low + high) / 2, float(max(levels[place], levels[place + 2]))
+        if not level > STANDS_OUT * beside or high - low > NARROW * middle:
+            continue
+        numbers = np.arange(1, MOST_HARMONICS + 1)
+        multiples = np.outer(MAINS, numbers)
+        if np.min(np.abs(middle / multiples - 1)) < NEAR:
+            yield middle, float(np.sqrt(2 * (level - beside) * (high - low)))
