@@ -118,7 +118,8 @@ def levelled(ring: Ring) -> tuple[Ring, AmplitudeLaw, AmplitudeDependence]:
     turn[:2] = 0.0
     turn[:2, places] = slopes[:2]
     covariance = turn @ ring.covariance @ turn.T
-    covariance[0, 0] += (first - last) ** 2 / 12
+    # a spring that changes by a part bends the waveform too, and so hides as much of the damping
+    covariance[0, 0] += ((first - last) ** 2 + (decay * (fast - slow) / w) ** 2) / 12
     covariance[1, 1] += (fast - slow) ** 2 / 12
     rates = np.array([fast, slow])
     found = AmplitudeLaw(

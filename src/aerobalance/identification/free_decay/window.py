@@ -281,6 +281,8 @@ def _shortened(ring: Ring) -> Ring:
     count = unlikely.size
     if count < 6 or ring.variance < (1e-9 * ring.amplitude) ** 2:
         return ring
+    if ring.law is not None and ring.colour == 1:  # what varies is not near the ringing, and a law needs its length
+        return ring
     home = min(int(np.searchsorted(edges, np.searchsorted(ring.time, ring.start), side="right")) - 1, count - 1)
     last = edges[home + 1 + _first_event(unlikely[home + 1 :])]
     first = edges[home - _first_event(unlikely[:home][::-1])]
