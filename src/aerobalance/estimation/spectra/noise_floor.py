@@ -161,7 +161,7 @@ def _price(found: NoiseLevels, periodogram: Periodogram) -> float:
 
 def _floor(reading: Observation, periodogram: Periodogram, found: NoiseLevels, *, share: float) -> Floor:
     """The noise of a record by its levels."""
-    profile = found.density
+    profile = found.density / share
     interval, frequency = reading.interval, periodogram.frequency
     white = float(profile.min())
     above = profile - white
@@ -182,7 +182,7 @@ def _floor(reading: Observation, periodogram: Periodogram, found: NoiseLevels, *
     power = 2 * periodogram.step * float(np.sum(periodogram.count * above))
     color = ShapedNoise(shaping, interval)
     first, last = float(colored[0]), float(colored[-1])
-    return Floor(first, last, float(np.sqrt(power / share)), 0.0, float(np.sqrt(white / interval / share)), color)
+    return Floor(first, last, float(np.sqrt(power)), 0.0, float(np.sqrt(white / interval)), color)
 
 
 def lasts(left: Array, *, first: float, interval: float, noise: float, last: float = np.inf) -> bool:
