@@ -57,7 +57,7 @@ def reduce_outputs(
     ValueError
         The weight would be taken off twice, or does not go with the format.
     FitError
-        The recordings do not go together; or the run is its own zero or tare.
+        The recordings do not go together; or the run is its own zero or only tare.
     """
     recording, balance = corrected(recording), matrix_of(balance)
     _check_at_rest(recording, zero, tare, balance)
@@ -91,12 +91,19 @@ def reduce_outputs(
 def _check_at_rest(
     recording: Recording, zero: Zero | None, tare: Sequence[Recording] | Weighing, balance: BalanceMatrix
 ) -> None:
-    """Refuse a run as its own zero or tare, by whatever name."""
+    """Refuse a run as its own zero or only tare, by whatever name; as one of several tares it is told."""
     zeros = {} if zero is None else {"zero": zero.recordings, "zero after the run": zero.after}
     given = {**zeros, "tare": () if isinstance(tare, Weighing) else tare}
     for what, others in given.items():
         for other in others:
-            if _is_part_of(recording, other, balance):
+            if not _is_part_of(recording, other, balance):
+                continue
+            if what == "tare" and len(others) > 1:
+                warn_quality(
+                    f"{other.name} has the readings of the run {recording.name} itself and is one of its tares: what "
+                    "is left tells how the tares go together, and is no load of a run with wind"
+                )
+            else:
                 raise FitError(
                     f"{other.name} has the readings of the run {recording.name} itself: it is no {what}, and would "
                     "take all steady load away; give a record of the balance without wind"

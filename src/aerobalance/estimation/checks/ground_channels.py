@@ -25,7 +25,7 @@ from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import acceleration_name, si_unit
 from aerobalance.recording.doubts import DOUBTED, Doubt
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.resampling import fractional_delay, interpolate_gaps_linearly
 
@@ -300,7 +300,8 @@ def _doubts(record: SingleRecord, found: _Found, *, uncertainty: float) -> Itera
             f"{name} is {1e3 * abs(found.delay):.3g} ms {word} (u = {1e3 * found.u_delay:.2g} ms) against what "
             f"{component} shows of it: a filter or a delay that is not declared, {cause}"
         )
-        advice = f"declare the delay or the filter of {name} in the channel map"
+        taken_off = f"{argument('align')} takes off what the load shows"
+        advice = f"declare the delay or the filter of {name} in the channel map; {taken_off}"
         if drifts:
             text = (
                 f"the delay of {name} against what {component} shows of it changes by {1e3 * found.drift:.3g} ms "
