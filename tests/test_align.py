@@ -16,6 +16,7 @@ from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.errors import DataQualityWarning
 from faults.cases import all_cases
 from faults.trials import recording_of, scores, worked_out
+from seeds import trials
 
 CASES = {case.name: case for case in all_cases()}
 
@@ -54,11 +55,12 @@ def test_a_fault_that_the_load_shows_clearly_leaves_nothing(name):
 @pytest.mark.parametrize("name", ["pitch 20 ms late, 0-60 Hz", "pitch 20 ms late, step", "step, pitching"])
 def test_what_is_not_known_of_an_alignment_counts(name):
     whole = []
-    for seed in range(6):
+    count = trials(3, 12)
+    for seed in range(count):
         _, after = tried(name, seed, align=True)
         whole.append((after["error"] / after["u"]) ** 2)
-    # a delay and a gain are two numbers, and the error of one record is theirs: 12 degrees of freedom in all
-    assert np.mean(whole) < 1 + 5 * np.sqrt(2 / 12)
+    # a delay and a gain are two numbers, and the error of one record is theirs
+    assert np.mean(whole) < 1 + 5 * np.sqrt(2 / (2 * count))
 
 
 @pytest.mark.parametrize("name", ["pitch 20 ms late, 0-60 Hz", "pitch 20 ms late, step"])

@@ -88,7 +88,7 @@ def test_what_does_not_move_is_predicted(values):
 def test_a_gap_in_the_accelerometer_is_told_by_the_load_and_counted(name):
     case = CASES[f"accelerometer with a gap of 60 ms, {name}"]
     inside, outside, errors = [], [], []
-    for seed in range(trials(6, 20)):
+    for seed in range(trials(3, 20)):
         record = case.record(seed)
         gap = np.isnan(record.columns["ground_acceleration"])
         force, said = worked_out(record, case.dynamics, case.settings)
@@ -103,7 +103,7 @@ def test_a_gap_in_the_accelerometer_is_told_by_the_load_and_counted(name):
         z = (one.values - record.force)[~gap] / one.uncertainty[~gap]
         outside.append(np.mean(z**2))
     # a force of 60 Hz has 7 independent numbers in 60 ms, one of 20 Hz 3: five deviations of their mean square
-    freedom = 3 * trials(6, 20)
+    freedom = 3 * trials(3, 20)
     assert np.mean(inside) < 1 + 5 * np.sqrt(2 / freedom)
     assert np.mean(outside) < 1.2
     # the mass times what is missed is 356 N rms; the force itself has 60 N, and is all that is left unknown
