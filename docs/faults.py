@@ -22,7 +22,7 @@ FIT = "fit for use"
 HEAD = """# Faults
 
 Records of a known force that are wrong in one thing each, and sound ones, simulated apart from the package
-(`tests/faults`); axial component of the paper's balance, mostly 2.5 s at 1600 Hz and 2 N of noise, {seeds} seeds each.
+(`tests/faults`); axial component of the paper's balance, mostly 2.5 s at 1600 Hz and 2 N of noise; {seeds} a kind.
 Error and u are medians of the rms over a record, in N (of six components in percent of half range); cover is the share
 of samples within 95 % intervals. A row is marked where an error of more than 3 u is called fit for use. What a record
 cannot show is marked "assumed". This page is written by `make faults`.
@@ -70,10 +70,13 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
     large = [row for row in wrong if is_large(row)]
     told = sum(row["verdict"] != FIT for row in large)
     named = sum(bool(set(row["kinds"]) & set(row["expected"])) for row in large)
+    unfit = sum(row["refused"] or row["verdict"] != FIT for row in wrong)
     doubted = sum(row["refused"] or row["verdict"] != FIT for row in sound)
     return [
         f"- {doubted} of {len(sound)} sound records are doubted.",
-        f"- {len(wrong)} records have a fault that they can show, and the error of {len(large)} is more than 3 u.",
+        f"- {len(wrong)} records have a fault that they can show; {unfit} of these are doubted or refused.",
+        "- What a doubt does to the force is in u, so the error of most of these is no more than 3 u.",
+        f"- The error of {len(large)} is more than 3 u.",
         f"- {told} of these {len(large)} are not called fit for use; of {named} the fault is named rightly.\n",
     ]
 
