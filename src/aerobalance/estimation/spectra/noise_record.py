@@ -11,7 +11,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -190,7 +190,6 @@ class Ordinates:
         *,
         interval: float,
         input_density: float = 0.0,
-        taper: float = TAPER,
         name: str = "noise",
     ) -> Ordinates:
         """Take the periodogram of a record without gaps under a window that tapers over a share of it."""
@@ -198,7 +197,7 @@ class Ordinates:
         mains = [line.frequency for line in hum_lines(values, interval)]
         columns = columns_of_lines(mains, count=values.size, interval=interval)
         values = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
-        window = tapered(values.size, taper)
+        window = tapered(values.size, TAPER)
         power = np.abs(np.fft.rfft(values * window)) ** 2 * (interval / np.sum(window**2))
         frequency = np.arange(power.size) / (values.size * interval)
         gain = np.abs(dynamics.response(frequency)) ** 2
@@ -230,18 +229,6 @@ class Ordinates:
         """Lowest frequency at which a hump is looked for [Hz]: above the 1/f part, or from the first ordinate on."""
         first, last = float(self.frequency[0]), float(self.frequency[-1])
         return min(4 * first, max(first, 0.02 * last))
-
-    def above(self, frequency: float) -> Ordinates:
-        """Those above a frequency [Hz]."""
-        kept = self.frequency > frequency
-        return replace(
-            self,
-            frequency=self.frequency[kept],
-            density=self.density[kept],
-            weight=self.weight[kept],
-            gain=self.gain[kept],
-            fixed=self.fixed[kept],
-        )
 
 
 def _lines(power: Array) -> NDArray[np.bool_]:
@@ -302,21 +289,18 @@ def cost_of(model: Array, seen: Ordinates) -> float:
     return float(seen.weight @ (np.log(model) + seen.density / model))
 
 
-def fitted(seen: Ordinates, *, slow: bool = True) -> Array:
-    """The likeliest point with as many parts as there is evidence for; without a 1/f part if that is not wanted."""
+def fitted(seen: Ordinates) -> Array:
+    """The likeliest point with as many parts as there is evidence for."""
     mean = float(np.average(seen.density, weights=seen.weight))
     plain = np.array([np.log(float(np.median(seen.density))), -np.inf, 1.0])
     best, here = _lowered(plain, seen, mean)
-    if slow:
-        trial, cost = min(
-            (_lowered(start, seen, mean) for start in _slow_starts(best, seen)), key=lambda pair: pair[1]
-        )
-        if here - cost > COLOR_EVIDENCE and _corner_inside(trial, seen):
-            best, here = trial, cost
+    trial, cost = min((_lowered(start, seen, mean) for start in _slow_starts(best, seen)), key=lambda pair: pair[1])
+    if here - cost > COLOR_EVIDENCE and _corner_inside(trial, seen):
+        best, here = trial, cost
     for _ in range(MOST_HUMPS):
         start = _hump_start(best, seen)
         trials = [_lowered(np.concatenate([best, start]), seen, mean)]
-        if slow and not np.isfinite(best[1]):  # a hump may have hidden the corner
+        if not np.isfinite(best[1]):  # a hump may have hidden the corner
             trials += [
                 _lowered(np.concatenate([other, start]), seen, mean) for other in _slow_starts(best[:3], seen)[:1]
             ]
