@@ -20,7 +20,8 @@ from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, ow
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
 from aerobalance.estimation.checks.model_error import as_noise, error_under
 from aerobalance.estimation.checks.peaks import Peak, peak_doubts
-from aerobalance.estimation.checks.resonance import Spoken, change_by_steps, spoken_for, without_tones
+from aerobalance.estimation.checks.resonance import Spoken, change_by_steps, spoken_for
+from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.prior import Observation, SpectralPrior
@@ -283,7 +284,7 @@ def misfit_of(
     reading, within = seen
     known = record.load
     spoken = spoken_for(
-        without_tones(reading.values),
+        _without_tones(reading.values),
         dynamics,
         interval=reading.interval,
         least_noise=max(reading.least_noise, 1e-3 * noise),
@@ -291,7 +292,7 @@ def misfit_of(
     )
     if spoken is not None:
         return _spoken(spoken, dynamics)
-    left = without_tones(_without_steps(reading, within))
+    left = _without_tones(_without_steps(reading, within))
     found = _possible(
         _in_spectrum(left, dynamics, interval=reading.interval, noise=noise), most=float(np.nanstd(known))
     )
@@ -379,6 +380,11 @@ def _without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
     columns = columns_of(list(steps), reading)
     sizes, *_ = np.linalg.lstsq(columns, reading.values, rcond=None)
     return np.asarray(reading.values - columns @ sizes)
+
+
+def _without_tones(values: Array) -> Array:
+    """One component's readings less their steady tones, shape (n,)."""
+    return np.asarray(without_tones(values[:, None])[:, 0])
 
 
 def _possible(found: Misfit, *, most: float) -> Misfit:

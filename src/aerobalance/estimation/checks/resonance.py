@@ -19,9 +19,9 @@ from scipy.optimize import minimize
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force_smoother import instant_columns
-from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
+from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares, periodogram_of
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
-from aerobalance.estimation.spectra.periodogram import LONGEST, Periodogram
+from aerobalance.estimation.spectra.periodogram import LONGEST
 from aerobalance.estimation.spectra.whittle import fit_spectrum
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.steps import Step, response_to
@@ -69,12 +69,6 @@ class ResonanceSettings:
         Size of the second search over that of the first.
     share_shift
         Relative change of a share by which its uncertainty is taken.
-    tones, tone_width
-        Tones that are taken out at most, and half width of a peak in ordinates.
-    tone_share
-        Power of a peak over that of the whole record from which it is looked whether it is a tone.
-    tone_left
-        Power that a sine leaves of a tone at most, over that of the peak.
     iterations, settled
         Iterations by which steps tell the dynamics, and change over its uncertainty at which they end.
     """
@@ -98,10 +92,6 @@ class ResonanceSettings:
     line_beside: float = 2.0
     closer: float = 0.3
     share_shift: float = 0.3
-    tones: int = 8
-    tone_width: int = 4
-    tone_share: float = 0.02
-    tone_left: float = 0.05
     iterations: int = 6
     settled: float = 0.1
 
@@ -166,13 +156,8 @@ class Evidence:
         """Logarithm of the likelihood of the reading with dynamics, less the price of the force's spectrum."""
         key = tuple(number for mode in dynamics.modes for number in (*_numbers(mode),))
         if key not in self._known:
-            color = self.color
-            periodogram = Periodogram.of(
-                self.values,
-                dynamics,
-                interval=self.interval,
-                color=None if color is None else lambda f, width: color.density(f, width=width),
-            )
+            reading = Observation(self.values, self.interval, dynamics, color=self.color)
+            periodogram = periodogram_of(reading, self.values, share=1.0)
             self._known[key] = fit_spectrum(
                 periodogram, noise_density=self.white, floor=self.floor, rising=self.rising
             ).evidence
@@ -366,43 +351,6 @@ def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamic
 
 def _simplex(count: int) -> Array:
     return np.vstack([np.zeros(count), np.eye(count)])
-
-
-def without_tones(values: Array) -> Array:
-    """Return readings without the steady tones that stand out of them, shape (n,): a force that is no resonance.
-
-    A tone is a peak of the spectrum of which a sine of constant size leaves next to nothing; what rings in bursts, or
-    dies down, is none.
-    """
-    count = values.size
-    time = np.arange(count) - 0.5 * (count - 1)
-    taper = hann(count)
-    line = np.vander(time / count, 2)
-    left, phases = values - line @ np.linalg.lstsq(line, values)[0], np.zeros(0)
-    for _ in range(SETTINGS.tones):
-        power = np.abs(np.fft.rfft(left * taper)) ** 2
-        power[: SETTINGS.tone_width] = 0.0
-        place = int(np.argmax(power))
-        near = slice(max(place - SETTINGS.tone_width, 0), place + SETTINGS.tone_width + 1)
-        if not power[place] > 0 or power[near].sum() < SETTINGS.tone_share * power.sum():
-            break
-        phases = np.append(phases, 2 * np.pi * place / count)
-        for _ in range(SETTINGS.iterations):
-            turned = np.outer(time, phases)
-            both = np.column_stack([np.cos(turned), np.sin(turned)])
-            shapes = np.column_stack([both, time[:, None] * both / count, line])
-            a, b, growing_a, growing_b = np.linalg.lstsq(shapes, values)[0][: 4 * phases.size].reshape(4, -1)
-            # a cos + b sin with a little other phase rate: its slope is time (b cos - a sin)
-            shift = (growing_a * b - growing_b * a) / (a**2 + b**2 + 1e-300) / count
-            phases = phases + np.clip(shift, -np.pi / count, np.pi / count)
-        turned = np.outer(time, phases)
-        shapes = np.column_stack([np.cos(turned), np.sin(turned), line])
-        rest = values - shapes @ np.linalg.lstsq(shapes, values)[0]
-        after = np.abs(np.fft.rfft(rest * taper)) ** 2
-        if after[near].sum() > SETTINGS.tone_left * power[near].sum():
-            break
-        left = rest
-    return np.asarray(left)
 
 
 def change_by_steps(reading: Observation, steps: Sequence[Step], learned: SpectralPrior) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Steady tones that several channels have in common, as those of a rotor: narrower than any resonance."""
+"""Steady tones that one channel or several have in common, as those of a rotor: narrower than any resonance."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LEFT: Final = 0.05
 """Power that a sine leaves of a tone at most, over that of the peak."""
 
 
-def without_tones(loads: Array, *, above: float) -> Array:
+def without_tones(loads: Array, *, above: float = 0.0) -> Array:
     """Loads less their steady tones, as of a rotor, shape (samples, n).
 
     A tone is a peak of the spectrum of all channels of which a sine of one frequency leaves next to nothing; what
@@ -41,7 +41,7 @@ def without_tones(loads: Array, *, above: float) -> Array:
     count = len(loads)
     time, taper = np.arange(count) - 0.5 * (count - 1), hann(count)[:, None]
     left, size = loads - loads.mean(axis=0), np.maximum(loads.std(axis=0), 1e-300)
-    searched = np.arange(count // 2 + 1) > above * count
+    searched = np.arange(count // 2 + 1) > max(above * count, WIDTH)
     for _ in range(MOST):
         power = np.sum(np.abs(np.fft.rfft(left / size * taper, axis=0)) ** 2, axis=1) * searched
         place = int(np.argmax(power))
