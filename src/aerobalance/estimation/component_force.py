@@ -205,9 +205,9 @@ class Fitted:
         record, signal, fit = self.record, self.signal, self.smoothed
         reading, steps, learned = signal.reading, signal.steps, signal.learned
         doubts = list(self.doubts)
-        faint = _faint(record, learned) if record.noise is None and record.shared is None else []
-        doubts += faint
-        if signal.floor is not None and signal.floor.may_be_force and not faint:
+        either = _color_or_force(record, learned) if record.noise is None and record.shared is None else []
+        doubts += either
+        if signal.floor is not None and signal.floor.may_be_force and not either:
             doubts.append(signal.floor.doubt(record.dynamics.component, unit=si_unit(record.dynamics.component)))
         if signal.ended is not None:
             doubts.append(_search_ended(signal.ended))
@@ -333,7 +333,7 @@ def _search_ended(search: StepSearch) -> Doubt:
     return Doubt(kind, name, search.said, unit=si_unit(name))
 
 
-def _faint(record: ComponentRecord, learned: SpectralPrior) -> list[Doubt]:
+def _color_or_force(record: ComponentRecord, learned: SpectralPrior) -> list[Doubt]:
     """A force which is fainter than the noise, and may be noise with a color."""
     frequency = np.linspace(0, 0.5 / record.interval, FREQUENCIES)[1:]
     felt = np.abs(record.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
