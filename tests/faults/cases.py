@@ -60,6 +60,9 @@ class Case:
         How it is worked out.
     shown
         Whether the record can show the fault; what it cannot show is an assumption.
+    own
+        The balance's own dynamics, where the fault is that the force is worked out with others: the readings decide
+        then whether they can show it.
     """
 
     name: str
@@ -70,6 +73,7 @@ class Case:
     dynamics: Dynamics | Callable[[CoupledDynamics], CoupledDynamics] = field(default_factory=lambda: dynamics())  # noqa: PLW0108 - defined below
     settings: dict[str, Any] = field(default_factory=dict)
     shown: bool = True
+    own: Dynamics | None = None
 
     def record(self, seed: int) -> Record:
         """Return the record of a seed."""
@@ -253,7 +257,7 @@ def wrong_dynamics() -> Iterator[Case]:
     right = ("natural frequency", "damping ratio")
     for name, force in LOADS.items():
         for clock, seconds in ((Clock(), "2.5 s"), (LONG, "10 s")):
-            scene = partial(Case, group="dynamics", scene=Scene(force, clock), kinds=right)
+            scene = partial(Case, group="dynamics", scene=Scene(force, clock), kinds=right, own=dynamics())
             given = {
                 "mass 1 %": changed(mass=1.01),
                 "stiffness 0.5 %": changed(stiffness=1.005),
@@ -267,11 +271,23 @@ def wrong_dynamics() -> Iterator[Case]:
                 yield scene(f"{what}, {name}, {seconds}", dynamics=model)
         for f in (20.0, 30.0, 50.0, 80.0, 150.0, 400.0):
             yield Case(
-                f"f0 {f:g} Hz, {name}", "dynamics", Scene(force), right, dynamics=dynamics(frequency=f, ratio=0.008)
+                f"f0 {f:g} Hz, {name}",
+                "dynamics",
+                Scene(force),
+                right,
+                dynamics=dynamics(frequency=f, ratio=0.008),
+                own=dynamics(),
             )
     short = Clock(samples=960)
     for f in (30.0, 57.0, 100.0):
-        yield Case(f"f0 {f:g} Hz, step, 0.6 s", "dynamics", Scene(STEP, short), right, dynamics=dynamics(frequency=f))
+        yield Case(
+            f"f0 {f:g} Hz, step, 0.6 s",
+            "dynamics",
+            Scene(STEP, short),
+            right,
+            dynamics=dynamics(frequency=f),
+            own=dynamics(),
+        )
 
 
 def missing_modes() -> Iterator[Case]:
@@ -286,6 +302,7 @@ def missing_modes() -> Iterator[Case]:
                     "missing mode",
                     Scene(force, clock, balance=modes),
                     kinds,
+                    own=dynamics(modes=(Mode(factor * FREQUENCY, 0.008, share),)),
                 )
 
 
@@ -666,6 +683,7 @@ def clocks() -> Iterator[Case]:
                 Scene(force),
                 ("natural frequency", "record too short", "clock"),
                 change=other,
+                own=dynamics(frequency=factor * FREQUENCY),
             )
 
 

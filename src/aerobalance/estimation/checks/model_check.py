@@ -26,7 +26,7 @@ from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord, SingleRecord
-from aerobalance.estimation.result import ComponentForce, with_doubt
+from aerobalance.estimation.result import ComponentForce, with_doubt, with_errors
 from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
 from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.recording.channel import Array
@@ -37,6 +37,10 @@ from aerobalance.recording.wording import frequency_text, share_text
 
 DYNAMICS: Final = ("natural frequency", "damping ratio", "missing mode")
 """Kinds of doubt about the dynamics."""
+
+
+LEFT_OPEN: Final = "dynamics that the record leaves open"
+"""Name of what other dynamics may do to a force that the record neither shows nor rules out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +105,8 @@ class Misfit:
         NaN where that was not worked out; None where the record does not tell or nothing has changed.
     silent
         True where the balance does not ring at its natural frequency at all.
+    possible
+        Dynamics that the record leaves open, and how probable they are; None where it leaves none.
     """
 
     component: str
@@ -111,6 +117,12 @@ class Misfit:
     frequency: tuple[float, float] | None = None
     damping: tuple[float, float] | None = None
     silent: bool = False
+    possible: Spoken | None = None
+
+    @property
+    def changed(self) -> bool:
+        """Whether the first mode is clearly another."""
+        return self.silent or self.frequency is not None or self.damping is not None
 
     def doubts(self, dynamics: Dynamics) -> list[ModelDoubt]:
         """What it says against the dynamics, one doubt for each finding."""
@@ -219,8 +231,10 @@ def checked(force: Force) -> Force:
             misfit = misfit_of(one, **known_of_one(name))
             if "colored noise" in kinds:
                 misfit = replace(misfit, silent=False)  # noise does not ring
-            found = misfit.doubts(own)
-            parts[name] = _raised(parts[name], found, own, interval=single[name].interval)
+            found, interval = misfit.doubts(own), single[name].interval
+            parts[name] = _raised(parts[name], found, own, interval=interval)
+            if misfit.possible is not None:
+                parts[name] = _left_open(parts[name], misfit.possible, own, interval=interval)
     return replace(force, parts={name: _without_vague(part) for name, part in parts.items()})
 
 
@@ -236,6 +250,14 @@ def _raised(force: ComponentForce, found: list[ModelDoubt], own: ModalModel, *, 
         noise = as_noise(error, name=f"{DOUBTED}{doubt.kind}", period=period, interval=interval)
         force = with_doubt(force, doubt, noise)
     return force
+
+
+def _left_open(force: ComponentForce, possible: Spoken, own: ModalModel, *, interval: float) -> ComponentForce:
+    """A force whose uncertainty counts other dynamics by their probability."""
+    error = error_under(force.values, own=own, other=possible.dynamics, interval=interval)
+    weighted = np.sqrt(possible.probability) * error
+    noise = as_noise(weighted, name=LEFT_OPEN, period=1 / own.natural_frequency, interval=interval)
+    return with_errors(force, noise)
 
 
 def _named_only(force: ComponentForce) -> ComponentForce:
@@ -289,8 +311,9 @@ def misfit_of(
         interval=reading.interval,
         least_noise=max(reading.least_noise, 1e-3 * noise),
         learned=learned,
+        stepped=bool(within),
     )
-    if spoken is not None:
+    if spoken is not None and spoken.probability == 1:
         return _spoken(spoken, dynamics)
     left = _without_tones(_without_steps(reading, within))
     found = _possible(
@@ -312,7 +335,8 @@ def misfit_of(
         ]
         if any(both):
             found = replace(found, frequency=both[0], damping=both[1])
-    return found
+    possible = None if spoken is None or found.changed else spoken
+    return replace(found, possible=possible)
 
 
 def _spoken(spoken: Spoken, dynamics: Dynamics) -> Misfit:
