@@ -1,26 +1,45 @@
 """Files: `read` one into a recording, write recordings, forces, and the JSON artefacts.
 
 A format is one module with ``NAME``, ``SUFFIXES`` (endings it writes), ``can_read(head, path)``, ``headings(path)``,
-``read_columns(path, layout, wanted=...)`` and ``write_columns(path, columns)``; listing it in `FORMATS` is all it
-takes. Units, the clock, the channel map and the warnings are common to all.
+``read_columns(path, layout, wanted=...)`` and ``appending(path, labels)``; listing it in `FORMATS` is all it takes.
+Most binary formats are smaller still: a module with ``NAME``, ``can_read`` and ``opened``, as
+`aerobalance.io.series` describes it. Units, the clock, the channel map and the warnings are common to all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Final, Protocol
 
 import numpy as np
 
-from aerobalance.io import balfit_file, csv_file, hdf5_file, lvm_file, tdms_file, vol_file
+from aerobalance.io import (
+    arrow_file,
+    balfit_file,
+    csv_file,
+    hdf5_file,
+    hdf5_foreign,
+    lvm_file,
+    mat_file,
+    mdf_file,
+    netcdf3_file,
+    netcdf4_write,
+    tdms_file,
+    uff_file,
+    vol_file,
+    wav_file,
+    zarr_file,
+)
 from aerobalance.io.channel_map import ChannelMap, load_channel_map, mapped_recording
 from aerobalance.io.clocks import of_one_length, on_one_clock
-from aerobalance.io.columns import Heading, RawColumns
+from aerobalance.io.columns import Append, Heading, RawColumns
 from aerobalance.io.csv_file import read_table
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.map_template import map_text
 from aerobalance.io.opening import opened_file
+from aerobalance.io.series import SeriesFormat
 from aerobalance.io.table import Column, Table, recording_from, table_from
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.text_table import describe_text, guess_encoding
@@ -49,6 +68,21 @@ __all__ = [
 ]
 
 
+class Writes(Protocol):
+    """Writes columns that come some rows at a time; the file takes its place when all are written."""
+
+    def __call__(
+        self,
+        path: Path,
+        labels: Sequence[str],
+        described: Mapping[str, StoredChannel] | None = None,
+        *,
+        epoch: np.datetime64 | None = None,
+        rows: int = 0,
+    ) -> AbstractContextManager[Append]:
+        """Begin a file of the columns of these headers, nearly so many rows, with what is known beside them."""
+
+
 class Format(Protocol):
     """What a module that reads and writes one file format offers."""
 
@@ -71,35 +105,48 @@ class Format(Protocol):
     ) -> RawColumns:
         """Read the columns as they are."""
 
-    def write_columns(
-        self, path: Path, columns: Mapping[str, Array], described: Mapping[str, StoredChannel] | None = None
-    ) -> None:
-        """Write columns under their headers, with what is known of them where the format has a place for it."""
+    @property
+    def KEEPS_SENSORS(self) -> bool:  # noqa: N802 - a constant of the module
+        """Whether it has a place for how a channel was measured."""
+
+    @property
+    def KEEPS_EPOCH(self) -> bool:  # noqa: N802 - a constant of the module
+        """Whether it has a place for the date and time of time zero."""
+
+    @property
+    def appending(self) -> Writes | None:
+        """Writes columns under their headers, some rows at a time; None for a format that is read only."""
 
 
 ALL: Final = slice(None)
 """All rows."""
 
-FORMATS: Final[tuple[Format, ...]] = (tdms_file, hdf5_file, lvm_file, csv_file)
+FORMATS: Final[tuple[Format, ...]] = (
+    tdms_file,
+    SeriesFormat(hdf5_foreign),
+    hdf5_file,
+    SeriesFormat(mat_file, {".mat": ""}, mat_file.appending, KEEPS_SENSORS=True),
+    SeriesFormat(netcdf3_file, {".nc": ""}, netcdf4_write.appending, KEEPS_SENSORS=True),
+    SeriesFormat(arrow_file, {".parquet": ""}, arrow_file.appending, KEEPS_SENSORS=True),
+    SeriesFormat(zarr_file),
+    SeriesFormat(mdf_file),
+    SeriesFormat(uff_file, {".uff": "", ".unv": ""}, uff_file.appending),
+    SeriesFormat(wav_file),
+    lvm_file,
+    csv_file,
+)
 """The formats, in the order in which they are asked; text comes last, as it takes what the others leave."""
 
 _SIGNATURES: Final = (
     (b"TDSh", "the index that LabVIEW keeps beside a TDMS file (give the .tdms file itself)"),
-    (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
-    (b"MATLAB 5.0", "a MATLAB file"),
     (
         b"PK\x03\x04",
         "a zip archive (perhaps a spreadsheet: save it as CSV; aerobalance calibrate reads load schedules of .xlsx)",
     ),
-    (b"PAR1", "a Parquet file"),
-    (b"ARROW1", "an Arrow file"),
-    (b"MDF ", "an MDF file"),
     (b"%PDF", "a PDF document"),
     (b"\x1f\x8b", "a gzip archive"),
     (b"\x89PNG", "a picture"),
     (b"\xff\xd8\xff", "a picture"),
-    (b"    -1\n", "a universal file (UFF)"),
-    (b"    -1\r\n", "a universal file (UFF)"),
     (b"{", "a JSON file"),
 )
 
@@ -216,8 +263,10 @@ def template(path: Path | str, *, header_line: int | None = None) -> str:
 
 def _format(path: Path) -> Format:
     """Find the format of a file by its content."""
-    with opened_file(path) as file:
-        head = file.read(65536)
+    head = b""
+    if not _is_store(path):
+        with opened_file(path) as file:
+            head = file.read(65536)
     known = ", ".join(form.NAME for form in FORMATS)
     seems = next((text for sign, text in _SIGNATURES if head.startswith(sign)), "")
     if not seems and _is_schedule(head):
@@ -225,10 +274,15 @@ def _format(path: Path) -> Format:
             path, "", "is a load schedule and no recording; aerobalance calibrate makes a balance matrix of it"
         )
     for form in FORMATS:
-        if form.can_read(head, path) and not (form is csv_file and seems):
+        if (not seems or form is not csv_file) and form.can_read(head, path):
             return form
     seems = seems or "a binary file of an unknown kind"
     raise ReadError(path, "", f"seems to be {seems}; formats that can be read: {known}")
+
+
+def _is_store(path: Path) -> bool:
+    """Whether a folder is a file of a format whose files are folders."""
+    return path.is_dir() and zarr_file.can_read(b"", path)
 
 
 def _is_schedule(head: bytes) -> bool:
@@ -272,6 +326,20 @@ def writer_of(path: Path) -> Format:
     raise ValueError(f"cannot write {path}: the ending {path.suffix!r} stands for no known format; allowed: {allowed}")
 
 
+def writing_of(path: Path) -> Writes:
+    """Return what writes a file of this name.
+
+    Raises
+    ------
+    ValueError
+        Nothing does.
+    """
+    found = writer_of(path).appending
+    if found is None:
+        raise ValueError(f"cannot write {path}: {writer_of(path).NAME} is read only")
+    return found
+
+
 def as_it_went_in(values: Array, change: Conversion) -> Array:
     """Give numbers in the unit of their file: 0.625 for 0.6250000000000001, where inside both mean the same."""
     outside = change.outside(values)
@@ -313,7 +381,8 @@ def write_recording(path: Path | str, recording: Recording) -> None:
         column = channel_column(channel, recording)
         columns.update(column)
         described[next(iter(column))] = _described(channel)
-    writer_of(file).write_columns(file, columns, described)
+    with writing_of(file)(file, list(columns), described, epoch=recording.epoch, rows=recording.rows.size) as append:
+        append(columns)
 
 
 def _described(channel: Channel) -> StoredChannel:

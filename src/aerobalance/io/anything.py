@@ -43,7 +43,7 @@ def read(
         The file cannot be used; the message says where and what is allowed.
     """
     file = Path(path)
-    if not file.is_file():
+    if not file.exists():
         raise ReadError(file, "", "there is no such file")
     kind = kind_of(file)
     if channel_map is None:

@@ -343,7 +343,7 @@ def _array(rows: Any, default: Array | None = None) -> Array:
 
 def is_matrix(path: Path) -> bool:
     """Return whether a file holds a balance matrix, in balance.json or in the text layout of BALFIT."""
-    head = _head(path)
+    head = "" if path.is_dir() else _head(path)  # some recordings are folders
     return is_balfit_matrix(head) or (head.lstrip("\ufeff \r\n").startswith("{") and '"balance"' in head)
 
 

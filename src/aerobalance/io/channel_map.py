@@ -284,22 +284,14 @@ def mapped_recording(raw: RawColumns, chosen: ChannelMap) -> Recording:
     stamps, time_unit = _stamps(raw, chosen)
     channels = {name: _channel(raw, chosen, name) for name in chosen.channels}
     rate, ticks = (raw.rate, raw.ticks) if own else (None, None)
-    recording = on_clock(raw.path, stamps, channels, time_unit=time_unit, rate=rate, ticks=ticks)
+    recording = on_clock(raw.path, stamps, channels, time_unit=time_unit, rate=rate, ticks=ticks, epoch=raw.epoch)
     derived = {name: channel.derivative for name, channel in chosen.channels.items() if channel.derivative}
     if not derived:
         return recording
     replaced = dict(recording.channels)
     for name, order in derived.items():
         replaced[name] = _differentiated(replaced[name], order, recording.rate)
-    return Recording(
-        name=recording.name,
-        stamps=recording.stamps,
-        rows=recording.rows,
-        start=recording.start,
-        rate=recording.rate,
-        channels=replaced,
-        time_unit=recording.time_unit,
-    )
+    return replace(recording, channels=replaced)
 
 
 def _on_own_clocks(raw: RawColumns, chosen: ChannelMap) -> RawColumns:
@@ -358,7 +350,8 @@ def _channel(raw: RawColumns, chosen: ChannelMap, name: str) -> Channel:
         change = _conversion(name, given, unit)
     except ValueError as error:
         raise ReadError(raw.path, f"header, {column.place}", f"{error} for {name}") from None
-    values = change.inside(given.sign * (given.scale * column.values + given.offset))
+    plain = (given.sign, given.scale, given.offset) == (1, 1.0, 0.0)
+    values = change.inside(column.values if plain else given.sign * (given.scale * column.values + given.offset))
     gain = _gain(raw.path, name, given)
     inside = "mV/V" if given.excitation is not None else change.unit
     lag = column.sensor.delay if raw.rate is not None else 0.0

@@ -71,7 +71,7 @@ def on_one_clock(raw: RawColumns) -> RawColumns:
         else:
             placed.append(replace(column, values=_interpolated(column.values, clock, time), clock=None))
     rate = float(f"{1 / interval:.15g}")  # 25000 and not 24999.999999999996 where the interval is 40 us
-    return RawColumns(raw.path, tuple(placed), range(1, rows + 1), rate=rate, start=float(time[0]))
+    return RawColumns(raw.path, tuple(placed), range(1, rows + 1), rate=rate, start=float(time[0]), epoch=raw.epoch)
 
 
 def _clock(raw: RawColumns, column: RawColumn) -> Clock:

@@ -135,6 +135,8 @@ class RawColumns:
         None where no sample is missing.
     time
         Number of the column that was recognised as the time of every row; None where none was, or where `rate` holds.
+    epoch
+        Date and time at which the time is zero; None where the file does not say it.
     """
 
     path: Path
@@ -144,6 +146,7 @@ class RawColumns:
     start: float = 0.0
     ticks: NDArray[np.intp] | None = None
     time: int | None = None
+    epoch: np.datetime64 | None = None
 
     @property
     def rows(self) -> int:

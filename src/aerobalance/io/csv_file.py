@@ -28,6 +28,9 @@ SUFFIXES: Final = {".csv": ",", ".txt": "\t", ".tsv": "\t"}
 """File name endings that are written in this format, and the separator of each."""
 
 
+KEEPS_SENSORS: Final = False
+KEEPS_EPOCH: Final = False
+
 _HELD: Final = {
     "text": "holds text",
     "stamp": "holds dates and times",
@@ -199,39 +202,29 @@ def rounded(values: Array, digits: int) -> Array:
     return np.where(np.isfinite(kept), kept, values) if digits < 300 else values
 
 
-def write_columns(path: Path, columns: Mapping[str, Array], described: object = None) -> None:
-    """Write columns under their headers; missing samples become empty cells, numbers read back exactly.
+@contextmanager
+def appending(
+    path: Path, labels: Sequence[str], described: object = None, *, epoch: object = None, rows: int = 0
+) -> Iterator[Append]:
+    """Write columns that come some rows at a time; the file takes its place when all are written.
+
+    Missing samples become empty cells, numbers read back exactly.
 
     Parameters
     ----------
     path
         The file; its ending chooses the separator.
-    columns
-        Values, shape (n,) each, by header.
-    described
-        What is known of the columns, for which a text file has no place.
-    """
-    with appending(path, list(columns), described) as append:
-        append(columns)
-
-
-@contextmanager
-def appending(path: Path, labels: Sequence[str], described: object = None) -> Iterator[Append]:
-    """Write columns that come some rows at a time; the file takes its place when all are written.
-
-    Parameters
-    ----------
-    path, described
-        As in `write_columns`.
     labels
         The headers.
+    described, epoch, rows
+        What is known beside the columns, for which a text file has no place.
 
     Yields
     ------
     Append
         Takes the next rows of all columns, by header.
     """
-    del described
+    del described, epoch, rows
     import pandas as pd  # noqa: PLC0415 - half a second, and only files need it
 
     separator = SUFFIXES[path.suffix.lower()]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from aerobalance.io.hdf5_closing import marked_as_written
 from aerobalance.io.hdf5_layout import BLOCK, CHANNELS, EVENT, FORMAT, GAP, STATUS, StoredChannel
+from aerobalance.io.said_by_file import date_of
 from aerobalance.recording.analog_filter import AntiAlias, Kind
 from aerobalance.recording.channel import Channel, Coupling, CrossAxis, unit_inside
 from aerobalance.recording.errors import ReadError
@@ -55,6 +56,8 @@ class Contents:
         Unit of the time column; an empty string where there is none.
     marked
         Whether the file has the mark of one that is being written.
+    epoch
+        Date and time at which the time is zero; None where the file does not say it.
     """
 
     channels: tuple[StoredChannel, ...]
@@ -68,6 +71,7 @@ class Contents:
     origin: int
     time_unit: str
     marked: bool
+    epoch: np.datetime64 | None = None
 
     @property
     def timed(self) -> bool:
@@ -105,7 +109,9 @@ def opened(path: Path) -> Iterator[h5py.File]:
         raise ReadError(path, "", "there is no such file") from None
     except Exception as error:  # noqa: BLE001 - the library fails in a dozen ways on damaged files
         text = " ".join(str(error).split()) or type(error).__name__
-        raise ReadError(path, "", f"is a damaged HDF5 file, or of a kind that cannot be read: {text[:200]}") from None
+        raise ReadError(
+            path, "its structure", f"is a damaged HDF5 file, or of a kind that cannot be read: {text[:200]}"
+        ) from None
 
 
 def _being_written(path: Path) -> bool:
@@ -158,6 +164,7 @@ def contents_of(path: Path, file: h5py.File) -> Contents:
         origin=int(status["origin"]),
         time_unit=unit,
         marked=_being_written(path),
+        epoch=date_of(_attribute(path, file["status"], "epoch")) if "epoch" in file["status"].attrs else None,
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns
 from aerobalance.io.hdf5_contents import Contents, contents, contents_of, opened
 from aerobalance.io.hdf5_layout import StoredChannel, checksum
-from aerobalance.io.hdf5_rows import ROWS, appending
+from aerobalance.io.hdf5_rows import appending
 from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.io.text_layout import Layout
 from aerobalance.recording.channel import Array, SensorSpec
@@ -27,6 +27,9 @@ NAME: Final = "HDF5 recording"
 
 SUFFIXES: Final[Mapping[str, str]] = {".h5": "", ".hdf5": ""}
 """File name endings that are written in this format."""
+
+KEEPS_SENSORS: Final = True
+KEEPS_EPOCH: Final = True
 
 LARGEST_GAP: Final = 20
 """Samples of the clock per sample of the file beyond which the recording has to be cut at its gaps."""
@@ -118,7 +121,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
     columns = [raw_column(found.channels[i], readings[:, k], i + found.timed) for k, i in enumerate(labels)]
     if found.timed:
         time = RawColumn(f"time [{found.time_unit}]", "time", found.time_unit, stamps, 1)
-        return RawColumns(path, (time, *columns), range(1, ticks.size + 1))
+        return RawColumns(path, (time, *columns), range(1, ticks.size + 1), epoch=found.epoch)
     start = (int(ticks[0]) - found.origin) / found.rate
     ticks = ticks - ticks[0]
     if int(ticks[-1]) + 1 == ticks.size:
@@ -131,33 +134,11 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
     if wanted is not None:
         clock = Clock(start, 1 / found.rate)
         columns = [replace(column, clock=clock) for column in columns]
-        return RawColumns(path, tuple(columns), range(1, columns[0].values.size + 1))
+        return RawColumns(path, tuple(columns), range(1, columns[0].values.size + 1), epoch=found.epoch)
     lines = range(1, ticks.size + 1)
-    return RawColumns(path, tuple(columns), lines, rate=found.rate, start=start, ticks=ticks_missing)
-
-
-def write_columns(
-    path: Path, columns: Mapping[str, Array], described: Mapping[str, StoredChannel] | None = None
-) -> None:
-    """Write columns under their headers, with their time column; missing samples are NaN, numbers read back exactly.
-
-    Parameters
-    ----------
-    path
-        The file.
-    columns
-        Values, shape (n,) each, by header ``name [unit]``; one of them is ``time [s]`` or in another unit of time.
-    described
-        What is known of the columns, by header.
-
-    Raises
-    ------
-    ValueError
-        A name or unit is too long, or the file cannot be written.
-    """
-    rows = max(1, min(next(iter(columns.values())).size, ROWS)) if columns else 1
-    with appending(path, list(columns), described, rows=rows) as append:
-        append(columns)
+    return RawColumns(
+        path, tuple(columns), lines, rate=found.rate, start=start, ticks=ticks_missing, epoch=found.epoch
+    )
 
 
 def remarks_on(found: Contents) -> list[str]:
@@ -286,3 +267,20 @@ def _contact_remark(events: NDArray[np.void], *, rate: float, origin: int) -> st
     listed = ", ".join(f"{begin} s to {end}" for begin, end in spans[:_CONTACTS])
     more = f" and {len(spans) - _CONTACTS} more" if len(spans) > _CONTACTS else ""
     return f"model and support touched ({listed}{more}): the loads read then carry the force of the contact"
+
+
+__all__ = [
+    "KEEPS_EPOCH",
+    "KEEPS_SENSORS",
+    "LARGEST_GAP",
+    "NAME",
+    "SUFFIXES",
+    "appending",
+    "can_read",
+    "headings",
+    "raw_column",
+    "read_block",
+    "read_blocks",
+    "read_columns",
+    "remarks_on",
+]

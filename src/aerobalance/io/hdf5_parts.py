@@ -114,6 +114,7 @@ class Hdf5Record:
             channels={name: _placed(channel, rows, end - begin) for name, channel in channels.items()},
             time_unit=self.found.time_unit or "s",
             extent=Extent(begin / last, (end - 1) / last, self._whole_means()),
+            epoch=self.found.epoch,
         )
 
     def _read(self, begin: int, end: int) -> tuple[NDArray[np.intp], Array, Array]:

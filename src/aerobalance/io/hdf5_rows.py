@@ -39,18 +39,29 @@ ROWS: Final = 8192
 
 @contextlib.contextmanager
 def appending(
-    path: Path, labels: Sequence[str], described: Mapping[str, StoredChannel] | None = None, *, rows: int = ROWS
+    path: Path,
+    labels: Sequence[str],
+    described: Mapping[str, StoredChannel] | None = None,
+    *,
+    epoch: np.datetime64 | None = None,
+    rows: int = ROWS,
 ) -> Iterator[Append]:
     """Write columns that come some rows at a time; the file takes its place when all are written.
 
+    Missing samples are NaN, numbers read back exactly.
+
     Parameters
     ----------
-    path, described
-        As in `write_columns`.
+    path
+        The file.
     labels
-        The headers.
+        The headers ``name [unit]``; one of them is ``time [s]`` or in another unit of time.
+    described
+        What is known of the columns, by header.
+    epoch
+        Date and time at which the time is zero; None where it is not known.
     rows
-        Rows of a block of the file.
+        Rows that there will be, nearly; a block of the file has as many, and `ROWS` at most.
 
     Yields
     ------
@@ -60,17 +71,20 @@ def appending(
     Raises
     ------
     ValueError
-        As in `write_columns`.
+        A name or unit is too long, or the file cannot be written.
     """
     import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
 
     channels, unit = _stored(path, labels, described)
+    rows = max(1, min(rows, ROWS))
     try:
         with replacing(path) as beside:
             try:
                 with GuardedFile(beside) as disk, h5py.File(disk, "w", libver=LIBVER) as file:
                     provenance = Provenance(f"converted; time column time [{unit}]")
                     lay_out(file, channels, rate=float("nan"), rows=rows, provenance=provenance, time_unit=unit)
+                    if epoch is not None:
+                        file["status"].attrs["epoch"] = str(epoch)
                     writer = _Rows(file, disk, channels, rows)
                     yield writer.append
                     writer.finish()

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from aerobalance.io import hdf5_file, hdf5_rows
+from aerobalance.io import arrow_file, hdf5_file, hdf5_foreign, hdf5_rows, mat_file, uff_file
 from aerobalance.io.hdf5_contents import contents
+from aerobalance.io.series import Reader
 from aerobalance.recording.errors import ReadError
 
 PAGE: Final = "page"
@@ -45,6 +46,13 @@ def kind_of(path: Path) -> str:
         return EMPTY
     if hdf5_file.can_read(head, path):
         return _of_hdf5(path)
+    for reader in (arrow_file, mat_file, uff_file):
+        if reader.can_read(head, path):
+            return _of_series(path, reader)
+    return _of_text(head)
+
+
+def _of_text(head: bytes) -> str:
     text = head.decode("utf-8", errors="replace")  # which is what the program writes
     artefact = _KIND.match(text)
     if artefact is not None:
@@ -62,6 +70,17 @@ def _of_hdf5(path: Path) -> str:
         if found.reason == hdf5_rows.CONVERTED:
             names = ["time", *(channel.name for channel in found.channels)]
             return TABLE if _has_uncertainties(names) else CONVERTED
+        return ""
+    return _of_series(path, hdf5_foreign)  # NetCDF
+
+
+def _of_series(path: Path, reader: Reader) -> str:
+    """Kind of a file whose columns stand in any order."""
+    with contextlib.suppress(ReadError), reader.opened(path) as found:
+        names = {series.name for series in found.series}
+        clocked = "time" in names or all(series.clock is not None for series in found.series)
+        if clocked and any(f"u_{name}" in names for name in names):
+            return TABLE
     return ""
 
 

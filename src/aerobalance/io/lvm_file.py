@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,10 @@ NAME: Final = "LabVIEW measurement file (LVM)"
 
 SUFFIXES: Final[Mapping[str, str]] = {}
 """File name endings that are written in this format: none."""
+
+appending: Final = None
+KEEPS_SENSORS: Final = False
+KEEPS_EPOCH: Final = False
 
 _MAGIC: Final = "LabVIEW Measurement"
 _END: Final = re.compile(rb"^\*\*\*End_of_Header\*\*\*[^\n]*\n?", re.MULTILINE)
@@ -164,18 +168,6 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
     return _on_clock(contents, chosen, cells, lines)
 
 
-def write_columns(path: Path, columns: Mapping[str, Array], described: object = None) -> NoReturn:
-    """Refuse to write: LVM is read only.
-
-    Raises
-    ------
-    ValueError
-        Always.
-    """
-    del columns, described
-    raise ValueError(f"cannot write {path}: LVM files are read, not written")
-
-
 def _contents(path: Path) -> _LvmContents:
     text, _ = decoded(path, None)
     text = _SPECIAL.sub(lambda match: b"\n" * match[0].count(b"\n"), text)
@@ -300,7 +292,9 @@ def _on_clock(
     if used and max(used) - min(used) <= 1e-9 * min(used):
         rate = float(f"{1 / used[0]:.15g}")
         start = contents.number(first, "X0", 0) or 0.0
-        return RawColumns(path, tuple(columns), lines, rate=rate, start=start, ticks=_ticks(contents, lines, rate))
+        ticks, began = _ticks(contents, lines, rate), _stamp(contents, first, 0)
+        date = np.datetime64(round(began * 1e6), "us").astype("datetime64[ns]") if np.isfinite(began) else None
+        return RawColumns(path, tuple(columns), lines, rate=rate, start=start, ticks=ticks, epoch=date)
     if not used:
         return RawColumns(path, tuple(columns), lines)
     if len(contents.segments) > 1:

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from aerobalance.balance.loads import Loads
-from aerobalance.io import channel_column, check_output, csv_file, hdf5_file, time_column, writer_of
+from aerobalance.io import channel_column, check_output, csv_file, time_column, writer_of, writing_of
 from aerobalance.io.columns import Append
-from aerobalance.io.hdf5_rows import ROWS, appending
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import is_gauge, si_unit
 from aerobalance.recording.recording import Recording
@@ -19,7 +18,7 @@ from aerobalance.recording.units import conversion
 
 
 @contextmanager
-def writing(path: Path | str, *, samples: int) -> Iterator[Append]:
+def writing(path: Path | str, *, samples: int, epoch: np.datetime64 | None = None) -> Iterator[Append]:
     """Write the columns of a file, which takes its place when all rows are written.
 
     Parameters
@@ -28,6 +27,8 @@ def writing(path: Path | str, *, samples: int) -> Iterator[Append]:
         The file; its ending chooses the format.
     samples
         Rows that it will have, nearly.
+    epoch
+        Date and time at which the time is zero; None where it is not known.
 
     Yields
     ------
@@ -45,10 +46,8 @@ def writing(path: Path | str, *, samples: int) -> Iterator[Append]:
 
         def append(columns: Mapping[str, Array]) -> None:
             if not begun:
-                if writer_of(file) is hdf5_file:
-                    begun.append(stack.enter_context(appending(file, list(columns), rows=max(1, min(samples, ROWS)))))
-                else:
-                    begun.append(stack.enter_context(csv_file.appending(file, list(columns))))
+                begin = writing_of(file)(file, list(columns), epoch=epoch, rows=samples)
+                begun.append(stack.enter_context(begin))
             begun[0](columns)
 
         yield append

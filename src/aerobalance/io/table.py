@@ -57,11 +57,14 @@ class Table:
         The columns by name, of n cells each.
     lines
         Line of the file that each row stands in.
+    epoch
+        Date and time at which the time is zero; None where the file does not say it.
     """
 
     path: Path
     columns: Mapping[str, Column]
     lines: Sequence[int] | NDArray[np.intp]
+    epoch: np.datetime64 | None = None
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -121,7 +124,7 @@ def table_from(raw: RawColumns, *, required: Sequence[str] = (), missing_allowed
             raise ReadError(raw.path, f"header, {column.place}", str(error)) from None
         sensor = SensorSpec(**column.sensor.known(factor=change.factor))
         columns[name] = Column(name, change.inside(column.values), change.unit, column.unit, column.place, sensor)
-    table = Table(raw.path, columns, raw.lines)
+    table = Table(raw.path, columns, raw.lines, raw.epoch)
     for name in required:
         table.column(name)
     if not missing_allowed:
@@ -171,7 +174,9 @@ def recording_from(table: Table, *, rate: float | None = None, ticks: NDArray[np
     time = table.column("time") if "time" in table else _no_time(table)
     channels = channels_of(table)
     check_time(table.path, time, table.lines)
-    return on_clock(table.path, time.values, channels, time_unit=time.file_unit, rate=rate, ticks=ticks)
+    return on_clock(
+        table.path, time.values, channels, time_unit=time.file_unit, rate=rate, ticks=ticks, epoch=table.epoch
+    )
 
 
 def channels_of(table: Table) -> dict[str, Channel]:
@@ -236,6 +241,7 @@ def on_clock(
     time_unit: str = "s",
     rate: float | None = None,
     ticks: NDArray[np.intp] | None = None,
+    epoch: np.datetime64 | None = None,
 ) -> Recording:
     """Make the recording; warn of samples that are missing or rest on a limit.
 
@@ -262,7 +268,7 @@ def on_clock(
         raise ReadError(path, "time column", text) from None
     for channel in recording:
         warn_of_limit(path, channel)
-    return recording
+    return recording if epoch is None else replace(recording, epoch=epoch)
 
 
 RESTS_ON_LIMIT: Final = "rests on its limit"

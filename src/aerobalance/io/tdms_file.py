@@ -30,7 +30,12 @@ NAME: Final = "LabVIEW TDMS"
 SUFFIXES: Final[Mapping[str, str]] = {}
 """TDMS is read only."""
 
+appending: Final = None
+KEEPS_SENSORS: Final = False
+KEEPS_EPOCH: Final = False
+
 _LEAD_IN: Final = 28
+_LATEST: Final = 1 << 33
 _BIG_ENDIAN: Final = 64
 _SHORTEST: Final = 1e-12
 _LONGEST: Final = 1e6
@@ -43,18 +48,6 @@ def can_read(head: bytes, path: Path) -> bool:
     """Return whether a file is TDMS, from its first bytes; its name does not matter."""
     del path
     return head.startswith(b"TDSm")
-
-
-def write_columns(path: Path, columns: Mapping[str, Array], described: object = None) -> None:
-    """Refuse to write: TDMS is read only.
-
-    Raises
-    ------
-    ValueError
-        Always.
-    """
-    del described
-    raise ValueError(f"cannot write {path} ({len(columns)} columns): TDMS is read only; write .csv")
 
 
 def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[str | int] | None = None) -> RawColumns:
@@ -105,7 +98,19 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
         )
     for text in remarks:
         warn_quality(f"{path.name}: {text}")
-    return RawColumns(path, columns, range(1, max((column.values.size for column in columns), default=0) + 1))
+    rows = range(1, max((column.values.size for column in columns), default=0) + 1)
+    return RawColumns(path, columns, rows, epoch=date_after_1904(origin))
+
+
+def date_after_1904(stamp: Any) -> np.datetime64 | None:
+    """Date and time (UTC) of a stamp of LabVIEW, which counts from 1904; None where there is none."""
+    if stamp is None or not 0 < int(stamp.seconds) < _LATEST:
+        return None
+    nanoseconds = int(stamp.second_fractions) * 10**9 >> 64
+    found: np.datetime64 = (
+        np.datetime64("1904-01-01", "ns") + np.timedelta64(int(stamp.seconds), "s") + np.timedelta64(nanoseconds, "ns")
+    )
+    return found
 
 
 def headings(path: Path) -> tuple[Heading, ...]:

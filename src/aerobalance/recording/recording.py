@@ -52,6 +52,8 @@ class Recording:
         Which part of a longer record it is; the whole where it is no part.
     declared
         Channels of which an analog filter was stated, and has been undone.
+    epoch
+        Date and time at which the time is zero (UTC where its file says so); None where that is not known.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Recording:
     from_outputs: bool = False
     extent: Extent = field(default_factory=Extent)
     declared: frozenset[str] = frozenset()
+    epoch: np.datetime64 | None = None
     _means: dict[str, float] = field(init=False, default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:

@@ -10,7 +10,15 @@ import numpy as np
 from aerobalance.app.commands.answers import short
 from aerobalance.app.commands.loads import convert_matrix
 from aerobalance.app.commands.shared import Result, check_out, collected_warnings, raw_recording, table_text
-from aerobalance.io import as_it_went_in, check_output, column_names, hdf5_file, template, write_recording
+from aerobalance.io import (
+    as_it_went_in,
+    check_output,
+    column_names,
+    hdf5_file,
+    template,
+    write_recording,
+    writer_of,
+)
 from aerobalance.io.balance_file import is_matrix
 from aerobalance.io.kinds import CONVERTED
 from aerobalance.io.safe_write import replacing
@@ -33,6 +41,7 @@ def info(path: Path, *, channel_map: Path | None = None) -> Result:
         "rate": recording.rate,
         "samples": recording.samples,
         "start": recording.start if abs(recording.start) > NO_TIME * recording.duration else 0.0,
+        "epoch": None if recording.epoch is None else str(recording.epoch),
         "gaps": [{"start": start, "length": length} for start, length in recording.gaps],
         "channels": {channel.name: _channel_result(channel) for channel in recording},
         "warnings": collected,
@@ -81,7 +90,8 @@ def summary(result: Result) -> str:
         for name, found in result["channels"].items()
     ]
     length = f"{short(result['duration'])} s at {short(result['rate'])} Hz"
-    title = f"{result['file']}: {result['samples']} samples, {length}"
+    date = f", time zero is {result['epoch'].rstrip('0').rstrip('.')}" if result["epoch"] else ""
+    title = f"{result['file']}: {result['samples']} samples, {length}{date}"
     heads = ("channel", "unit", "mean", "least", "largest", "noise", "missing", "saturated")
     lines = [table_text(title, heads, rows)]
     if result["gaps"]:
@@ -99,12 +109,16 @@ def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Result
     check_out(out, path, channel_map, kind=CONVERTED if out.suffix.lower() in hdf5_file.SUFFIXES else "")
     with collected_warnings() as collected:
         recording = raw_recording(path, channel_map)
-        kept = out.suffix.lower() in hdf5_file.SUFFIXES
-        told = [] if kept else [channel.name for channel in recording if _described(channel)]
-        if told:
+        told = [channel.name for channel in recording if _described(channel)]
+        if told and not writer_of(out).KEEPS_SENSORS:
             warn_quality(
                 f"{out.name} has no place for how {', '.join(told)} was measured (noise, uncertainties, delay, "
                 "coupling, filter, cross-axis sensitivity): write .h5 to keep it"
+            )
+        if recording.epoch is not None and not writer_of(out).KEEPS_EPOCH:
+            warn_quality(
+                f"{out.name} has no place for the date and time at which its time is zero ({recording.epoch}): write "
+                ".h5 to keep it"
             )
     write_recording(out, recording)
     names = list(recording.channels)

@@ -1,0 +1,362 @@
+"""MATLAB files of version 5 to 7.2: variables by their name, fields of structures as ``run.AF``."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import struct
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
+
+import numpy as np
+
+from aerobalance.io.columns import Append, Clock, split_label
+from aerobalance.io.hdf5_layout import StoredChannel
+from aerobalance.io.safe_write import replacing
+from aerobalance.io.said_by_file import clock_of, epoch_of, number_of, plain_keys, text_of
+from aerobalance.io.sensor_text import sensor_of, sensor_text
+from aerobalance.io.series import MOST_SERIES, Holdings, Series, library_faults, named, with_axes
+from aerobalance.recording.channel import Array, SensorSpec
+from aerobalance.recording.errors import ReadError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+NAME: Final = "MATLAB (version 5)"
+"""What to call the format in messages."""
+
+_SIGNATURE: Final = b"MATLAB 5.0"
+_HEADER: Final = 128
+_MATRIX, _PACKED = 14, 15
+_STRUCT, _CELL, _OBJECT, _CHAR, _SPARSE, _FUNCTION, _OPAQUE = 2, 1, 3, 4, 5, 16, 17
+_ITEM: Final = {6: 8, 7: 4, 8: 1, 9: 1, 10: 2, 11: 2, 12: 4, 13: 4, 14: 8, 15: 8}
+_UNPACKED: Final = 1100
+_MOST_COLUMNS: Final = 1000
+_TABLES: Final = ("unit", "units", "names", "sensors", "epoch")
+_KEYWORDS: Final = (
+    "end",
+    "for",
+    "if",
+    "while",
+    "function",
+    "return",
+    "else",
+    "case",
+    "switch",
+    "try",
+    "catch",
+    "global",
+)
+_LONGEST_NAME: Final = 50
+_LARGEST: Final = 2**31 - 1024
+_DEEPEST: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class _Variable:
+    """What stands before the content of a variable.
+
+    Attributes
+    ----------
+    name
+        Its name.
+    kind
+        Its class, a number of MATLAB's.
+    shape
+        Its dimensions.
+    size
+        Bytes that it has in the file.
+    """
+
+    name: str
+    kind: int
+    shape: tuple[int, ...]
+    size: int
+
+
+def can_read(head: bytes, path: Path) -> bool:
+    """Return whether a file is of MATLAB 5 to 7.2, from its first bytes."""
+    del path
+    return head.startswith(_SIGNATURE)
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[Holdings]:
+    """Open a file to read its variables as series; each variable is unpacked when it is wanted.
+
+    Raises
+    ------
+    ReadError
+        The file is damaged, or claims more than it can hold.
+    """
+    with library_faults(path, NAME, "its variables"):
+        variables = _variables(path)
+        walk = _Walk(path)
+        small = {one.name: _load(path, one.name) for one in variables if _is_small(one)}
+        walk.level("", small, variables)
+        holdings = Holdings(with_axes(walk.series), walk.epoch)
+    yield holdings
+
+
+def _is_small(one: _Variable) -> bool:
+    """Whether a variable is read at once: a number, a text, or a structure, whose fields are not known otherwise."""
+    return one.kind in (_STRUCT, _CHAR) or (one.kind in _ITEM and int(np.prod(one.shape)) <= 1)
+
+
+def _variables(path: Path) -> list[_Variable]:
+    """Read what stands before every variable, and refuse what the file cannot hold."""
+    found: list[_Variable] = []
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        order = {b"IM": "<", b"MI": ">"}.get(file.read(_HEADER)[126:128])
+        if order is None:
+            raise ReadError(path, "byte 127", "must say the byte order, IM or MI: the MATLAB file is damaged")
+        while (place := file.tell()) + 8 <= size:
+            kind, count = struct.unpack(f"{order}II", file.read(8))
+            where = f"byte {place}"
+            if count > size - place - 8:
+                raise ReadError(path, where, f"claims {count} bytes where {size - place - 8} are left: it is cut off")
+            if kind not in (_MATRIX, _PACKED):
+                raise ReadError(
+                    path, where, f"is of type {kind}, where a variable (14 or 15) must begin: it is damaged"
+                )
+            head = _head(file, kind, count)
+            variable = _described(path, where, head, order, count)
+            held = int(np.prod(variable.shape, dtype=object)) * _ITEM.get(variable.kind, 1)
+            if held > _UNPACKED * max(count, 1) or len(found) >= MOST_SERIES:
+                raise ReadError(
+                    path, f"{where}, {variable.name!r}", f"claims {held} bytes, stored in {count}: it is damaged"
+                )
+            if kind == _PACKED:
+                _check_unpacked(path, f"{where}, {variable.name!r}", file, place + 8, count)
+            found.append(variable)
+            file.seek(place + 8 + count)
+    return found
+
+
+def _head(file: BinaryIO, kind: int, count: int) -> bytes:
+    """First bytes of a variable, after its tag."""
+    raw = file.read(min(count, 4096))
+    if kind == _PACKED:
+        return zlib.decompressobj().decompress(raw, 2048)[8:]
+    return raw
+
+
+def _described(path: Path, where: str, head: bytes, order: str, count: int) -> _Variable:
+    """Class, dimensions and name, as they stand before the content of a variable."""
+    flags = struct.unpack_from(f"{order}I", head, 8)[0]
+    kind, length = struct.unpack_from(f"{order}II", head, 16)
+    if kind != 5 or not 0 < length <= 128 or length % 4:
+        if flags & 0xFF in (_FUNCTION, _OPAQUE):
+            return _Variable("", flags & 0xFF, (0,), count)
+        raise ReadError(path, where, "has no dimensions where they belong: it is damaged")
+    shape = struct.unpack_from(f"{order}{length // 4}i", head, 24)
+    if min(shape) < 0:
+        raise ReadError(path, where, f"has impossible dimensions, {' x '.join(map(str, shape))}: it is damaged")
+    place = 24 + length + (-length % 8)
+    tag = struct.unpack_from(f"{order}I", head, place)[0]
+    if tag >> 16:  # a short name stands in the tag itself
+        text = head[place + 4 : place + 4 + (tag >> 16)]
+    else:
+        text = head[place + 8 : place + 8 + struct.unpack_from(f"{order}I", head, place + 4)[0]]
+    return _Variable(text[:200].decode("latin-1"), flags & 0xFF, shape, count)
+
+
+def _check_unpacked(path: Path, where: str, file: BinaryIO, place: int, count: int) -> None:
+    """Refuse a packed variable whose own length, at its beginning, is not what its bytes could be."""
+    file.seek(place)
+    begin = zlib.decompressobj().decompress(file.read(min(count, 4096)), 8)
+    if len(begin) < 8:
+        raise ReadError(path, where, "cannot be unpacked: it is damaged")
+    length = min(struct.unpack("<I", begin[4:])[0], struct.unpack(">I", begin[4:])[0])
+    if length > _UNPACKED * count:
+        raise ReadError(path, where, f"claims {length} bytes unpacked of {count}: it is damaged")
+
+
+def _load(path: Path, name: str) -> Any:
+    """Read one variable."""
+    from scipy.io import loadmat  # noqa: PLC0415 - a tenth of a second, and only these files need it
+
+    with path.open("rb") as file:
+        stream: Any = file
+        return loadmat(
+            stream,
+            variable_names=[name],
+            squeeze_me=False,
+            struct_as_record=True,
+            verify_compressed_data_integrity=False,
+        )[name]
+
+
+@dataclass(slots=True)
+class _Walk:
+    """What is found in the variables of a file."""
+
+    path: Path
+    series: list[Series] = field(default_factory=list)
+    epoch: np.datetime64 | None = None
+
+    def level(self, place: str, given: Mapping[str, Any], variables: list[_Variable]) -> None:
+        """Take what stands in one structure, or in the file itself: values that are read, variables that are not."""
+        said = {name: number for name, value in given.items() if (number := _number(value)) is not None}
+        texts = {name: _text(value) for name, value in given.items()}
+        plain = plain_keys(said | {name: text for name, text in texts.items() if text})
+        units, names = self._table(given, "units", "unit"), self._table(given, "names")
+        sensors = self._table(given, "sensors")
+        clock = clock_of(plain)
+        self.epoch = self.epoch if self.epoch is not None else epoch_of(plain)
+        for one in variables:
+            if not _is_small(one) and one.name:
+                load = cache(lambda name=one.name: _load(self.path, name))
+                text = names.get(one.name, one.name)
+                unit, known = units.get(one.name, ""), sensor_of(sensors.get(one.name))
+                self._array(one.name, text, one.shape, load, unit=unit, clock=clock, kind=one.kind, sensor=known)
+        for name, value in given.items():
+            label = f"{place}.{name}" if place else name
+            if isinstance(value, np.ndarray) and value.dtype.names and name.lower() not in _TABLES:
+                self._structures(label, value)
+            elif place and isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.size > 1:
+                unit = units.get(name, "")
+                self._array(label, name, value.shape, lambda value=value: value, unit=unit, clock=clock, kind=6)
+
+    def _structures(self, label: str, value: NDArray[np.void]) -> None:
+        """Take the fields of a structure, or of each of several."""
+        if label.count(".") >= _DEEPEST or value.size > _MOST_COLUMNS:
+            return
+        for i, one in enumerate(value.ravel()):
+            place = label if value.size == 1 else f"{label}({i + 1})"
+            self.level(place, {name: one[name] for name in value.dtype.names or ()}, [])
+
+    def _table(self, given: Mapping[str, Any], *keys: str) -> dict[str, str]:
+        """Texts by name of a variable, where a structure of this name holds them."""
+        table = next((value for name, value in given.items() if name.lower() in keys), None)
+        if not isinstance(table, np.ndarray) or not table.dtype.names or table.size != 1:
+            return {}
+        return {name: _text(table.ravel()[0][name]) for name in table.dtype.names}
+
+    def _array(
+        self,
+        label: str,
+        text: str,
+        shape: tuple[int, ...],
+        load: Any,
+        *,
+        unit: str,
+        clock: Clock | None,
+        kind: int,
+        sensor: SensorSpec | None = None,
+    ) -> None:
+        """Take an array: one series of a row or a column, or one for each column of a matrix."""
+        if kind not in _ITEM:
+            what = {_CELL: "a cell array", _SPARSE: "a sparse matrix"}.get(kind, "no array of numbers")
+            self.series.append(Series(label, text, "", 0, lambda *_: np.empty(0), fault=f"it is {what}"))
+            return
+        if len(shape) != 2 or max(shape) < 2 or min(shape) > _MOST_COLUMNS or min(shape) < 1:
+            return
+        name, unit = named(text, unit)
+        columns, samples = min(shape), max(shape)
+        if len(self.series) + columns > MOST_SERIES:
+            raise ReadError(self.path, "variables", f"hold more than {MOST_SERIES} columns, which no recording has")
+        for k in range(columns):
+            mark = "" if columns == 1 else f"(:,{k + 1})" if shape[0] >= shape[1] else f"({k + 1},:)"
+            read = _reader(load, k, upright=shape[0] >= shape[1])
+            self.series.append(
+                Series(
+                    f"{label}{mark}",
+                    f"{name}{mark}",
+                    unit,
+                    samples,
+                    read,
+                    alias=f"{text}{mark}",
+                    clock=clock,
+                    sensor=sensor or SensorSpec(),
+                )
+            )
+
+
+def _reader(load: Any, column: int, *, upright: bool) -> Any:
+    def read(begin: int, end: int) -> Any:
+        values = load()
+        if values.dtype.kind == "c":
+            raise ValueError("it holds complex numbers; readings over time are needed")
+        return values[begin:end, column] if upright else values[column, begin:end]
+
+    return read
+
+
+def _number(value: Any) -> float | None:
+    return number_of(value) if isinstance(value, np.ndarray) and value.dtype.kind in "fiub" else None
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, np.ndarray) and value.dtype.kind == "U":
+        return text_of(str(value.ravel()[0]), longest=4096) if value.size == 1 else ""
+    return ""
+
+
+@contextlib.contextmanager
+def appending(
+    path: Path,
+    labels: Sequence[str],
+    described: Mapping[str, StoredChannel] | None = None,
+    *,
+    epoch: np.datetime64 | None = None,
+    rows: int = 0,
+) -> Iterator[Append]:
+    """Write columns to a MATLAB file of version 5, which takes its place when all rows are there.
+
+    Every channel is a variable (a column) of its name, or of the name that MATLAB allows that is nearest to it; the
+    structures ``units``, ``names`` and, where more is known, ``sensors`` have a text for each, and ``epoch`` is
+    the date and time at which the time is zero.
+
+    Raises
+    ------
+    ValueError
+        A column has more bytes than the format allows, or the file cannot be written.
+    """
+    del rows
+    from scipy.io import savemat  # noqa: PLC0415 - a tenth of a second, and only these files need it
+
+    parts: dict[str, list[Array]] = {label: [] for label in labels}
+
+    def append(columns: Mapping[str, Array]) -> None:
+        for label in labels:
+            parts[label].append(np.array(columns[label], dtype=np.float64))
+
+    with replacing(path) as beside:
+        yield append
+        content: dict[str, Any] = {}
+        tables: dict[str, dict[str, str]] = {"units": {}, "names": {}, "sensors": {}}
+        for label in labels:
+            name, unit = split_label(label)
+            variable = _variable_name(name, content)
+            content[variable] = np.concatenate(parts.pop(label))
+            if content[variable].nbytes > _LARGEST:
+                raise ValueError(
+                    f"cannot write {path}: a variable of MATLAB 5 has at most 2 GB; write .h5 or .parquet"
+                )
+            tables["units"][variable], tables["names"][variable] = unit, name
+            if described and label in described and (text := sensor_text(described[label])):
+                tables["sensors"][variable] = text
+        content |= {name: table for name, table in tables.items() if table}
+        if epoch is not None:
+            content["epoch"] = str(epoch)
+        with beside.open("wb") as file:
+            stream: Any = file
+            savemat(stream, content, oned_as="column", long_field_names=True)
+
+
+def _variable_name(name: str, taken: Mapping[str, Any]) -> str:
+    """Name that MATLAB allows, nearest to that of a channel, and not taken."""
+    plain = re.sub(r"\W", "_", name.encode("ascii", "replace").decode().replace("?", "_"))[:_LONGEST_NAME]
+    plain = plain if plain[:1].isalpha() else f"x{plain}"
+    if plain.lower() in _TABLES or plain in _KEYWORDS:
+        plain += "_"
+    found, number = plain, 2
+    while found in taken:
+        found, number = f"{plain}_{number}", number + 1
+    return found

@@ -1,0 +1,315 @@
+"""Binary formats of other programs: files by their libraries are read, and these read what is written."""
+
+import importlib.util
+import subprocess
+import sys
+import tomllib
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+
+import aerobalance as ab
+from aerobalance.app.cli import main
+from aerobalance.io import FORMATS, load_channel_map, read, template, write_recording
+from aerobalance.io import series as io_series
+from aerobalance.recording.analog_filter import AntiAlias
+from aerobalance.recording.channel import Channel, CrossAxis
+from aerobalance.recording.errors import DataQualityWarning, ReadError
+from aerobalance.recording.recording import Recording
+from helpers.foreign_files import BEGAN, FILES, LOAD, PITCH, RATE, TIME, wav
+
+IDS = [given.name for given in FILES]
+
+
+@pytest.mark.parametrize("given", FILES, ids=IDS)
+def test_a_file_that_says_what_it_holds_is_read_without_a_map(tmp_path, given) -> None:
+    path = tmp_path / given.name
+    given.make(path)
+    found = ab.read(path)
+    assert found.rate == pytest.approx(RATE, rel=1e-9)
+    np.testing.assert_allclose(found.time, TIME, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.channel("AF").values, LOAD, rtol=given.error, atol=given.error)
+    # packed to 1e-9 deg, or to twelve digits, where the format does so
+    np.testing.assert_allclose(found.channel("pitch").values, np.radians(PITCH), rtol=1e-15, atol=1e-9 * given.error)
+    if given.dated:
+        assert found.epoch is not None
+        assert abs(found.epoch - BEGAN) < np.timedelta64(1, "s" if ".uff" in given.name else "ns")
+
+
+@pytest.mark.parametrize("given", FILES, ids=IDS)
+def test_a_map_names_a_channel_in_any_of_them(tmp_path, given) -> None:
+    path, toml = tmp_path / given.name, tmp_path / "map.toml"
+    given.make(path)
+    toml.write_text(f'[channels.NF]\ncolumn = "{given.column}"\nunit = "kN"\nscale = 0.5\nsign = -1\n')
+    found = read(path, channel_map=load_channel_map(toml))
+    assert list(found.channels) == ["NF"]
+    np.testing.assert_allclose(found.channel("NF").values, -500 * LOAD, rtol=1e-12, atol=500 * given.error)
+    np.testing.assert_allclose(found.time, TIME, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("given", FILES, ids=IDS)
+def test_a_map_that_is_proposed_reads_the_file(tmp_path, given) -> None:
+    path, toml = tmp_path / given.name, tmp_path / "map.toml"
+    given.make(path)
+    text = template(path)
+    toml.write_text(text, encoding="utf-8")
+    assert set(tomllib.loads(text)["channels"]) == {"AF", "pitch"}
+    found = read(path, channel_map=load_channel_map(toml))
+    np.testing.assert_allclose(found.channel("AF").values, LOAD, rtol=0, atol=given.error + 1e-12)
+
+
+def test_only_what_is_wanted_is_read(tmp_path, monkeypatch) -> None:
+    asked = []
+    original = io_series.read_values
+
+    def noted(path, one, begin=0, end=None):
+        asked.append(one.name)
+        return original(path, one, begin, end)
+
+    monkeypatch.setattr(io_series, "read_values", noted)
+    for given in FILES:
+        path, toml = tmp_path / given.name, tmp_path / "map.toml"
+        given.make(path)
+        toml.write_text(f'[channels.NF]\ncolumn = "{given.column}"\nunit = "N"\n')
+        read(path, channel_map=load_channel_map(toml))
+        assert "pitch" not in asked
+        assert "AF" in asked
+        asked.clear()
+
+
+def test_wav_is_shares_of_full_scale(tmp_path) -> None:
+    path, toml = tmp_path / "a.wav", tmp_path / "map.toml"
+    wav(path)
+    with pytest.raises(
+        ReadError, match=r"channels: none of them .*'channel 1', 'channel 2'.* a channel map is needed"
+    ):
+        read(path)
+    toml.write_text('[channels.AF]\ncolumn = "channel 1"\nunit = "N"\nscale = 200\n')
+    found = read(path, channel_map=load_channel_map(toml))
+    assert found.rate == RATE
+    np.testing.assert_allclose(found.channel("AF").values, LOAD, rtol=0, atol=200 * 0.5001 / 32768)
+
+
+def test_matrices_are_columns_by_number(tmp_path) -> None:
+    from scipy.io import savemat
+
+    table = np.column_stack([LOAD, PITCH])
+    savemat(tmp_path / "a.mat", {"data": table, "dt": 1 / RATE})
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("run/data", data=table, chunks=(64, 2)).attrs["fs"] = RATE
+    for name, column in (("a.mat", "data(:,2)"), ("a.h5", "run/data[2]")):
+        toml = tmp_path / "map.toml"
+        toml.write_text(
+            f'[channels.pitch]\ncolumn = "{column}"\nunit = "deg"\n[channels.AF]\ncolumn = 1\nunit = "N"\n'
+        )
+        found = read(tmp_path / name, channel_map=load_channel_map(toml))
+        np.testing.assert_array_equal(found.channel("pitch").values, np.radians(PITCH))
+        np.testing.assert_array_equal(found.channel("AF").values, LOAD)
+        assert found.rate == pytest.approx(RATE, rel=1e-12)
+
+
+def test_groups_of_other_rates_stand_on_the_fastest_clock(tmp_path) -> None:
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        file.append([Signal(LOAD, TIME, name="AF", unit="N")])
+        file.append([Signal(PITCH[::4], TIME[::4], name="pitch", unit="deg")])
+        file.save(tmp_path / "a.mf4")
+    found = read(tmp_path / "a.mf4")
+    np.testing.assert_array_equal(found.channel("AF").values, LOAD)
+    np.testing.assert_allclose(found.channel("pitch").values[:-3:4], np.radians(PITCH[::4]), rtol=1e-12)
+
+
+def test_uneven_times_are_a_clock_or_are_refused(tmp_path, rng) -> None:
+    from asammdf import MDF, Signal
+
+    slow = TIME[::4] + rng.uniform(-1.5e-3, 1.5e-3, 100)
+    with MDF(version="4.10") as file:
+        file.append([Signal(LOAD, TIME, name="AF", unit="N")])
+        file.append([Signal(PITCH[::4], slow, name="pitch", unit="deg")])
+        file.save(tmp_path / "a.mf4")
+    with pytest.raises(ReadError, match=r"channel '2/time': is no steady clock, and other channels have another"):
+        read(tmp_path / "a.mf4")
+
+
+def known() -> Recording:
+    """A recording with gaps, a date and all that can be known of a channel."""
+    kept = np.delete(np.arange(400), [50, 51, 200])
+    sensor = {"noise": 0.25, "relative_uncertainty": 0.01, "zero_uncertainty": 0.5, "delay": 2e-4}
+    load = Channel("AF", LOAD[kept] * 1e3, "N", file_unit="kN", filter=AntiAlias("bessel", 4, 200.0), **sensor)
+    load = replace(load, values=np.where(np.arange(kept.size) == 7, np.nan, load.values))
+    cross = (CrossAxis("ground_acceleration_z", 0.02, 0.01),)
+    ground = Channel(
+        *("ground_acceleration", 0.1 * PITCH[kept], "m/s^2"),
+        **{"coupling": "ac", "corner": 0.5, "cross_axis": cross, "place": (0.5, 0.0, 0.1), "place_uncertainty": 1e-3},
+    )
+    pitch = Channel("pitch", np.radians(PITCH[kept]), "rad", file_unit="deg")
+    other = Channel("Brücke 7/b", PITCH[kept], "1", file_unit="1")
+    channels = {one.name: one for one in (load, ground, pitch, other)}
+    with pytest.warns(DataQualityWarning, match="3 sample"):
+        made = Recording.from_columns(TIME[kept] + 0.25, channels, name="known", time_unit="ms")
+    return replace(made, epoch=BEGAN + np.timedelta64(7, "ns"))
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+@pytest.mark.parametrize("ending", ["h5", "parquet", "mat", "nc", "uff", "csv"])
+def test_what_is_written_reads_back(tmp_path, ending) -> None:
+    given, path = known(), tmp_path / f"a.{ending}"
+    write_recording(path, given)
+    found = read(path)
+    assert set(found.channels) == {name.replace("ü", "?") if ending == "uff" else name for name in given.channels}
+    np.testing.assert_array_equal(found.rows, given.rows)
+    np.testing.assert_allclose(found.stamps, given.stamps, rtol=1e-15, atol=0)  # times in ms have fifteen digits
+    assert (found.rate, found.start) == pytest.approx((given.rate, given.start), rel=1e-14)
+    for name in ("AF", "pitch", "ground_acceleration"):
+        one, other = given.channel(name), found.channel(name)
+        np.testing.assert_allclose(other.values, one.values, rtol=3e-16)
+        assert (other.unit, other.file_unit or other.unit) == (one.unit, one.file_unit or one.unit)
+        if ending not in ("csv", "uff"):
+            assert other.known() == one.known()
+    assert found.epoch == (None if ending == "csv" else given.epoch)
+
+
+def test_an_even_clock_is_written_as_one_where_six_digits_tell_it(tmp_path) -> None:
+    for rate, size in ((25_000.0, 1), (3_000.0, 2)):
+        path = tmp_path / "a.uff"
+        write_recording(path, Recording.from_columns(np.arange(400) / rate, {"AF": Channel("AF", LOAD, "N")}))
+        assert path.stat().st_size < 1200 + size * 400 * 8
+        np.testing.assert_allclose(read(path).time, np.arange(400) / rate, rtol=1e-15, atol=1e-19)
+        path.unlink()
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_programs_of_others_read_what_is_written(tmp_path) -> None:
+    """scipy, xarray, pyarrow, pandas and pyuff find names, units and numbers where they belong."""
+    import pandas as pd
+    import pyarrow.parquet as pq
+    import pyuff
+    import xarray as xr
+    from scipy.io import loadmat
+
+    given = known()
+    load = np.where(np.isfinite(given.channel("AF").values), given.channel("AF").values, np.nan)[given.rows] / 1e3
+    for ending in ("mat", "nc", "parquet", "uff"):
+        write_recording(tmp_path / f"a.{ending}", given)
+    mat = loadmat(tmp_path / "a.mat", squeeze_me=True)
+    np.testing.assert_allclose(mat["AF"], load, rtol=3e-16)
+    np.testing.assert_allclose(mat["time"], 1e3 * given.stamps, rtol=1e-15)
+    assert (str(mat["units"]["AF"]), str(mat["units"]["time"]), mat["epoch"]) == ("kN", "ms", str(given.epoch))
+    assert str(mat["names"]["Br_cke_7_b"]) == "Brücke 7/b"
+    with xr.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as data:
+        np.testing.assert_allclose(data["AF"], load, rtol=3e-16)
+        assert data["pitch"].attrs["units"] == "degree"
+        assert data["ground_acceleration"].attrs["units"] == "m s-2"
+        since = (data["time"].to_numpy() - given.epoch) / np.timedelta64(1, "ns")
+        np.testing.assert_allclose(since, 1e9 * given.stamps, rtol=0, atol=64)  # xarray rounds through float64
+    table = pq.read_table(tmp_path / "a.parquet")
+    assert table.schema.field("AF [kN]").metadata[b"unit"] == b"kN"
+    np.testing.assert_allclose(pd.read_parquet(tmp_path / "a.parquet")["AF [kN]"], load, rtol=3e-16)
+    sets = pyuff.UFF(str(tmp_path / "a.uff")).read_sets()
+    assert [one["id1"] for one in sets[:3]] == ["AF", "ground_acceleration", "pitch"]
+    assert sets[0]["ordinate_axis_units_lab"] == "kN"
+    np.testing.assert_allclose(sets[0]["data"], load, rtol=3e-16)
+    np.testing.assert_allclose(sets[0]["x"], given.stamps, rtol=1e-15)
+
+
+def test_commands_take_and_write_them(tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for given in FILES:
+        given.make(tmp_path / given.name)
+        assert main(["info", given.name]) == 0, capsys.readouterr()
+        assert "400 samples" in capsys.readouterr().out
+    assert main(["convert", "plain.mf4", "-o", "a.parquet"]) == 0
+    assert main(["convert", "a.parquet", "-o", "b.nc"]) == 0
+    assert main(["convert", "b.nc", "-o", "c.mat"]) == 0
+    assert main(["convert", "c.mat", "-o", "d.uff"]) == 0
+    assert main(["convert", "d.uff", "-o", "e.h5"]) == 0
+    assert main(["convert", "e.h5", "-o", "f.csv"]) == 0
+    assert "no place for the date and time" in capsys.readouterr().err
+    np.testing.assert_array_equal(read("f.csv").channel("AF").values, LOAD)
+    assert read("e.h5").epoch == BEGAN
+
+
+def test_what_is_not_installed_is_named_with_what_installs_it(tmp_path, monkeypatch) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr(io_series, "find_spec", lambda name: None if name in lacking else found(name))
+    extras = {"a.mf4": ("asammdf", "mdf"), "a.parquet": ("pyarrow", "parquet"), "three.zarr": ("zarr", "zarr")}
+    made = {given.name: given.make for given in FILES}
+    for name, (module, extra) in extras.items():
+        lacking = ()
+        path = tmp_path / name
+        made[{"a.mf4": "plain.mf4", "a.parquet": "columns.parquet"}.get(name, name)](path)
+        lacking = (module,)
+        with pytest.raises(
+            ReadError, match=rf"needs a library that is not installed: pip install 'aerobalance\[{extra}\]'"
+        ):
+            read(path)
+    lacking = ("h5netcdf",)
+    with pytest.raises(ValueError, match=r"cannot write .*a.nc: NetCDF needs .* pip install 'aerobalance\[netcdf\]'"):
+        write_recording(tmp_path / "a.nc", Recording.from_columns(TIME, {"AF": Channel("AF", LOAD, "N")}))
+
+
+def test_reading_text_loads_no_library_of_another_format(tmp_path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time [s],AF [N]\n0,1\n0.1,2\n0.2,3\n")
+    code = f"import sys; from aerobalance.io import read; read({str(path)!r}); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
+    assert "pandas" in loaded  # so that libraries are seen
+    assert not {"h5py", "zarr", "asammdf", "scipy.io", "h5netcdf", "xarray"} & set(loaded)
+
+
+UNREADABLE = {
+    "spectra.uff": (r"data set 1 .*|channel", "frequency response"),
+    "no58.uff": ("", "holds no data set 58 .*its data sets are 151"),
+    "old.mdf": ("byte 28", "is MDF of version 3.30; versions 4.00 and later are read"),
+    "unfinished.mf4": ("its first bytes", "never finished; finish it with the program that recorded it"),
+    "cdf5.nc": ("byte 4", "64-bit data format"),
+    "cut.parquet": ("its last 8 bytes", "was not finished, or is cut off"),
+    "compressed.wav": ("byte 12, the format", r"is compressed \(code 85\)"),
+    "cells.mat": ("channel", "it is a cell array"),
+}
+
+
+@pytest.mark.parametrize("name", UNREADABLE)
+def test_what_cannot_be_read_is_told_exactly(tmp_path, name) -> None:
+    path = tmp_path / name
+    if name.endswith(".uff"):
+        number, function = (151, 0) if name == "no58.uff" else (58, 4)
+        head = (
+            f"    -1\n{number:6d}\n" + "NONE\n" * 5 + f"{function:5d}{0:10d}{0:5d}{0:10d} {'NONE':>10}{1:10d}{1:4d}\n"
+        )
+        form = f"{5:10d}{2:10d}{1:10d}{0.0:13.5e}{0.1:13.5e}{0.0:13.5e}\n"
+        path.write_text(head + form + f"{18:10d}\n" + "         0\n" * 3 + " 1.0 1.0 1.0 1.0\n    -1\n")
+    elif name == "old.mdf":
+        path.write_bytes(b"MDF     3.30    test    \0\0\0\0\x4a\x01" + bytes(200))
+    elif name == "unfinished.mf4":
+        path.write_bytes(b"UnFinMF 4.10    test    \0\0\0\0\x9a\x01" + bytes(200))
+    elif name == "cdf5.nc":
+        path.write_bytes(b"CDF\x05" + bytes(100))
+    elif name == "cut.parquet":
+        next(given for given in FILES if given.name == "columns.parquet").make(path)
+        path.write_bytes(path.read_bytes()[:-20])
+    elif name == "compressed.wav":
+        body = b"WAVEfmt " + np.array([16], "<u4").tobytes() + np.array([85, 1], "<u2").tobytes() + bytes(12)
+        path.write_bytes(b"RIFF" + np.array([len(body)], "<u4").tobytes() + body)
+    else:
+        from scipy.io import savemat
+
+        savemat(path, {"AF": np.array([1.0, "a"], dtype=object)})
+    where, what = UNREADABLE[name]
+    toml = tmp_path / "map.toml"
+    toml.write_text("[file]\nrate = 10\n[channels.AF]\ncolumn = 1\nunit = 'N'\n")
+    with pytest.raises(ReadError, match=what) as problem:
+        read(path, channel_map=load_channel_map(toml))
+    assert where.split("|")[-1] in problem.value.where
+    assert str(path) in str(problem.value)
+
+
+def test_formats_have_names_and_endings_of_their_own() -> None:
+    names = [form.NAME for form in FORMATS]
+    endings = [suffix for form in FORMATS for suffix in form.SUFFIXES]
+    assert len(set(names)) == len(names)
+    assert len(set(endings)) == len(endings)
+    assert {".csv", ".h5", ".parquet", ".uff", ".mat", ".nc"} <= set(endings)
