@@ -2,7 +2,7 @@
 
 In the order of a test: `calibrate` a load schedule to a balance matrix, `weigh` the model, `identify` the dynamics,
 `plan` the test, `estimate_force` of a run with the uncertainty of every sample, its `budget` and `monte_carlo` check.
-`LiveForce` does it as the readings come.
+`LiveForce` does it as the readings come, and `run_campaign` for all runs of a test.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aerobalance.recording.version import VERSION
 
 if TYPE_CHECKING:
+    from aerobalance.app.commands.campaign import run_campaign
     from aerobalance.balance.calibration.fit import calibrate
     from aerobalance.balance.reduction import reduce_outputs
     from aerobalance.balance.weighing.from_outputs import weigh
@@ -47,6 +48,7 @@ _PLACES: Final = {
     "monte_carlo": "aerobalance.uncertainty.monte_carlo",
     "compare": "aerobalance.validation.compare",
     "LiveForce": "aerobalance.estimation.live.live_force",
+    "run_campaign": "aerobalance.app.commands.campaign",
 }
 """Public names in the order of a test, and where they are: they are imported when they are first used."""
 
@@ -65,6 +67,7 @@ __all__ = [
     "read",
     "read_schedule",
     "reduce_outputs",
+    "run_campaign",
     "weigh",
 ]
 

@@ -16,6 +16,7 @@ OPTIONS: Final[Mapping[str, str]] = {
     "Zero.recordings": "--zero",
     "channel_map": "--map",
     "components": "--component",
+    "dynamics": "--dynamics",
     "form": "--form",
     "hum": "--hum",
     "keep_outliers": "--keep-outliers",

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Final, Literal, Unpack
 from pydantic import Field
 
 from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import MODE_PARAMETERS, PARAMETERS, Dynamics
 from aerobalance.io.artefacts import (
@@ -28,6 +29,7 @@ from aerobalance.io.artefacts import (
     Value,
     check_unit,
     checked_covariance,
+    digest,
     entries_of,
     load,
     write_artefact,
@@ -42,7 +44,7 @@ from aerobalance.io.coupled_part import (
     coupled_payload,
 )
 from aerobalance.recording.components import COMPONENTS, mass_unit
-from aerobalance.recording.errors import ReadError
+from aerobalance.recording.errors import ReadError, warn_quality
 
 Kind = Literal["axial", "coupled"]
 
@@ -272,3 +274,28 @@ def read_any_dynamics(path: Path | str) -> dict[str, Dynamics] | CoupledDynamics
         As `read_dynamics` and `read_coupled`.
     """
     return read_coupled(path) if dynamics_kind(path) == "coupled" else read_dynamics(path)
+
+
+def through_balance(
+    balance: Path, known: IndependentDynamics | CoupledDynamics, *, dynamics: Path
+) -> IndependentDynamics | CoupledDynamics:
+    """Return dynamics for loads by a balance matrix: what another matrix left in them is not in these loads as well.
+
+    Parameters
+    ----------
+    balance
+        File of the matrix.
+    known
+        The dynamics.
+    dynamics
+        File of the dynamics, for the message.
+    """
+    if not isinstance(known, CoupledDynamics) or not known.covariance_of_calibration.any():
+        return known
+    if known.balance == digest(balance):
+        return known
+    warn_quality(
+        f"{dynamics.name} was found by another balance matrix than {balance.name}; what the calibration of that one "
+        "left in the dynamics is added to the uncertainty"
+    )
+    return known.with_calibration

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Final, TypeVar, cast
 
 from aerobalance.recording.errors import kept_warnings, warn_quality
@@ -13,10 +15,22 @@ WORKERS: Final = 2
 """Threads. Most of the work is in arrays, where Python's interpreter does not stand in the way of another thread; more
 than two would wait for it, and each takes room for what it works on."""
 
+_alone: ContextVar[bool] = ContextVar("alone", default=False)
+
 First = TypeVar("First")
 Second = TypeVar("Second")
 Given = TypeVar("Given")
 Result = TypeVar("Result")
+
+
+@contextmanager
+def one_after_the_other() -> Iterator[None]:
+    """Let this thread work on one thing after the other, where other processes have the other processors."""
+    token = _alone.set(True)
+    try:
+        yield
+    finally:
+        _alone.reset(token)
 
 
 def side_by_side(work: Callable[[Given], Result], given: Iterable[Given], *, what: str = "") -> list[Result]:
@@ -40,7 +54,7 @@ def side_by_side(work: Callable[[Given], Result], given: Iterable[Given], *, wha
             return work(one), said
 
     every = list(given)
-    if len(every) < WORKERS:
+    if len(every) < WORKERS or _alone.get():
         return [work(one) for one in every]
     with ThreadPoolExecutor(WORKERS) as pool:
         waiting = [pool.submit(done, one) for one in every]

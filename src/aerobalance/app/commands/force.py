@@ -23,8 +23,7 @@ from aerobalance.app.commands.uncertainty import (
 )
 from aerobalance.app.one_heap import share_one_heap
 from aerobalance.app.reports.force_curves import ForceCurves
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
+from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.force_collector import SummaryOfParts
 from aerobalance.estimation.force_parts import ForcePart, WorstPart
@@ -33,9 +32,8 @@ from aerobalance.estimation.result import ForceSummary
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.io import check_output
-from aerobalance.io.artefacts import digest
 from aerobalance.io.columns import Append
-from aerobalance.io.dynamics_file import read_any_dynamics
+from aerobalance.io.dynamics_file import read_any_dynamics, through_balance
 from aerobalance.io.kinds import PAGE, TABLE
 from aerobalance.io.results_file import force_columns, writing
 from aerobalance.io.table import RESTS_ON_LIMIT
@@ -93,7 +91,7 @@ def force(
 
     with collected_warnings(said_by_doubt) as collected, opened(path, channel_map) as record:
         if files is not None:
-            source = source._replace(known=_through(files.balance, known, dynamics=dynamics))
+            source = source._replace(known=through_balance(files.balance, known, dynamics=dynamics))
         work = ForceWork(
             record,
             source.known,
@@ -232,21 +230,6 @@ def _component_result(
     if checked is not None:
         result["monte_carlo"] = monte_carlo_result(checked)
     return result
-
-
-def _through(
-    balance: Path, known: IndependentDynamics | CoupledDynamics, *, dynamics: Path
-) -> IndependentDynamics | CoupledDynamics:
-    """Dynamics for loads by a balance matrix: what another matrix left in them is not in these loads as well."""
-    if not isinstance(known, CoupledDynamics) or not known.covariance_of_calibration.any():
-        return known
-    if known.balance == digest(balance):
-        return known
-    warn_quality(
-        f"{dynamics.name} was found by another balance matrix than {balance.name}; what the calibration of that one "
-        "left in the dynamics is added to the uncertainty"
-    )
-    return known.with_calibration
 
 
 def noise_result(spectrum: NoiseSpectrum) -> Result:

@@ -1,0 +1,57 @@
+"""Commands on whole tests: campaign."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from aerobalance.app.cli.options import Json, Replace, Verbose, example
+from aerobalance.app.cli.result import Manner, show
+
+app = typer.Typer()
+
+Test = Annotated[str, typer.Argument(metavar="FOLDER|TEST.toml", help="A folder of recordings, or a test file.")]
+OutFolder = Annotated[str, typer.Option("-o", "--out", help="Folder of the results; an earlier one is gone on with.")]
+Dynamics = Annotated[
+    str | None, typer.Option("--dynamics", help="The dynamics.json of all runs; a test file may name it instead.")
+]
+FolderBalance = Annotated[
+    str | None, typer.Option("--balance", help="balance.json of a folder whose recordings are of gauge outputs.")
+]
+Scheduler = Annotated[
+    str | None, typer.Option("--scheduler", help="Address of a Dask scheduler; this machine's processors if left out.")
+]
+Workers = Annotated[
+    int | None, typer.Option("--workers", help="Processes of this machine; one a processor if left out.", min=0)
+]
+
+
+@app.command(epilog=example("campaign runs --dynamics dynamics.json -o results"))
+def campaign(
+    test: Test,
+    out: OutFolder,
+    dynamics: Dynamics = None,
+    balance: FolderBalance = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+    as_json: Json = False,
+    verbose: Verbose = False,
+    replace: Replace = False,
+) -> None:
+    """Reduce many runs to one row each: loads, forces, coefficients with uncertainty; only what is not done yet."""
+    from aerobalance.app.commands import campaign as command
+    from aerobalance.campaign.engine import Engine
+
+    if scheduler is not None and workers is not None:
+        raise ValueError("--scheduler and --workers exclude each other: a scheduler has workers of its own")
+
+    def say(text: str) -> None:
+        typer.echo(text, err=True)
+
+    engine = Engine(scheduler=scheduler, workers=workers, told=say)
+    show(
+        lambda: command.campaign(test, out, dynamics=dynamics, balance=balance, engine=engine, replace=replace),
+        Manner(as_json, verbose, replace),
+        doing="reducing runs",
+    )

@@ -1,0 +1,216 @@
+"""The command campaign, and watch: many runs of a test, one row each, and a page of what they show together."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Final
+
+from aerobalance.app.commands.answers import short
+from aerobalance.app.commands.doubts import doubt_result
+from aerobalance.app.commands.force import force_result
+from aerobalance.app.commands.shared import Result, collected_warnings, table_text
+from aerobalance.app.commands.uncertainty import Origins
+from aerobalance.app.options import as_options
+from aerobalance.app.reports.force_curves import ForceCurves
+from aerobalance.campaign.campaign import Campaign, reduce_runs
+from aerobalance.campaign.engine import Engine
+from aerobalance.campaign.places import is_address, name_of
+from aerobalance.campaign.reduction import ReducedRun
+from aerobalance.campaign.results import HISTORIES, PAGE, SUMMARY, Results
+from aerobalance.campaign.work import RunWork
+from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.error_sources import undivided
+from aerobalance.estimation.force_collector import SummaryOfParts
+from aerobalance.estimation.force_parts import ForcePart
+from aerobalance.estimation.result import ForceSummary
+from aerobalance.recording.errors import warn_quality
+from aerobalance.recording.parts import parts_of
+
+MOST_SAID: Final = 12
+"""Flags that are told on standard error; the page has all."""
+
+
+def campaign(
+    test: str,
+    out: str,
+    *,
+    dynamics: str | None = None,
+    balance: str | None = None,
+    engine: Engine | None = None,
+    replace: bool = False,
+) -> Result:
+    """Reduce all runs of a test that are not done yet, and write what they show."""
+    with collected_warnings() as collected:
+        found = with_pages(test, out, dynamics=dynamics, balance=balance, engine=engine, replace=replace)
+        flags = found.quality.flags
+        for flag in flags[:MOST_SAID]:
+            warn_quality(f"{flag.kind}: {flag.text}")
+        if len(flags) > MOST_SAID:
+            warn_quality(f"and {len(flags) - MOST_SAID} more, in {PAGE}")
+    result: Result = {
+        "test": found.name,
+        "out": found.out,
+        "runs": len(found.rows),
+        "reduced": len(found.reduced),
+        "worked_out_now": len(found.done),
+        "set_aside": found.aside,
+        "verdicts": _counts([str(row["verdict"]) for row in found.reduced]),
+        "repeats": {
+            name: {"chi_square_per_degree_of_freedom": one.chi_square, "degrees_of_freedom": one.freedom}
+            for name, one in found.quality.pooled.items()
+        },
+        "flags": [asdict(flag) for flag in flags],
+        "summary_table": SUMMARY,
+        "histories": HISTORIES,
+        "page": PAGE,
+        "warnings": collected,
+    }
+    return {**result, "summary": summary(result)}
+
+
+def run_campaign(
+    test: str | Path,
+    out: str | Path,
+    *,
+    dynamics: str | Path | None = None,
+    balance: str | Path | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    replace: bool = False,
+) -> Campaign:
+    """All runs of a test reduced to loads and forces [N, N*m], coefficients [1] and one row each, with pages.
+
+    A run whose files, settings and program are those of an earlier call is not worked out again; one that cannot be
+    reduced is set aside with its reason.
+
+    Parameters
+    ----------
+    test
+        A test file (TOML), or a folder of recordings, for which `dynamics` is needed; paths or addresses.
+    out
+        Folder of the results: ``summary.parquet``, ``summary.html``, ``histories.zarr``, ``reports``.
+    dynamics
+        dynamics.json of runs for which a test file names none.
+    balance
+        balance.json of a folder of gauge outputs.
+    scheduler
+        Address of a Dask scheduler; processes of this machine if left out.
+    workers
+        How many of these; 0 for this process alone, None for one a processor.
+    replace
+        Whether the folder may hold other files already.
+
+    Raises
+    ------
+    ReadError
+        The test file, a table or a file that all runs need cannot be used.
+    FitError
+        The scheduler is gone for longer than it is waited for.
+    ValueError
+        A call is wrong, a library is not installed, no scheduler answers, or the results cannot be written.
+    """
+    engine = Engine(scheduler=scheduler, workers=workers)
+    return with_pages(test, out, dynamics=dynamics, balance=balance, engine=engine, replace=replace)
+
+
+def with_pages(
+    test: str | Path,
+    out: str | Path,
+    *,
+    dynamics: str | Path | None,
+    balance: str | Path | None,
+    engine: Engine | None,
+    replace: bool,
+) -> Campaign:
+    """Reduce the runs of a test, with the page of each and that of all."""
+    found = reduce_runs(
+        test, out, dynamics=dynamics, balance=balance, engine=engine, report=write_run_report, replace=replace
+    )
+    write_page_of(found)
+    return found
+
+
+def _counts(words: list[str]) -> dict[str, int]:
+    return {word: words.count(word) for word in dict.fromkeys(words)}
+
+
+def summary(result: Result) -> str:
+    """Short answer for people: how many runs, what is to be said of them, and whether repeats scatter as stated."""
+    done = result["worked_out_now"]
+    lines = [
+        f"{result['test']}: {result['reduced']} of {result['runs']} runs reduced"
+        + (f", {done} of them now" if done != result["runs"] else "")
+    ]
+    lines += [f"{count} {word}" for word, count in result["verdicts"].items()]
+    if result["set_aside"]:
+        lines.append(f"set aside: {', '.join(result['set_aside'])}")
+    if result["repeats"]:
+        rows = [
+            (name, short(one["chi_square_per_degree_of_freedom"], 3), str(one["degrees_of_freedom"]))
+            for name, one in result["repeats"].items()
+        ]
+        heads = ("", "chi-square per degree of freedom", "degrees of freedom")
+        lines.append(table_text("repeat runs against their stated uncertainty", heads, rows))
+    lines.append(f"{result['page']}, {result['summary_table']} and {result['histories']} in {result['out']}")
+    return "\n".join(lines) + "\n"
+
+
+def write_page_of(found: Campaign) -> None:
+    """Write the page of a campaign into its folder."""
+    from aerobalance.app.reports.campaign_report import write_campaign_report  # noqa: PLC0415 - plotting is slow
+
+    with Results(found.out).writing(PAGE) as beside:
+        write_campaign_report(beside, found)
+
+
+def write_run_report(path: Path, work: RunWork, found: ReducedRun, said: list[str]) -> None:
+    """Write the page of a run, as the command force does."""
+    from aerobalance.app.reports.force_report import write_force_report  # noqa: PLC0415 - plotting is slow
+
+    force, run = found.force, work.run
+    parts = parts_of_whole(force)
+    summaries, curves = _summed_up(parts, force)
+    origins = Origins(force.recording, Path(name_of(run.dynamics or "")), Path(name_of(run.balance or "")))
+    result: Result = {
+        "verdict": str(force.verdict),
+        "doubts": [doubt_result(doubt) for doubt in force.doubts],
+        "assumed": [asdict(assumed) for assumed in force.assumed],
+        "components": {name: force_result(summaries[name], origins) for name in summaries},
+        "warnings": [as_options(text) for text in said],
+    }
+    inputs = [Path(place) for place in run.inputs if not is_address(place)]
+    write_force_report(path, result, summaries, curves, recording=force.recording, inputs=inputs)
+
+
+def parts_of_whole(force: Force) -> ForcePart:
+    """All samples of a force as the one part of its record."""
+    first = next(iter(force.values()))
+    samples = first.values.size
+    (part,) = parts_of(samples, length=samples, margin=0)
+    whole = {name: one for name, one in force.items() if one.summary is None}
+    return ForcePart(
+        part=part,
+        first=0,
+        values={name: one.values for name, one in force.items()},
+        uncertainty={name: one.uncertainty for name, one in force.items()},
+        contributions={name: tuple(undivided(one.contributions)) for name, one in whole.items()},
+        steps={name: one.steps for name, one in force.items()},
+        force=force,
+        doubts=force.doubts,
+    )
+
+
+def _summed_up(part: ForcePart, force: Force) -> tuple[dict[str, ForceSummary], dict[str, ForceCurves]]:
+    """What sums up the forces of a run, and what their figures show."""
+    summaries, curves = {}, {}
+    for name, one in force.items():
+        curves[name] = ForceCurves(one.values.size, force.recording.start)
+        curves[name].add(part, name)
+        if one.summary is not None:
+            summaries[name] = one.summary
+            continue
+        sums = SummaryOfParts(name, one.values.size)
+        sums.add(part)
+        summaries[name] = sums.summary
+    return summaries, curves

@@ -1,0 +1,251 @@
+"""The mean force of a run, with the covariance of its components by what runs share of it.
+
+Errors of the calibration, the dynamics and gravity are the same in all runs of a set-up; those of a zero in all runs
+that count from it; noise, and what a fluctuating load has by chance in so short a record, are drawn anew in each. Only
+the latter make repeat runs scatter, so they are kept apart through all axes up to the coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.balance.loads import Loads
+from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.error_sources import Contribution, Divided, Noise, Systematic
+from aerobalance.estimation.result import ComponentForce
+from aerobalance.recording.channel import Array
+from aerobalance.recording.doubts import DOUBTED
+from aerobalance.recording.errors import FitError
+from aerobalance.uncertainty.regression import TAPERS, regress
+
+OF_BALANCE: Final = "balance matrix, zeros and tares"
+"""Contribution that is worked out anew here, for all components together."""
+
+OF_ONE_RUN: Final = ("alignment", "gap in", DOUBTED)
+"""How contributions begin that hold along a record and belong to it alone."""
+
+CERTAIN: Final = 1e6
+"""Degrees of freedom of what counts as known exactly."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Errors:
+    """Covariance of k quantities of a run, by what runs share of it, shape (k, k) each.
+
+    Attributes
+    ----------
+    common
+        The same error in all runs of a set-up.
+    zero
+        The same in all runs that count from one zero.
+    run
+        Drawn anew in each run.
+    scatter
+        Drawn anew in each run, and estimated from its fluctuations.
+    """
+
+    common: Array
+    zero: Array
+    run: Array
+    scatter: Array
+
+    @property
+    def whole(self) -> Array:
+        """All together, shape (k, k)."""
+        return self.common + self.zero + self.run + self.scatter
+
+    @property
+    def parts(self) -> dict[str, Array]:
+        """The parts by name."""
+        return {one.name: getattr(self, one.name) for one in fields(self)}
+
+    def uncertainty(self) -> Array:
+        """Standard uncertainty, shape (k,)."""
+        return np.sqrt(np.maximum(np.diag(self.whole), 0.0))
+
+    def of_run(self) -> Array:
+        """Standard deviation by which repeat runs with the same zero scatter, shape (k,)."""
+        return np.sqrt(np.maximum(np.diag(self.run + self.scatter), 0.0))
+
+    def of_zero(self) -> Array:
+        """Standard uncertainty by the zero, shape (k,)."""
+        return np.sqrt(np.maximum(np.diag(self.zero), 0.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeanLoads:
+    """Mean force of a run along c components [N, N*m].
+
+    Attributes
+    ----------
+    components
+        Which.
+    values
+        Shape (c,).
+    errors
+        Their covariance.
+    freedom
+        Degrees of freedom of the scatter: it is estimated from the record.
+    """
+
+    components: tuple[str, ...]
+    values: Array
+    errors: Errors
+    freedom: float
+
+
+def mean_loads(force: Force) -> MeanLoads:
+    """Mean of the forces of a run [N, N*m], as an estimate of the steady load, with the covariance of its errors.
+
+    Parameters
+    ----------
+    force
+        The forces.
+    """
+    names = force.components
+    parts = [force[name] for name in names]
+    present = np.logical_and.reduce([np.isfinite(part.values) for part in parts])
+    weights = present / np.count_nonzero(present)
+    values = np.array([float(weights @ np.where(present, part.values, 0.0)) for part in parts])
+    common, run = np.zeros((2, len(names), len(names)))
+    for i, one in enumerate(parts):
+        for j, other in enumerate(parts[: i + 1]):
+            for kind, into in (("common", common), ("run", run)):
+                into[i, j] = into[j, i] = _between(one, other, weights, kind=kind, same=i == j)
+    zero = np.zeros_like(common)
+    loads = force.loads
+    if loads is None:
+        common += np.diag([_of_balance(part, weights) for part in parts])
+    else:
+        matrix, zero = _of_matrix(loads, names, present)
+        common += matrix
+        run = _correlated(run, loads, names)
+    scatter, freedom = _scatter(parts, present)
+    return MeanLoads(names, values, Errors(common, zero, run, scatter), freedom)
+
+
+def _pieces(part: Contribution) -> Sequence[tuple[int, Systematic | Noise]]:
+    return part.pieces if isinstance(part, Divided) else [(0, part)]
+
+
+def _kind(part: Systematic | Noise) -> str:
+    """Whether an error is the same in all runs."""
+    if part.name == OF_BALANCE:
+        return "balance"
+    own = isinstance(part, Noise) or part.local or part.name.startswith(OF_ONE_RUN)
+    return "run" if own else "common"
+
+
+def _between(one: ComponentForce, other: ComponentForce, weights: Array, *, kind: str, same: bool) -> float:
+    """Covariance of the means of two components by errors of a kind; noise goes by `_correlated`."""
+    if same:
+        return sum(
+            part.variance_of(_within(weights, first, part))
+            for contribution in one.contributions
+            for first, part in _pieces(contribution)
+            if _kind(part) == kind
+        )
+    if kind == "run":
+        return 0.0
+    total = 0.0
+    theirs = {
+        (part.name, part.quantities): (first, part)
+        for contribution in other.contributions
+        for first, part in _pieces(contribution)
+        if isinstance(part, Systematic) and _kind(part) == kind
+    }
+    for contribution in one.contributions:
+        for first, part in _pieces(contribution):
+            if not isinstance(part, Systematic) or _kind(part) != kind or not part.quantities:
+                continue
+            found = theirs.get((part.name, part.quantities))
+            # the same quantities, and not combinations that each component has of its own
+            if found is None or not np.array_equal(found[1].covariance, part.covariance) or _is_few(part):
+                continue
+            gradient = _within(weights, first, part) @ part.slopes
+            total += float(gradient @ part.covariance @ (_within(weights, found[0], found[1]) @ found[1].slopes))
+    return total
+
+
+def _is_few(part: Systematic) -> bool:
+    return part.quantities[0].startswith("combination ")
+
+
+def _within(weights: Array, first: int, part: Systematic | Noise) -> Array:
+    """Weights of the samples that a part of a contribution is of."""
+    size = part.slopes.shape[0] if isinstance(part, Systematic) else part.deviation.size
+    return weights[first : first + size]
+
+
+def _of_balance(part: ComponentForce, weights: Array) -> float:
+    """Variance of a mean by the balance where its loads are not at hand."""
+    return sum(
+        piece.variance_of(_within(weights, first, piece))
+        for contribution in part.contributions
+        for first, piece in _pieces(contribution)
+        if _kind(piece) == "balance"
+    )
+
+
+def _of_matrix(loads: Loads, names: Sequence[str], present: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Covariance of the mean loads by the matrix with the bridges' gains, and by the zeros, shape (c, c) each."""
+    place = [loads.components.index(name) for name in names]
+    turn = loads.transform[place]
+    known = present & np.isfinite(loads.native).all(axis=1)
+    native = loads.native[known].mean(axis=0)
+    matrix = turn @ loads.balance.load_covariance(native[None])[0] @ turn.T
+    slope = turn @ loads.balance.sensitivity(native[None])[0]
+    variance = loads.zero.u**2 + loads.zero.drift**2 / 12
+    zero = slope @ np.diag(variance) @ slope.T
+    # what is left of zeros, gains and tares, whose parts are not told apart: independent of component to component
+    apart = loads.apart[known] if len(loads.apart) > 1 else loads.apart
+    rest = np.maximum(apart.mean(axis=0)[place] - np.diag(zero), 0.0)
+    return np.asarray(matrix + np.diag(rest)), np.asarray(zero)
+
+
+def _correlated(run: Array, loads: Loads, names: Sequence[str]) -> Array:
+    """Noise of the means, correlated as that of the readings is: slow changes pass the balance as they are."""
+    place = [loads.components.index(name) for name in names]
+    noise = loads.noise_covariance[np.ix_(place, place)]
+    size = np.sqrt(np.maximum(np.diag(noise), 0.0))
+    if not size.all():
+        return run
+    deviation = np.sqrt(np.maximum(np.diag(run), 0.0))
+    return np.asarray(noise / np.outer(size, size) * np.outer(deviation, deviation))
+
+
+def _scatter(parts: Sequence[ComponentForce], present: NDArray[np.bool_]) -> tuple[Array, float]:
+    """Covariance of the means by what the force fluctuates in so short a record, and its degrees of freedom."""
+    count = len(parts)
+    if not present.all():
+        spans = np.flatnonzero(np.diff(np.concatenate(([False], present, [False])).astype(np.int8))).reshape(-1, 2)
+        first, last = spans[np.argmax(spans[:, 1] - spans[:, 0])]
+    else:
+        first, last = 0, present.size
+    span = slice(int(first), int(last))
+    share = (last - first) / max(np.count_nonzero(present), 1)
+    deviations, freedoms, lines = [], [], []
+    for part in parts:
+        try:
+            found = regress(part, {"mean": 1.0}, span=span)
+        except FitError:  # too short to show how it fluctuates
+            return np.zeros((count, count)), CERTAIN
+        variance = float(found.scatter[0, 0])
+        deviations.append(np.sqrt(variance * share))
+        whole = float(found.measured[0, 0]) + variance
+        # the degrees of freedom of the scatter alone, from those of all
+        ratio = variance / whole if whole > 0 else 1.0
+        freedoms.append(float(found.degrees_of_freedom[0]) * max(ratio, 1e-9) ** 2)
+        lines.append(np.fft.rfft(found.residual * np.hanning(found.residual.size))[1 : TAPERS + 1])
+    spectra = np.array(lines)
+    cross = np.real(spectra @ spectra.conj().T)
+    size = np.sqrt(np.maximum(np.diag(cross), np.finfo(float).tiny))
+    alike = cross / np.outer(size, size)
+    np.fill_diagonal(alike, 1.0)
+    deviation = np.array(deviations)
+    return np.asarray(alike * np.outer(deviation, deviation)), min(freedoms, default=CERTAIN)

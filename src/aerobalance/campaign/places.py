@@ -1,0 +1,165 @@
+"""Files of a campaign, on this machine or in an object store: found, told apart by their content, fetched.
+
+A place is a path, or an address such as ``s3://bucket/run.h5`` of whatever fsspec opens.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import posixpath
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Final
+
+from aerobalance.io.artefacts import digest
+from aerobalance.recording.errors import ReadError
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
+
+INSTALL: Final = "pip install 'aerobalance[campaign]'"
+"""Command that installs what campaigns need."""
+
+READ: Final = 1 << 20
+"""Bytes that are read at a time."""
+
+
+class MissingLibraryError(ValueError):
+    """A library that campaigns need is not installed; the message names the command that installs it."""
+
+    def __init__(self, library: str) -> None:
+        super().__init__(f"campaigns need the library {library}, which is not installed: {INSTALL}")
+
+
+def is_address(place: str) -> bool:
+    """Return whether a place is an address of a store and no path."""
+    return "://" in place
+
+
+def joined(folder: str, name: str) -> str:
+    """Return a name in a folder; what is a whole path or an address stays as it is."""
+    if is_address(name) or Path(name).is_absolute():
+        return name
+    if is_address(folder):
+        return f"{folder.rstrip('/')}/{name}"
+    return str(Path(folder) / name)
+
+
+def folder_of(place: str) -> str:
+    """Return the folder that a place is in."""
+    return place.rpartition("/")[0] if is_address(place) else str(Path(place).parent)
+
+
+def name_of(place: str) -> str:
+    """Return the name of a file without its folders."""
+    return posixpath.basename(place.rstrip("/")) if is_address(place) else Path(place).name
+
+
+def store_of(place: str) -> tuple[AbstractFileSystem, str]:
+    """Return the file system of a place, and what it calls the place there.
+
+    Raises
+    ------
+    ReadError
+        There is no such kind of store, or its library is not installed.
+    """
+    try:
+        from fsspec.core import url_to_fs  # noqa: PLC0415 - of an extra
+    except ImportError:
+        raise MissingLibraryError("fsspec") from None
+    try:
+        system, inside = url_to_fs(place)
+    except (ValueError, ImportError) as error:
+        raise ReadError(place, "", f"cannot be opened: {' '.join(str(error).split())}") from None
+    return system, inside
+
+
+def exists(place: str) -> bool:
+    """Return whether there is a file or a folder."""
+    if not is_address(place):
+        return Path(place).exists()
+    return bool(_asked(place, "exists"))
+
+
+def matching(pattern: str) -> list[str]:
+    """Return the places that a pattern such as ``runs/*.h5`` names, in the order of their names; a name is itself."""
+    if not any(sign in pattern for sign in "*?["):
+        return [pattern]
+    if not is_address(pattern):
+        path = Path(pattern)
+        root = Path(path.anchor)
+        found = sorted(root.glob(str(path.relative_to(root)))) if path.is_absolute() else sorted(Path().glob(pattern))
+        return [str(one) for one in found if one.is_file()]
+    system, inside = store_of(pattern)
+    try:
+        return sorted(str(system.unstrip_protocol(one)) for one in system.glob(inside))
+    except OSError as error:
+        raise ReadError(pattern, "", f"cannot be listed: {error}") from None
+
+
+def listed(folder: str) -> list[str]:
+    """Return the files of a folder that are not hidden, in the order of their names."""
+    return [place for place in matching(joined(folder, "*")) if not name_of(place).startswith(".")]
+
+
+def fingerprint(place: str) -> str:
+    """Return what changes when a file changes.
+
+    The SHA-256 of its content; in a store whose files would have to be fetched for that, what the store says of the
+    file (its version, or size and time).
+
+    Raises
+    ------
+    ReadError
+        There is no such file, or it cannot be read.
+    """
+    if is_address(place) and not place.startswith(("memory://", "file://", "local://")):
+        return f"store:{_asked(place, 'ukey')}"
+    if not is_address(place):
+        return f"sha256:{digest(Path(place))}"
+    system, inside = store_of(place)
+    whole = hashlib.sha256()
+    try:
+        with system.open(inside, "rb") as file:
+            while part := file.read(READ):
+                whole.update(part)
+    except OSError as error:
+        raise _refusal(place, error) from None
+    return f"sha256:{whole.hexdigest()}"
+
+
+def _asked(place: str, what: str) -> Any:
+    system, inside = store_of(place)
+    try:
+        return getattr(system, what)(inside)
+    except OSError as error:
+        raise _refusal(place, error) from None
+
+
+def _refusal(place: str, error: OSError) -> ReadError:
+    missing = isinstance(error, FileNotFoundError)
+    return ReadError(place, "", "there is no such file" if missing else f"cannot be read: {error}")
+
+
+@contextmanager
+def fetched(place: str) -> Iterator[Path]:
+    """Give a path of a file on this machine: the file itself, or a copy under its name that is taken away afterwards.
+
+    Raises
+    ------
+    ReadError
+        There is no such file, or it cannot be read.
+    """
+    if not is_address(place):
+        yield Path(place)
+        return
+    system, inside = store_of(place)
+    with TemporaryDirectory(prefix="aerobalance-") as folder:
+        copy = Path(folder) / name_of(place)
+        try:
+            system.get_file(inside, str(copy))
+        except OSError as error:
+            raise _refusal(place, error) from None
+        yield copy

@@ -1,0 +1,288 @@
+"""One run of a test reduced: from its recording to loads, forces and what sums them up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from aerobalance.balance.calibration.fit import Calibration
+from aerobalance.balance.loads import Loads
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.zeros import Zero
+from aerobalance.campaign.definition import Axes, Definition, ForceOptions, Pressure, Reference, Spectrum
+from aerobalance.campaign.mean_loads import MeanLoads, mean_loads
+from aerobalance.campaign.resolved import Flow, Resolved, angles_of_attitude, pressure_of, resolved
+from aerobalance.campaign.resonance import Resonance, resonances
+from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
+from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.force import ForceWork
+from aerobalance.estimation.forces import ForceSettings
+from aerobalance.estimation.result import ComponentForce
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.recording import Recording
+from aerobalance.uncertainty.budget import Scalar, scalars, spectrum
+
+
+@dataclass(frozen=True, slots=True)
+class RunSettings:
+    """How a run is reduced.
+
+    Attributes
+    ----------
+    force
+        How the force is worked out.
+    axes
+        Axes of the body in the balance, and moment centre in the body.
+    reference
+        Area and lengths of coefficients; None for none.
+    pressure
+        Where the dynamic pressure is from; None where it is not known.
+    alpha, beta
+        Columns of the angles; None for those of the recording, where no column is called so.
+    u_angle, u_angle_run
+        Standard uncertainty of the angles, the same error in all runs, and drawn anew in each [deg].
+    bands
+        Bands whose rms is wanted [Hz].
+    """
+
+    force: ForceSettings = field(default_factory=ForceSettings)
+    axes: Axes = field(default_factory=Axes)
+    reference: Reference | None = None
+    pressure: Pressure | None = None
+    alpha: str | None = None
+    beta: str | None = None
+    u_angle: float = 0.0
+    u_angle_run: float = 0.0
+    bands: Sequence[tuple[float, float]] = field(default_factory=lambda: Spectrum().bands)
+
+    @classmethod
+    def of(cls, definition: Definition, axes: Axes) -> RunSettings:
+        """Take what the definition of a test says."""
+        return cls(
+            force=force_settings(definition.force, gravity=definition.gravity),
+            axes=axes,
+            reference=definition.reference,
+            pressure=definition.pressure,
+            alpha=definition.angles.alpha,
+            beta=definition.angles.beta,
+            u_angle=definition.angles.u,
+            u_angle_run=definition.angles.u_run,
+            bands=definition.spectrum.bands,
+        )
+
+
+def force_settings(options: ForceOptions, *, gravity: float = STANDARD_GRAVITY) -> ForceSettings:
+    """Return how a force is worked out, as a test file says it."""
+    hum = options.hum if isinstance(options.hum, str) else tuple(options.hum)
+    return ForceSettings(
+        options.method, options.bandwidth, gravity, options.u_gravity, hum, options.keep_outliers, options.align
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class BandLevel:
+    """Rms of a force in a band of frequencies.
+
+    Attributes
+    ----------
+    low, high
+        The band [Hz].
+    rms, u
+        Rms [N, N*m] and its standard uncertainty as the force was in this record, errors of all frequencies taken as
+        one; None beyond half of the sampling rate.
+    """
+
+    low: float
+    high: float
+    rms: float | None
+    u: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ZeroLevel:
+    """The zero of a run as a load along one component: how it changes from zero to zero is what counts.
+
+    Attributes
+    ----------
+    component
+        Which.
+    value, u
+        What the outputs of the zero would be as a load, and its standard uncertainty [N, N*m].
+    drift
+        Change from the zero before the run to that after it [N, N*m].
+    """
+
+    component: str
+    value: float
+    u: float
+    drift: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReducedRun:
+    """A run reduced.
+
+    Attributes
+    ----------
+    force
+        The forces applied, with the loads that they are from, verdict and doubts.
+    mean
+        Mean force in the balance's axes.
+    axes
+        The same in ``body`` and ``wind`` axes about the moment centre, and ``C_body`` and ``C_wind`` coefficients.
+    flow
+        Angles and dynamic pressure.
+    scalars
+        Mean, rms about it, largest and least of each force as it was in this record, by component and name.
+    bands
+        Rms in bands, by component.
+    resonances
+        What the record says of stiffness and damping.
+    zero
+        What the loads count from, as loads of the balance; empty where loads were recorded.
+    """
+
+    force: Force
+    mean: MeanLoads
+    axes: Mapping[str, Resolved]
+    flow: Flow
+    scalars: Mapping[str, Mapping[str, Scalar]]
+    bands: Mapping[str, tuple[BandLevel, ...]]
+    resonances: tuple[Resonance, ...]
+    zero: tuple[ZeroLevel, ...]
+
+
+def reduce_run(
+    run: Recording,
+    dynamics: AnyDynamics,
+    *,
+    balance: BalanceMatrix | Calibration | None = None,
+    zero: Zero | None = None,
+    tare: Sequence[Recording] = (),
+    noise: Recording | None = None,
+    columns: Mapping[str, object] | None = None,
+    settings: RunSettings | None = None,
+) -> ReducedRun:
+    """Loads and forces of a run [N, N*m] with their uncertainty, and one number each that sum them up.
+
+    Parameters
+    ----------
+    run
+        Balance loads, or with `balance` gauge outputs.
+    dynamics, balance, zero
+        As in `aerobalance.estimate_force`.
+    tare
+        Wind-off recordings whose loads are taken off at the same attitude.
+    noise
+        A record of noise alone, read as the run is.
+    columns
+        What else is known of the run, such as ``alpha`` [deg].
+    settings
+        How it is reduced.
+
+    Raises
+    ------
+    FitError, ValueError
+        As `aerobalance.estimate_force`; the dynamic pressure or an angle is asked for and not there.
+    """
+    settings = RunSettings() if settings is None else settings
+    columns = {} if columns is None else columns
+    model = dynamics_of(dynamics)
+    gravity = settings.force.gravity
+    means = {name: float(np.nanmean(one.values)) for name, one in run.channels.items() if not one.missing.all()}
+    flow = flow_of(columns, means, settings)  # before the long work
+
+    def made_ready(given: Recording | Loads) -> Recording | Loads:
+        if balance is None or isinstance(given, Loads):
+            return given
+        return reduce_outputs(given, balance, zero=zero, model=model, tare=tare, gravity=gravity)
+
+    calm = None if noise is None else made_ready(noise)
+    force = ForceWork(run, model, made_ready=made_ready, noise=calm, settings=settings.force).force()
+    mean = mean_loads(force)
+    whole = all(part.summary is None for part in force.values())
+    loads = force.loads if balance is not None else None
+    return ReducedRun(
+        force=force,
+        mean=mean,
+        axes=resolved(mean, axes=settings.axes, flow=flow, reference=settings.reference),
+        flow=flow,
+        scalars={name: {one.name: one for one in scalars(part)} for name, part in force.items()},
+        bands={name: band_levels(part, settings.bands, rate=run.rate) for name, part in force.items()},
+        resonances=resonances(force) if whole and settings.force.method == "smoother" else (),
+        zero=() if loads is None else zero_levels(loads),
+    )
+
+
+def zero_levels(loads: Loads) -> tuple[ZeroLevel, ...]:
+    """Return the zero of loads as a load along each component, by the matrix at no load [N, N*m]."""
+    zero, matrix = loads.zero, loads.balance
+    slope = loads.transform @ matrix.sensitivity(np.zeros((1, len(matrix.components))))[0]
+    rows = zip(
+        loads.components, slope @ zero.values, np.hypot.reduce(slope * zero.u, axis=1), slope @ zero.drift, strict=True
+    )
+    return tuple(ZeroLevel(name, float(value), float(u), float(drift)) for name, value, u, drift in rows)
+
+
+FLOW_COLUMNS: Final = ("alpha", "beta")
+"""Columns that angles are looked for in."""
+
+
+def flow_of(columns: Mapping[str, object], means: Mapping[str, float], settings: RunSettings) -> Flow:
+    """Angles and dynamic pressure of a run, from its columns or from the means of its channels.
+
+    Raises
+    ------
+    ValueError
+        A column or channel that is named is not there, or is no number.
+    """
+    alpha, beta = angles_of_attitude(means.get("pitch", 0.0), means.get("roll", 0.0))
+    found = {"alpha": alpha, "beta": beta}
+    for name, wanted in zip(FLOW_COLUMNS, (settings.alpha, settings.beta), strict=True):
+        key = name if wanted is None else wanted
+        if key in columns:
+            given = columns[key]
+            if not isinstance(given, int | float) or isinstance(given, bool):
+                raise ValueError(f"column {key} must be a number of degrees, not {given!r}")
+            found[name] = float(np.radians(given))
+        elif wanted is not None:
+            raise ValueError(f"{name} should be in column {wanted}, which this run does not have")
+    return Flow(
+        alpha=found["alpha"],
+        beta=found["beta"],
+        u_angle=float(np.radians(settings.u_angle)),
+        u_angle_run=float(np.radians(settings.u_angle_run)),
+        pressure=pressure_of(settings.pressure, columns, means),
+        u_pressure=0.0 if settings.pressure is None else settings.pressure.u,
+        u_pressure_run=0.0 if settings.pressure is None else settings.pressure.u_run,
+    )
+
+
+def band_levels(part: ComponentForce, bands: Sequence[tuple[float, float]], *, rate: float) -> tuple[BandLevel, ...]:
+    """Return the rms of a force in bands of frequencies [N, N*m]."""
+    found = spectrum(part, rate=rate)
+    step = float(found.frequency[1]) if found.frequency.size > 1 else 0.0
+    levels = []
+    for low, high in bands:
+        if not step or low >= rate / 2:
+            levels.append(BandLevel(low, high, None, None))
+            continue
+        # each ordinate stands for the frequencies half a step about it
+        share = _overlap(found.frequency, step, low, high)
+        power = float(found.density @ share)
+        u_power = float(found.uncertainty @ share)
+        rms = float(np.sqrt(power))
+        u = u_power / (2 * max(rms, float(np.sqrt(u_power)) / 2)) if u_power else 0.0
+        levels.append(BandLevel(low, high, rms, u))
+    return tuple(levels)
+
+
+def _overlap(frequency: Array, step: float, low: float, high: float) -> Array:
+    """Widths of a band that belong to the ordinates [Hz], shape (m,)."""
+    upper, lower = np.minimum(frequency + step / 2, high), np.maximum(frequency - step / 2, max(low, 0.0))
+    return np.asarray(np.maximum(upper - lower, 0.0))

@@ -1,0 +1,111 @@
+"""The table of runs: text with a column `file`, and as many more as there are."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from typing import Final
+
+from aerobalance.campaign.definition import Cell
+from aerobalance.campaign.places import fetched
+from aerobalance.io.text_table import guess_encoding
+from aerobalance.recording.errors import ReadError
+
+PRESSURES: Final = {
+    "Pa": 1.0,
+    "hPa": 1e2,
+    "kPa": 1e3,
+    "mbar": 1e2,
+    "bar": 1e5,
+    "psi": 6894.757293168,
+    "psf": 47.88025898,
+}
+"""Units of pressure of a table, in Pa."""
+
+DEGREES: Final = {"deg": 1.0, "°": 1.0, "rad": 57.29577951308232}
+"""Units of angles of a table, in deg."""
+
+_UNIT: Final = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*$")
+
+
+def read_rows(table: str) -> list[tuple[int, dict[str, Cell]]]:
+    """Read a table of runs: text with a header, one column `file`, and as many more as there are; with line numbers.
+
+    Pressures and angles may have a unit in their header, and come out in Pa and deg.
+
+    Raises
+    ------
+    ReadError
+        There is no column `file`, or a row has more cells than the header.
+    """
+    with fetched(table) as path:
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise ReadError(table, "", f"cannot be read: {error.strerror or error}") from None
+    encoding = guess_encoding(content)
+    if encoding is None:
+        raise ReadError(table, "", "is no text; a table of runs is CSV with a column file")
+    text = content.decode(encoding, errors="replace").lstrip("\ufeff")
+    first = text.split("\n", 1)[0]
+    separator = max(";\t,", key=first.count)
+    rows = list(csv.reader(io.StringIO(text), delimiter=separator))
+    if not rows or not any(rows[0]):
+        raise ReadError(table, "line 1", "is empty; the first line names the columns, one of them file")
+    heads = [_heading(table, name) for name in rows[0]]
+    names = [name for name, _ in heads]
+    if "file" not in names:
+        raise ReadError(table, "line 1", f"has no column file; it has {', '.join(name for name in names if name)}")
+    if len(set(names)) < len(names):
+        raise ReadError(table, "line 1", "has two columns of one name")
+    found = []
+    for line, row in enumerate(rows[1:], 2):
+        if not any(part.strip() for part in row):
+            continue
+        if len(row) > len(heads):
+            raise ReadError(table, f"line {line}", f"has {len(row)} cells; the header has {len(heads)}")
+        comma = separator == ";"
+        cells = {
+            name: _scaled(
+                cell(part.replace(",", ".") if comma and re.fullmatch(r"\s*[-+]?\d+,\d+\s*", part) else part), factor
+            )
+            for (name, factor), part in zip(heads, row, strict=False)
+            if name and part.strip()
+        }
+        if not isinstance(cells.get("file", ""), str):
+            cells["file"] = str(cells["file"])
+        if not cells.get("file"):
+            raise ReadError(table, f"line {line}", "names no file")
+        found.append((line, cells))
+    return found
+
+
+def _heading(table: str, text: str) -> tuple[str, float]:
+    """Name of a column, and the factor of its unit."""
+    match = _UNIT.match(text.strip())
+    if match is None:
+        return text.strip(), 1.0
+    name, unit = match[1], match[2]
+    for units, inside in ((PRESSURES, "Pa"), (DEGREES, "deg")):
+        if unit in units:
+            return name, units[unit]
+        if (
+            name in {"q": "Pa", "alpha": "deg", "beta": "deg"}
+            and {"q": "Pa", "alpha": "deg", "beta": "deg"}[name] == inside
+        ):
+            raise ReadError(table, "line 1", f"{name} has unit [{unit}]; allowed: {', '.join(units)}")
+    return name, 1.0
+
+
+def _scaled(given: Cell, factor: float) -> Cell:
+    return given * factor if factor != 1.0 and isinstance(given, int | float) else given
+
+
+def cell(text: str) -> Cell:
+    """Return the number that a text is, or else the text."""
+    stripped = text.strip()
+    try:
+        return int(stripped) if re.fullmatch(r"[+-]?\d{1,15}", stripped) else float(stripped)
+    except ValueError:
+        return stripped

@@ -1,0 +1,166 @@
+"""The test file: what is allowed in it, and what belongs to each run by table, pattern, number and date."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from aerobalance.campaign.assignment import assigned, definition_of_folder
+from aerobalance.campaign.definition import definition_from, load_definition
+from aerobalance.campaign.run_table import read_rows
+from aerobalance.recording.errors import ReadError
+
+SETUP = [{"dynamics": "dynamics.json"}]
+
+
+def touched(folder: Path, *names: str) -> Path:
+    for name in names:
+        place = folder / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text("time [s],AF [N]\n")
+    return folder
+
+
+def runs_of(folder: Path, **contents: object):
+    return assigned(definition_from({"setups": SETUP, **contents}), str(folder))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[runs]\nfile = 'a'\n[[setups]]\n", "runs.file: is not known; did you mean files?"),
+        ("[[setups]]\n", "runs: is missing"),
+        ("[runs]\nfiles = '*.h5'\n", "setups: is missing"),
+        ("[runs]\n[[setups]]\n", "needs files"),
+        ("[runs]\nfiles = '*.h5'\npattern = 'run_(\\d+)'\n[[setups]]\n", "must have named groups"),
+        ("[runs]\nfiles = '*.h5'\npattern = '(?P<a'\n[[setups]]\n", "must be a regular expression"),
+        ("[runs]\nfiles = '*.h5'\n[[setups]]\n[reference]\narea = 1.0\nchord = 1.0\n", "reference.span: is missing"),
+        (
+            "[runs]\nfiles = '*.h5'\n[[setups]]\n[reference]\narea = 1.0\nchord = 1.0\nspan = 1.0\n",
+            r"coefficients need \[pressure\]",
+        ),
+        ("[runs]\nfiles = '*.h5'\n[[setups]]\n[pressure]\nvalue = 1.0\ncolumn = 'q'\n", "needs one of value"),
+        ("[runs]\nfiles = '*.h5'\n[[setups]]\n[zeros]\nuse = 'first'\n", "zeros.use: must be 'before', 'around' or"),
+        ("[runs]\nfiles = '*.h5'\n[[setups]]\n[spectrum]\nbands = [[10, 1]]\n", "must be pairs of frequencies in Hz"),
+        ("[runs]\nfiles = '*.h5'\n[[setups]]\n[axes]\nmoment_centre = [0, 1]\n", "must be three numbers"),
+        ("[runs\n", "is no TOML"),
+    ],
+)
+def test_a_wrong_key_is_named_with_what_is_allowed(tmp_path, text, said):
+    file = tmp_path / "test.toml"
+    file.write_text(text)
+    with pytest.raises(ReadError, match=said):
+        load_definition(file)
+
+
+def test_names_of_files_give_columns_and_the_order(tmp_path):
+    touched(tmp_path, "r/run_10_a-2.5.h5", "r/run_9_a4.h5", "r/note.txt")
+    runs = runs_of(tmp_path, runs={"files": "r/*.h5", "pattern": r"run_(?P<run>\d+)_a(?P<alpha>[-.\d]+)\.h5"})
+    assert [(one.name, one.columns) for one in runs] == [
+        ("run_9_a4", {"run": 9, "alpha": 4}),
+        ("run_10_a-2.5", {"run": 10, "alpha": -2.5}),
+    ]
+    assert {one.dynamics for one in runs} == {str(tmp_path / "dynamics.json")}
+
+
+def test_a_table_gives_columns_units_and_files_of_its_own(tmp_path):
+    touched(tmp_path, "r/one.h5", "r/two.h5", "z.h5", "z2.h5")
+    (tmp_path / "runs.csv").write_text(
+        "file;alpha [rad];q [kPa];zero;model\nr/one.h5;0,5;1,25;z.h5|z2.h5;big wing\nr/two.h5;0;2;;\n"
+    )
+    one, two = runs_of(tmp_path, runs={"table": "runs.csv"}, zeros={})
+    assert one.columns["alpha"] == pytest.approx(28.64788975654116)  # 0.5 rad
+    assert (one.columns["q"], one.columns["model"]) == (1250.0, "big wing")
+    assert one.zeros == (str(tmp_path / "z.h5"), str(tmp_path / "z2.h5"))
+    assert (two.columns["q"], two.zeros) == (2000.0, ())
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("alpha,q\n1,2\n", "line 1: has no column file"),
+        ("file,q\na.h5,1,2\n", "line 2: has 3 cells; the header has 2"),
+        ("file,q [furlong]\na.h5,1\n", r"q has unit \[furlong\]; allowed: Pa"),
+        ("file,q\n,1\n", "line 2: names no file"),
+        ("file,file\n", "two columns of one name"),
+        ("", "is empty"),
+    ],
+)
+def test_a_table_that_cannot_be_read_says_the_line(tmp_path, table, said):
+    file = tmp_path / "runs.csv"
+    file.write_text(table)
+    with pytest.raises(ReadError, match=said):
+        read_rows(str(file))
+
+
+def test_set_ups_hold_from_a_run_a_date_or_for_a_column(tmp_path):
+    touched(tmp_path, "a.h5", "b.h5", "c.h5")
+    rows = [
+        {"file": "a.h5", "run": 1, "date": "2026-03-01", "config": "clean"},
+        {"file": "b.h5", "run": 2, "date": "2026-03-12T10:15", "config": "flaps"},
+        {"file": "c.h5", "run": 3, "date": "2026-04-01", "config": "clean"},
+    ]
+    setups = [
+        {"dynamics": "d.json", "balance": "first.json"},
+        {"from": 3, "balance": "third.json"},
+        {"from": "2026-03-12", "map": "march.toml"},
+        {"where": {"config": "flaps"}, "dynamics": "flaps.json", "axes": {"moment_centre": [1, 2, 3]}},
+    ]
+    found = runs_of(tmp_path, runs={"rows": rows}, setups=setups)
+    short = [tuple(Path(str(place)).name for place in (one.dynamics, one.balance, one.channel_map)) for one in found]
+    assert short == [
+        ("d.json", "first.json", "None"),
+        ("flaps.json", "first.json", "march.toml"),
+        ("d.json", "third.json", "march.toml"),
+    ]
+    assert [one.setup for one in found] == [0, 3, 2]
+    assert found[1].axes.moment_centre == (1, 2, 3)
+
+
+def test_zeros_are_the_last_before_a_run_those_around_it_or_those_that_agree(tmp_path):
+    touched(tmp_path, *(f"run_{n}.h5" for n in (2, 5, 9)), *(f"zero_{n}.h5" for n in (1, 4, 8)))
+    runs = {"files": "run_*.h5", "pattern": r"run_(?P<run>\d+)"}
+    zeros = {"files": "zero_*.h5", "pattern": r"zero_(?P<run>\d+)"}
+
+    def found(**more: object) -> list[tuple[list[str], list[str]]]:
+        every = runs_of(tmp_path, runs=runs, zeros={**zeros, **more})
+        return [([Path(z).stem for z in one.zeros], [Path(z).stem for z in one.zeros_after]) for one in every]
+
+    assert found() == [(["zero_1"], []), (["zero_4"], []), (["zero_8"], [])]
+    assert found(use="around") == [(["zero_1"], ["zero_4"]), (["zero_4"], ["zero_8"]), (["zero_8"], [])]
+    assert found(use="all")[0] == (["zero_1", "zero_4", "zero_8"], [])
+    assert [one[0] for one in found(match=["run"])] == [[], [], []]
+
+
+def test_a_run_without_its_zero_has_the_reason_and_the_others_go_on(tmp_path):
+    touched(tmp_path, "run_1.h5", "run_3.h5", "zero_2.h5", "zero_9.h5")
+    runs = {"files": "run_*.h5", "pattern": r"run_(?P<run>\d+)"}
+    first, third = runs_of(tmp_path, runs=runs, zeros={"files": "zero_*.h5", "pattern": r"zero_(?P<run>\d+)"})
+    assert first.fault == "there is no zero before run 1"
+    assert not third.fault
+    (one, _) = runs_of(tmp_path, runs={"files": "run_*.h5"}, zeros={"files": "zero_*.h5"})
+    assert one.fault.startswith("2 zeros could be meant: say which")
+    (one, _) = runs_of(tmp_path, runs={"files": "run_*.h5"}, setups=[{"balance": "b.json"}])
+    assert one.fault.startswith("no dynamics are given")
+
+
+def test_what_names_nothing_is_refused(tmp_path):
+    touched(tmp_path, "a.h5", "b/a.h5", "c/a.h5", "x/b/a.h5", "y/b/a.h5")
+    with pytest.raises(ReadError, match=r"no file is named by \*\.tdms"):
+        runs_of(tmp_path, runs={"files": "*.tdms"})
+    with pytest.raises(ReadError, match="no file is a run"):
+        runs_of(tmp_path, runs={"files": "a.h5", "exclude": "a.h5"})
+    with pytest.raises(ReadError, match="a column cannot be called status"):
+        runs_of(tmp_path, runs={"rows": [{"file": "a.h5", "status": 1}]})
+    assert [one.name for one in runs_of(tmp_path, runs={"files": ["b/a.h5", "c/a.h5"]})] == ["b_a.h5", "c_a.h5"]
+    with pytest.raises(ReadError, match="the same name"):
+        runs_of(tmp_path, runs={"files": ["x/b/a.h5", "y/b/a.h5"]})
+
+
+def test_a_folder_is_all_of_its_recordings(tmp_path):
+    touched(tmp_path, "b.csv", "a.h5", "notes.md", "dynamics.json", ".hidden")
+    definition = definition_of_folder(str(tmp_path), "dynamics.json")
+    assert [one.name for one in assigned(definition, str(tmp_path))] == ["a", "b"]
+    with pytest.raises(ReadError, match="holds no recordings"):
+        definition_of_folder(str(touched(tmp_path / "empty", "notes.md")), "dynamics.json")
