@@ -26,21 +26,19 @@ import h5py, numpy, pandas, scipy, scipy.io, scipy.io.wavfile
 sys.path[:0] = json.loads(sys.argv[1])
 from pathlib import Path
 from helpers.mutations import damaged
-from aerobalance.io import read, template
+from aerobalance.io import load_channel_map, read, template
 from aerobalance.recording.errors import ReadError
 warnings.simplefilter("ignore")
 original, folder, seed, first, last = Path(sys.argv[2]), Path(sys.argv[3]), *map(int, sys.argv[4:7])
-try:
-    read(original)  # libraries and their caches
-except ReadError:
-    template(original)
+chosen = load_channel_map(sys.argv[7]) if sys.argv[7] else None
+template(original), read(original, channel_map=chosen)  # libraries and their caches
 for number in range(first, last):
     path = damaged(original, folder, numpy.random.default_rng([seed, number]))
     print(json.dumps([number]), flush=True)
     start, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     resource.setrlimit(resource.RLIMIT_CPU, (int(start) + 30, resource.RLIM_INFINITY))
     said = []
-    for way in (template, read):
+    for way in (template, lambda path: read(path, channel_map=chosen)):
         try:
             way(path)
             said.append("read")
@@ -108,7 +106,7 @@ def mutated(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(found)
 
 
-def trial(original: Path, folder: Path, *, count: int, seed: int) -> Trial:
+def trial(original: Path, folder: Path, *, count: int, seed: int, channel_map: Path | str = "") -> Trial:
     """Read so many damaged copies of a file; a process that dies goes on behind the copy that killed it."""
     found = Trial()
     folder.mkdir(parents=True, exist_ok=True)
@@ -117,6 +115,7 @@ def trial(original: Path, folder: Path, *, count: int, seed: int) -> Trial:
     while first < count:
         paths = json.dumps([path for path in sys.path if path])
         command = [sys.executable, "-c", READER, paths, str(original), str(folder), str(seed), str(first), str(count)]
+        command.append(str(channel_map))
         done = subprocess.run(command, capture_output=True, text=True, check=False, env=env)
         last = first - 1
         for line in done.stdout.splitlines():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import mmap
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from aerobalance.io.hdf5_closing import SIGNATURE
+from aerobalance.io.hdf5_heaps import check_heaps
 from aerobalance.io.hdf5_layout import FORMAT
 from aerobalance.io.said_by_file import (
     clock_of,
@@ -44,8 +44,6 @@ _PACKED: Final = 1100
 """Most that a sample of a data set may be larger than what is stored of it: deflate makes 1032 to 1 at best."""
 
 _SMALL: Final = 1 << 20
-_HEAP: Final = b"GCOL\x01\0\0\0"
-_LOOKED_THROUGH: Final = 1 << 26
 _DEEPEST: Final = 12
 _LONGEST_ATTRIBUTE: Final = 4096
 _MOST_ATTRIBUTES: Final = 200
@@ -79,32 +77,13 @@ def opened(path: Path) -> Iterator[Holdings]:
 
     with contextlib.ExitStack() as stack:
         with library_faults(path, NAME, "its structure"):
-            _check_heaps(path)
+            check_heaps(path)
             file = stack.enter_context(h5py.File(path, "r"))
         with library_faults(path, NAME, "its data sets"):
             walk = _Walk(path, path.stat().st_size)
             walk.group(file, "", 0)
             found = Holdings(with_axes(walk.series), walk.epoch)
         yield found
-
-
-def _check_heaps(path: Path) -> None:
-    """Refuse heaps of texts that claim more than the file has: the library takes as much memory as they claim.
-
-    Of a file beyond `_LOOKED_THROUGH` bytes only so many at either end are looked through.
-    """
-    size = path.stat().st_size
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as view:
-        spans = [(0, size)] if size <= 2 * _LOOKED_THROUGH else [(0, _LOOKED_THROUGH), (size - _LOOKED_THROUGH, size)]
-        for begin, end in spans:
-            at = view.find(_HEAP, begin, end)
-            while at >= 0:
-                claimed = int.from_bytes(view[at + 8 : at + 16], "little")
-                if claimed > size - at:
-                    raise ReadError(
-                        path, f"byte {at}", f"claims a heap of {claimed} bytes in a file of {size}: it is damaged"
-                    )
-                at = view.find(_HEAP, at + 1, end)
 
 
 @dataclass(slots=True)
@@ -268,14 +247,17 @@ def _dimension(one: h5py.Dataset) -> str:
 
 
 def _attributes(holder: h5py.HLObject) -> dict[str, Any]:
-    """Attributes that are single numbers or short texts."""
+    """Attributes that are single numbers or short texts; lists of any length, say, crash the library if damaged."""
+    import h5py  # noqa: PLC0415 - loaded by now
+
     found: dict[str, Any] = {}
     for name in list(holder.attrs)[:_MOST_ATTRIBUTES]:
         if name in ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME"):
             continue
         with contextlib.suppress(Exception):  # of a kind that h5py does not read: none that is needed here
             known = holder.attrs.get_id(name)
-            if math.prod(known.shape) <= 1 and known.dtype.itemsize <= _LONGEST_ATTRIBUTE:
+            plain = known.dtype.kind in "fiubSU" or h5py.check_string_dtype(known.dtype) is not None
+            if plain and math.prod(known.shape) <= 1 and known.dtype.itemsize <= _LONGEST_ATTRIBUTE:
                 found[name] = holder.attrs[name]
     return found
 
