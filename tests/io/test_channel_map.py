@@ -160,9 +160,9 @@ def test_conversion_to_text_says_what_it_loses(tmp_path):
     (tmp_path / "map.toml").write_text(ACCELEROMETERS)
     (tmp_path / "data.csv").write_text("x,z,y\n" + "\n".join(f"{np.sin(k)},{k % 5},{k % 3}" for k in range(50)) + "\n")
     with pytest.warns(DataQualityWarning, match=r"out\.csv has no place for how ground_acceleration, gr.* \.h5"):
-        convert(tmp_path / "data.csv", tmp_path / "out.csv", channel_map=tmp_path / "map.toml")
-    convert(tmp_path / "data.csv", tmp_path / "out.h5", channel_map=tmp_path / "map.toml")
-    convert(tmp_path / "out.h5", tmp_path / "again.h5")
+        convert([tmp_path / "data.csv"], tmp_path / "out.csv", channel_maps=[tmp_path / "map.toml"])
+    convert([tmp_path / "data.csv"], tmp_path / "out.h5", channel_maps=[tmp_path / "map.toml"])
+    convert([tmp_path / "out.h5"], tmp_path / "again.h5")
     assert read(tmp_path / "again.h5").channel("ground_acceleration").filter is not None
 
 

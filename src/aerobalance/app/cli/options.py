@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from aerobalance.app.cli.streams import given, wanted
+from aerobalance.app.cli.streams import given, given_all, wanted
 
 if TYPE_CHECKING:
     from aerobalance.app.commands.balance_files import BalanceFiles
@@ -58,6 +58,14 @@ Gravity = Annotated[float, typer.Option("--gravity", help="Local acceleration of
 Map = Annotated[
     Path | None,
     typer.Option("--map", callback=given, help="Channel map (TOML) that says what a foreign file's columns are."),
+]
+Maps = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--map",
+        callback=given_all,
+        help="Channel map (TOML) that says what a foreign file's columns are; of several files one, or one each.",
+    ),
 ]
 Mass = Annotated[str, typer.Option("--mass", help="Moving mass in kg: a number (taken as exact) or a mass.json.")]
 Rec = Annotated[Path, typer.Argument(metavar="REC", callback=given, help="A recording; - is standard input.")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,7 @@ from aerobalance.app.cli.options import (
     Json,
     Map,
     MapOut,
+    Maps,
     NeededOut,
     Replace,
     ToRead,
@@ -20,6 +22,7 @@ from aerobalance.app.cli.options import (
     example,
 )
 from aerobalance.app.cli.result import Manner, show
+from aerobalance.app.cli.streams import given_all
 
 app = typer.Typer()
 
@@ -37,20 +40,48 @@ def info(
     show(lambda: recordings.info(file, channel_map=channel_map), Manner(as_json, verbose), doing="reading")
 
 
+class Align(StrEnum):
+    """How the clocks of several files are compared."""
+
+    AUTO = "auto"
+    TICK = "tick"
+    TRIGGER = "trigger"
+    CORRELATION = "correlation"
+    START = "start"
+
+
 @app.command(epilog=example("convert run.txt --map map.toml -o run.h5"))
 def convert(
-    file: ToRead,
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...", callback=given_all, help="A recording; several of one event are aligned and made one."
+        ),
+    ],
     out: NeededOut,
-    channel_map: Map = None,
+    channel_map: Maps = None,
+    align: Annotated[
+        Align | None,
+        typer.Option(
+            "--align",
+            help="How the clocks of several files are compared: by a channel tick that counts one clock, by the edges "
+            "of a channel trigger, by the correlation of a channel that all have, or by the files' dates (start). "
+            "auto: the first of the three that they have a channel for.",
+        ),
+    ] = None,
+    by: Annotated[
+        str | None, typer.Option("--by", metavar="CHANNEL", help="The channel by which several files are aligned.")
+    ] = None,
     as_json: Json = False,
     verbose: Verbose = False,
     replace: Replace = False,
 ) -> None:
-    """Convert a recording to the format of the output's ending."""
+    """Convert a recording to the format of the output's ending; make one of several files of one event."""
     from aerobalance.app.commands import recordings
 
+    how = recordings.Alignment(None if align is None else align.value, by)
     show(
-        lambda: recordings.convert(file, out, channel_map=channel_map),
+        lambda: recordings.convert(files, out, channel_maps=channel_map or (), how=how),
         Manner(as_json, verbose, replace),
         doing="converting",
     )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
 
@@ -24,8 +26,13 @@ from aerobalance.io.kinds import CONVERTED
 from aerobalance.io.safe_write import replacing
 from aerobalance.recording.channel import Channel, SensorSpec
 from aerobalance.recording.errors import warn_quality
+from aerobalance.recording.joining import account, join
 from aerobalance.recording.noise import channel_noise
+from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import conversion_for, edge_unit
+
+if TYPE_CHECKING:
+    from aerobalance.recording.alignment import Way
 
 NO_TIME: Final = 1e-12
 """Share of the length of a recording below which an instant is zero but for rounding."""
@@ -101,35 +108,67 @@ def summary(result: Result) -> str:
     return "\n".join(lines) + "\n"
 
 
-def convert(path: Path, out: Path, *, channel_map: Path | None = None) -> Result:
-    """Write a recording in another format, or a balance matrix in the other layout."""
-    if is_matrix(path):
-        return convert_matrix(path, out)
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """How several files are brought together, as asked for: the way, and the channel."""
+
+    way: str | None = None
+    by: str | None = None
+
+
+def convert(
+    paths: Sequence[Path],
+    out: Path,
+    *,
+    channel_maps: Sequence[Path] = (),
+    how: Alignment = Alignment(),
+) -> Result:
+    """Write a recording, or several of one event made one, in another format; or a balance matrix."""
+    if len(channel_maps) not in (0, 1, len(paths)):
+        raise ValueError(
+            f"--map is given {len(channel_maps)} times for {len(paths)} files: give one for all, or one each"
+        )
+    if len(paths) == 1 and (how.way or how.by):
+        raise ValueError("--align and --by are for several files of one event; one file was given")
+    if len(paths) == 1 and is_matrix(paths[0]):
+        return convert_matrix(paths[0], out)
     check_output(out)
-    check_out(out, path, channel_map, kind=CONVERTED if out.suffix.lower() in hdf5_file.SUFFIXES else "")
+    check_out(out, *paths, *channel_maps, kind=CONVERTED if out.suffix.lower() in hdf5_file.SUFFIXES else "")
+    maps = [*channel_maps, *[channel_maps[0] if channel_maps else None] * len(paths)][: len(paths)]
     with collected_warnings() as collected:
-        recording = raw_recording(path, channel_map)
-        told = [channel.name for channel in recording if _described(channel)]
-        if told and not writer_of(out).KEEPS_SENSORS:
-            warn_quality(
-                f"{out.name} has no place for how {', '.join(told)} was measured (noise, uncertainties, delay, "
-                "coupling, filter, cross-axis sensitivity): write .h5 to keep it"
-            )
-        if recording.epoch is not None and not writer_of(out).KEEPS_EPOCH:
-            warn_quality(
-                f"{out.name} has no place for the date and time at which its time is zero ({recording.epoch}): write "
-                ".h5 to keep it"
-            )
+        recordings = [raw_recording(path, one) for path, one in zip(paths, maps, strict=True)]
+        joined = join(recordings, way=cast("Way", how.way or "auto"), by=how.by) if len(recordings) > 1 else None
+        recording = recordings[0] if joined is None else joined.recording
+        _say_lost(out, recording)
     write_recording(out, recording)
     names = list(recording.channels)
+    told = [] if joined is None else [one.told() for one in joined.alignments]
+    title = " and ".join(path.name for path in paths)
     return {
-        "file": path.name,
+        "file": paths[0].name,
+        "files": [path.name for path in paths],
         "written": out.name,
         "samples": recording.samples,
         "channels": names,
+        "alignments": [] if joined is None else account(joined),
         "warnings": collected,
-        "summary": f"{path.name}: {recording.samples} samples of {', '.join(names)}\n",
+        "summary": "\n".join([f"{title}: {recording.samples} samples of {', '.join(names)}", *told]) + "\n",
     }
+
+
+def _say_lost(out: Path, recording: Recording) -> None:
+    """Warn of what the format has no place for."""
+    told = [channel.name for channel in recording if _described(channel)]
+    if told and not writer_of(out).KEEPS_SENSORS:
+        warn_quality(
+            f"{out.name} has no place for how {', '.join(told)} was measured (noise, uncertainties, delay, "
+            "coupling, filter, cross-axis sensitivity): write .h5 to keep it"
+        )
+    if recording.epoch is not None and not writer_of(out).KEEPS_EPOCH:
+        warn_quality(
+            f"{out.name} has no place for the date and time at which its time is zero ({recording.epoch}): write "
+            ".h5 to keep it"
+        )
 
 
 def _described(channel: Channel) -> bool:
