@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from aerobalance.estimation.force import estimate_force
     from aerobalance.estimation.live.live_force import LiveForce
     from aerobalance.identification.identify import identify
+    from aerobalance.identification.impact.tap_point import TapPoint
     from aerobalance.io.anything import read
     from aerobalance.io.schedule import read_schedule
     from aerobalance.recording.recording import Recording
@@ -42,6 +43,7 @@ _PLACES: Final = {
     "reduce_outputs": "aerobalance.balance.reduction",
     "Dynamics": "aerobalance.dynamics.single",
     "identify": "aerobalance.identification.identify",
+    "TapPoint": "aerobalance.identification.impact.tap_point",
     "plan": "aerobalance.uncertainty.planning",
     "estimate_force": "aerobalance.estimation.force",
     "budget": "aerobalance.uncertainty.budget",
@@ -56,6 +58,7 @@ __all__ = [
     "Dynamics",
     "LiveForce",
     "Recording",
+    "TapPoint",
     "Zero",
     "budget",
     "calibrate",

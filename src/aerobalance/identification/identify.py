@@ -15,6 +15,9 @@ from aerobalance.identification.base_excitation.shaking import identify_shaking
 from aerobalance.identification.base_excitation.shaking_result import ShakingIdentification
 from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
 from aerobalance.identification.from_outputs import identification_loads, with_sensitivity_error
+from aerobalance.identification.impact.tap_point import TapPoint
+from aerobalance.identification.impact.tap_result import ImpactFit, ImpactIdentification
+from aerobalance.identification.impact.taps import identify_taps
 from aerobalance.identification.result import CoupledIdentification
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.recording.components import COMPONENTS
@@ -22,8 +25,8 @@ from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
-Excitation = Literal["release", "base"]
-"""What makes the balance ring: a load let go, or the motion of the ground end."""
+Excitation = Literal["release", "base", "impact"]
+"""What makes the balance ring: a load let go, the motion of the ground end, or taps of measured force."""
 
 Mass = float | tuple[float, float] | Weighing
 """Mass [kg; kg*m for a moment]: exact, with its standard uncertainty, or as weighed."""
@@ -39,7 +42,8 @@ def identify(
     half_range: Mapping[str, float] | None = None,
     balance: BalanceMatrix | Calibration | None = None,
     zero: Zero | None = None,
-) -> DecayFit | RigFit | CoupledIdentification | ShakingIdentification:
+    points: TapPoint | Sequence[TapPoint | None] | None = None,
+) -> DecayFit | RigFit | ImpactFit | CoupledIdentification | ShakingIdentification | ImpactIdentification:
     """Dynamics of one component or of several, with their covariance, from recordings in which the balance rings.
 
     The result holds them as its ``dynamics``, and can be given where dynamics are asked for.
@@ -49,6 +53,7 @@ def identify(
     recordings
         Balance loads; or with `balance` gauge outputs. Loads that `identification_loads` made of gauge outputs bring
         their balance matrix along. One component needs one recording; coupled components need a release along each.
+        Any number of recordings of taps serve either.
     mass
         Moving mass. One component that is released needs it; a shaken one tells it; coupled components get their
         mass matrix from it.
@@ -56,7 +61,8 @@ def identify(
         Components that are wanted; those that are in the recordings where left out. Several are taken as coupled.
     excitation
         ``"release"``: a load let go in every recording (free decay, step relaxation). ``"base"``: the ground end
-        shaken, its motion recorded.
+        shaken, its motion recorded. ``"impact"``: taps with an instrumented hammer, its force recorded as
+        ``impact_force``.
     modes
         Number of modes, or ``"auto"`` for those that the recordings show: the default for coupled components; one for
         a single one.
@@ -64,6 +70,9 @@ def identify(
         Half of range by component [N, N*m], for coupled components; the largest change of load where left out.
     balance, zero
         Where gauge outputs are given: the balance matrix or its calibration, and the zero that they count from.
+    points
+        Where taps were given and which way they push the model: one for all recordings, or one for each. Left out
+        where the channels of the force say it, and for one component, along which the taps then are.
 
     Raises
     ------
@@ -73,7 +82,9 @@ def identify(
         An argument does not fit.
     """
     if excitation not in get_args(Excitation):
-        raise ValueError(f"excitation must be release or base, not {excitation!r}")
+        raise ValueError(f"excitation must be release, base or impact, not {excitation!r}")
+    if points is not None and excitation != "impact":
+        raise ValueError("points are those of taps: give excitation='impact' as well")
     given = [recordings] if isinstance(recordings, Recording | Loads) else list(recordings)
     if not given:
         raise ValueError("at least one recording is needed")
@@ -88,6 +99,8 @@ def identify(
         loads = identification_loads(outputs, balance, zero=zero, weighing=weighing)
     records = [one.recording for one in loads] or [corrected(one) for one in outputs]
     names = _names(records, components)
+    if excitation == "impact":
+        return _tapped(records, names, loads, mass=mass, modes=modes, half_range=half_range, points=points)
     if len(names) == 1:
         return _one(records, names[0], loads, mass=mass, excitation=excitation, modes=modes)
     weighed = (weighing.mass, weighing.u_mass) if isinstance(mass, Weighing) and weighing is not None else mass
@@ -107,6 +120,34 @@ def identify(
         modes="auto" if modes is None else modes,
         errors=[one.matrix_errors for one in loads],
     )
+
+
+def _tapped(
+    recordings: Sequence[Recording],
+    names: tuple[str, ...],
+    loads: Sequence[Loads],
+    *,
+    mass: Mass | None,
+    modes: int | Literal["auto"] | None,
+    half_range: Mapping[str, float] | None,
+    points: TapPoint | Sequence[TapPoint | None] | None,
+) -> ImpactFit | ImpactIdentification:
+    """Dynamics of one component or of several, from taps."""
+    if isinstance(mass, Weighing):
+        mass = _mass_of(mass, names[0]) if len(names) == 1 else (mass.mass, mass.u_mass)
+    errors = [one.matrix_errors for one in loads] if len(names) > 1 else []
+    where = [points] * len(recordings) if points is None or isinstance(points, TapPoint) else points
+    number = modes if modes is not None else ("auto" if len(names) > 1 else 1)
+    return identify_taps(
+        recordings, components=names, mass=mass, half_range=half_range, modes=number, points=where, errors=errors
+    )
+
+
+def _mass_of(weighing: Weighing, component: str) -> tuple[float, float]:
+    """Mass of one component with its standard uncertainty."""
+    if component not in weighing.masses:
+        raise ValueError(f"the weighing has no mass of {component}; it has {', '.join(weighing.masses)}")
+    return weighing.masses[component].mass, weighing.masses[component].u
 
 
 def _names(recordings: Sequence[Recording], components: Sequence[str] | None) -> tuple[str, ...]:
@@ -135,9 +176,7 @@ def _one(
         raise ValueError(f"one component is identified from one recording at a time, not from {len(recordings)}")
     (recording,) = recordings
     if isinstance(mass, Weighing):
-        if component not in mass.masses:
-            raise ValueError(f"the weighing has no mass of {component}; it has {', '.join(mass.masses)}")
-        mass = (mass.masses[component].mass, mass.masses[component].u)
+        mass = _mass_of(mass, component)
     number = 1 if modes is None else modes
     if excitation == "base":
         if loads:

@@ -10,10 +10,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 from aerobalance.io.text_cells import LARGEST
 from aerobalance.recording.channel import (
     AXES_BY_NAME,
+    IMPACT_FORCE,
     SENSOR_FIELDS,
     Coupling,
     SensorSpec,
-    is_ground_acceleration,
+    is_mounted,
     unit_inside,
 )
 from aerobalance.recording.components import AXIS_VECTORS
@@ -32,7 +33,8 @@ class ChannelSettings(Strict):
     """How readings become a channel's values, and what is known of its sensor.
 
     A value is ``sign * (scale * reading + offset)`` in `unit`. An accelerometer on the ground end has a `place` from
-    the balance's centre [m] and an `axis`, both aft, right and up; text of three numbers is taken for either.
+    the balance's centre [m] and an `axis`, both aft, right and up; text of three numbers is taken for either. So has
+    a measured force on the model.
     """
 
     unit: str | None = None
@@ -84,12 +86,11 @@ class ChannelSettings(Strict):
             return "corner", 'corner [Hz] goes with coupling = "ac" (then above 0 Hz) and with no other'
         if self.coupling != "kinematic" and unit_inside(name) != "m/s^2":
             return "", "coupling is for accelerations, such as ground_acceleration"
-        if not is_ground_acceleration(name):
+        if not is_mounted(name):
             bare = (self.place, self.axis, self.place_uncertainty) == (None, None, 0.0)
-            return (
-                None if bare else ("", "place and axis are for accelerometers on the ground end, ground_acceleration*")
-            )
-        if self.axis is None and name not in AXES_BY_NAME:
+            allowed = f"accelerometers on the ground end, ground_acceleration*, and for {IMPACT_FORCE}"
+            return None if bare else ("", f"place and axis are for {allowed}")
+        if self.axis is None and name not in AXES_BY_NAME and name != IMPACT_FORCE:
             known = ", ".join(AXIS_VECTORS)
             return "axis", f"is needed: the name says no direction; {known} or [aft, right, up]"
         if self.place is None and self.place_uncertainty:

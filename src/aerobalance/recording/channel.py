@@ -25,6 +25,7 @@ QUANTITIES: Final[Mapping[str, str]] = {
     **{f"ground_turn_rate_{name}": "rad/s" for name in MOMENTS},
     "pitch": "rad",
     "roll": "rad",
+    "impact_force": "N",
     "excitation": "V",
     "temperature": "degC",
 }
@@ -35,6 +36,7 @@ in V until `aerobalance.balance.bridge_outputs.gauge_outputs` has divided it by 
 its like are angular accelerations of the ground end, positive as the moment of that name turns: nose up, nose right,
 right side down; ``ground_turn_rate_PM`` and its like are their integrals. ``ground_acceleration_`` with any other
 ending is an accelerometer on the ground end whose channel says where it sits and which way it looks.
+``impact_force`` is the measured force of a hammer or shaker on the model, whose channel may say where and which way.
 """
 
 AXES_BY_NAME: Final[Mapping[str, tuple[float, float, float]]] = {
@@ -48,6 +50,15 @@ _GROUND_ACCELERATION: Final = re.compile(r"ground_acceleration(_\w+)?")
 def is_ground_acceleration(name: str) -> bool:
     """Return whether a channel name is that of an accelerometer on the ground end."""
     return _GROUND_ACCELERATION.fullmatch(name) is not None
+
+
+IMPACT_FORCE: Final = "impact_force"
+"""Name of the channel of a measured force on the model, of a hammer or a shaker."""
+
+
+def is_mounted(name: str) -> bool:
+    """Return whether a channel of this name has a place and an axis: an accelerometer there, or a measured force."""
+    return is_ground_acceleration(name) or name == IMPACT_FORCE
 
 
 def unit_inside(name: str) -> str | None:
@@ -111,10 +122,11 @@ class SensorSpec:
     cross_axis
         What an accelerometer reads of other accelerations, still in the readings.
     place
-        Where an accelerometer on the ground end sits, from the balance's centre aft, right and up [m]; None where it
-        is not given.
+        Where an accelerometer on the ground end sits, or a measured force acts, from the balance's centre aft, right
+        and up [m]; None where it is not given.
     axis
-        Unit vector along which it reads positive: its shares aft, right and up; None where its name tells it.
+        Unit vector along which it reads positive: its shares aft, right and up; None where its name tells it. Of a
+        measured force, the direction in which it pushes the model.
     place_uncertainty
         Standard uncertainty of every coordinate of `place` [m].
     """
@@ -187,11 +199,13 @@ class Channel(SensorSpec):
         object.__setattr__(self, "values", fixed)
 
     def _check_mounting(self) -> None:
-        """Refuse a place or an axis that no accelerometer on the ground end can have."""
+        """Refuse a place or an axis that no accelerometer on the ground end, and no measured force, can have."""
         if (self.place, self.axis, self.place_uncertainty) == (None, None, 0.0):
             return
-        if not is_ground_acceleration(self.name):
-            raise ValueError(f"channel {self.name}: place and axis are for ground_acceleration and its like")
+        if not is_mounted(self.name):
+            raise ValueError(
+                f"channel {self.name}: place and axis are for ground_acceleration and its like, and for {IMPACT_FORCE}"
+            )
         if self.place is not None and (len(self.place) != 3 or not np.isfinite(self.place).all()):
             raise ValueError(f"channel {self.name}: place must be three numbers [m], aft, right, up, not {self.place}")
         if not 0 <= self.place_uncertainty < np.inf:

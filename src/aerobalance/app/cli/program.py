@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from aerobalance.app.cli import campaigns, lab, recordings, runs, streams
+from aerobalance.app.cli import campaigns, recordings, runs, streams, taps
 from aerobalance.app.cli.options import PROGRAM, Json, Replace, Verbose, example
 from aerobalance.app.cli.result import Manner, show
 from aerobalance.app.options import as_options
@@ -84,7 +84,7 @@ def demo(
     show(lambda: run_demo(out, seed=seed), manner, doing="running both experiments")
 
 
-for part in (recordings, lab, runs, campaigns):
+for part in (recordings, taps, runs, campaigns):
     app.add_typer(part.app)
 
 

@@ -69,7 +69,7 @@ def identify_decay(
     if files is not None:
         details["calibration_of_balance"] = CALIBRATION_DROPS_OUT
     used += [] if channel_map is None else [channel_map]
-    result = _identified(path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, used=used)
+    result = identified(path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, used=used)
     result["summary"] = f"{fit.verdict}\n\n{result['summary']}"
     return {"verdict": str(fit.verdict), "doubts": [doubt_result(doubt) for doubt in fit.doubts], **result}
 
@@ -210,7 +210,7 @@ def identify_rig(
             "delay": {"value": fit.live.delay, "u": fit.live.u_delay, "unit": "s"},
         }
     used += [] if channel_map is None else [channel_map]
-    return _identified(path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, used=used)
+    return identified(path, out, fit.dynamics, details, mass=mass, modes=modes, collected=collected, used=used)
 
 
 def _dwell_details(recording: Recording, dynamics: Dynamics) -> Result:
@@ -277,10 +277,10 @@ def identify_frf(path: Path, out: Path | None, *, component: str = "AF", mass: s
         "chi2": fit.chi2,
         "degrees_of_freedom": fit.degrees_of_freedom,
     }
-    return _identified(path, out, fit.dynamics, details, mass=mass, collected=collected)
+    return identified(path, out, fit.dynamics, details, mass=mass, collected=collected)
 
 
-def _identified(
+def identified(
     path: Path,
     out: Path | None,
     dynamics: Dynamics,

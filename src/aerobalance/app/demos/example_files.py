@@ -15,6 +15,7 @@ import numpy as np
 
 from aerobalance.app.commands import calibration, identify, weighing
 from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.io import write_recording
 from aerobalance.io.balfit_file import write_balfit_schedule
 from aerobalance.io.safe_write import replacing
@@ -25,6 +26,7 @@ from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor, VibrationRig
 from aerobalance.simulation.calibration_stand import CalibrationStand
 from aerobalance.simulation.drives import Sweep, band_noise
+from aerobalance.simulation.hammer import Blow, Hammer, Tapping
 from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 
@@ -66,6 +68,23 @@ aa = {value = 0.3, u = 0.002}
 rr = {value = 0.9, u = 0.002}
 uu = {value = 0.8, u = 0.002}
 """
+
+MODES: Final = """\
+    -1
+    55
+balance with model
+one mode, of the response functions of taps
+NONE
+NONE
+NONE
+         1         3         2         8         5         3
+         2         6         0         1
+ -4.17195E+00  4.17175E+02  1.00000E+00  0.00000E+00  0.00000E+00  0.00000E+00
+         1
+  1.00000E+00  0.00000E+00  0.00000E+00  0.00000E+00  0.00000E+00  0.00000E+00
+    -1
+"""
+"""A pole at 66.4 Hz with a damping ratio of 1 %, and its shape, as a modal program writes them."""
 
 SETUP: Final = """\
 [source]
@@ -211,6 +230,7 @@ def _other_ways(laboratory: _Laboratory) -> None:
     laboratory.write(
         "response.csv", "\n".join([head, *(",".join(f"{cell:.6g}" for cell in row) for row in rows)]) + "\n"
     )
+    _tapped(laboratory)
     lines = [",".join(["", *COMPONENTS])]
     for word, size in (("", 1.0), ("u ", 1e-3)):
         table = size * np.diag(STIFFNESS)
@@ -220,3 +240,19 @@ def _other_ways(laboratory: _Laboratory) -> None:
         ]
     laboratory.write("stiffness.csv", "\n".join(lines) + "\n")
     laboratory.write("rigid_mass.toml", RIGID_MASS)
+
+
+def _tapped(laboratory: _Laboratory) -> None:
+    """Five taps of an instrumented hammer, one of which bounced, and the mode that another program found of such."""
+    (generator,) = laboratory.generator.spawn(1)  # what is drawn after this stays what it was
+    blows = [Blow(0.4 + 1.2 * number, generator.uniform(500.0, 900.0), 0.004) for number in range(5)]
+    tapping = Tapping(
+        CoupledDynamics.of_components([CABLE_CUT.dynamics]),
+        np.array([1.0]),
+        (*blows, Blow(blows[3].instant + 0.025, 120.0, 0.004)),
+        hammer=Hammer(noise=0.5),
+        noise=np.array([0.2]),
+        rate=CABLE_CUT.rate.value,
+    )
+    write_recording(laboratory.folder / "taps.csv", tapping.record(6.5, generator, name="taps"))
+    laboratory.write("modes.uff", MODES)

@@ -36,7 +36,8 @@ from aerobalance.identification.step_relaxation.experiment_design import (
     unmoved,
 )
 from aerobalance.identification.step_relaxation.fit import ReleaseFit, reweighed
-from aerobalance.identification.step_relaxation.internal_coordinates import quasi_static
+from aerobalance.identification.step_relaxation.free_response import FreeMotion
+from aerobalance.identification.step_relaxation.internal_coordinates import coordinates_of, quasi_static
 from aerobalance.identification.step_relaxation.model_order import MOST, ChosenFit, fit_modes
 from aerobalance.identification.step_relaxation.record import ReleaseRecord, release_record
 from aerobalance.identification.step_relaxation.stages import Units
@@ -97,7 +98,7 @@ def identify_releases(
     if errors and len(errors) != len(recordings):
         raise ValueError(f"errors must be given for each of {len(recordings)} recordings or for none")
     records = [release_record(recording, names) for recording in recordings]
-    sizes = _sizes(records, names, half_range)
+    sizes = sizes_of(records, names, half_range)
     _check_moved(records, sizes, names)
     with PROGRESS.stage(0.0, 0.8, "modes"):
         chosen = fit_modes(records, sizes=sizes, modes=modes)
@@ -106,7 +107,7 @@ def identify_releases(
     if (colour > 1).any():
         fit = reweighed(fit, fit.noise * np.sqrt(np.outer(colour, colour)))
     _check_seen(fit, names)
-    dynamics = _dynamics(fit, units, names)
+    dynamics = dynamics_of(fit.matrices, fit.information, units, names)
     if errors:
         left = covariance_of_calibration(fit, units, records, errors, components=names)
         dynamics = replace(dynamics, covariance_of_calibration=left)
@@ -150,8 +151,10 @@ def _check_call(
         raise ValueError(f"release_share must be above 0 and at most 1, not {release_share:g}")
 
 
-def _sizes(records: list[ReleaseRecord], names: tuple[str, ...], half_range: Mapping[str, float] | None) -> Array:
-    """Half of range by component, or the largest change of load."""
+def sizes_of(
+    records: Sequence[ReleaseRecord], names: tuple[str, ...], half_range: Mapping[str, float] | None
+) -> Array:
+    """Return half of range by component, or the largest change of load, shape (n,) [N, N*m]."""
     if half_range is None:
         return np.asarray(np.max([np.ptp(record.values, axis=0) for record in records], axis=0) + 0.0)
     missing = [name for name in names if not half_range.get(name, 0) > 0]
@@ -201,20 +204,36 @@ def _called(parts: Sequence[object]) -> str:
 
 
 def _colour(fit: ReleaseFit) -> Array:
-    """Power of the residuals within an eighth of the modes' frequencies over that of white noise, shape (n,)."""
-    n = fit.size
-    _, rates = pairs(fit.motion)
+    parts = [
+        (linear.ringing, float(np.median(np.diff(segment.time))))
+        for segment, linear in zip(fit.segments, fit.linears, strict=True)
+    ]
+    return colour_of(parts, fit.motion, fit.noise)
+
+
+def colour_of(parts: Sequence[tuple[Array, float]], motion: FreeMotion, noise: Array) -> Array:
+    """Power of the residuals within an eighth of the modes' frequencies over that of white noise, shape (n,).
+
+    Parameters
+    ----------
+    parts
+        Residuals while the balance rings, shape (m, n), and the time between their rows.
+    motion
+        The motion fitted.
+    noise
+        Covariance of the noise of a row, shape (n, n).
+    """
+    n = motion.components
+    _, rates = pairs(motion)
     near, whole, ordinates = np.zeros(n), np.zeros(n), 0
-    for segment, linear in zip(fit.segments, fit.linears, strict=True):
-        left = linear.ringing
-        interval = float(np.median(np.diff(segment.time)))
+    for left, interval in parts:
         power = np.abs(np.fft.rfft(left, axis=0)[1:]) ** 2
         rate = 2 * np.pi * np.arange(1, power.shape[0] + 1) / (left.shape[0] * interval)
         band = (np.abs(rate[:, None] / rates - 1) < 1 / 8).any(axis=1)
         near += power[band].sum(axis=0)
         whole += power.mean(axis=0) * np.count_nonzero(band)
         ordinates += int(np.count_nonzero(band))
-    if ordinates < 12 or (whole == 0).any() or (np.sqrt(np.diag(fit.noise)) < 1e-9).any():
+    if ordinates < 12 or (whole == 0).any() or (np.sqrt(np.diag(noise)) < 1e-9).any():
         return np.ones(n)
     level = near / whole
     return np.where(level > 1 + 4 / np.sqrt(ordinates), level, 1.0)
@@ -243,7 +262,7 @@ def _result(
         duration=duration,
         rate=records[0].rate,
     )
-    rigid, notes = _rigid(dynamics, mass)
+    rigid, notes = rigid_of(dynamics, mass)
     if rigid is not None:
         dynamics = replace(dynamics, mass=rigid.mass)
     deviation, reduced = _residual_size(fit, units, records)
@@ -290,19 +309,20 @@ def _notes_on_modes(found: CoupledIdentification, chosen: ChosenFit) -> list[str
     return [text]
 
 
-def _dynamics(fit: ReleaseFit, units: Units, names: tuple[str, ...]) -> CoupledDynamics:
-    size = fit.size + fit.internal
-    spring, brake = fit.matrices.reshape(2, size, size)
+def dynamics_of(matrices: Array, information: Array, units: Units, names: tuple[str, ...]) -> CoupledDynamics:
+    """Return A and D with their covariance, of A^-1 and A^-1 D in the units of the fit and the information on them."""
+    size = coordinates_of(matrices)
+    spring, brake = matrices.reshape(2, size, size)
     A = np.linalg.inv(spring)
     ratio = units.ratio(size)
-    covariance = physical_covariance(fit.information, fit.matrices, units)
+    covariance = physical_covariance(information, matrices, units)
     return CoupledDynamics(names, A * ratio / units.rate**2, A @ brake * ratio / units.rate, covariance)
 
 
-def _rigid(
+def rigid_of(
     dynamics: CoupledDynamics, mass: float | tuple[float, float] | None
 ) -> tuple[RigidMassFit | None, list[str]]:
-    """The rigid mass, where a weighed mass is given, and what is doubtful about it."""
+    """Return the rigid mass, where a weighed mass is given, and what is doubtful about it."""
     if mass is None:
         return None, []
     value, uncertainty = mass if isinstance(mass, tuple) else (mass, 0.0)

@@ -119,16 +119,16 @@ def linearise(
     squares = float(np.sum((after @ whitener.T) ** 2) + np.sum((before @ whitener.T) ** 2))
     block: Array = np.zeros((0, 0))
     if on_columns is not None:
-        factor, along = _compressed(columns, after)
+        factor, along = compressed(columns, after)
         slopes = np.tensordot(factor, on_columns, axes=1)
         table = np.concatenate([slopes, along[:, :, None]], axis=2)
-        rows = [_weighted(whitener, table)]
+        rows = [weighted(whitener, table)]
         if before.size:
             root = np.sqrt(before.shape[0])
             flat: Array = np.zeros((1, n, table.shape[2]))
             flat[0, :, n : 2 * n] = root * np.eye(n)
             flat[0, :, -1] = root * before.mean(axis=0)
-            rows.append(_weighted(whitener, flat))
+            rows.append(weighted(whitener, flat))
         block = np.array(qr(np.vstack(rows), mode="r", check_finite=False)[0][: table.shape[2]], dtype=np.float64)
     return Linear(squares, before.shape[0] + after.shape[0], block, before, after)
 
@@ -170,8 +170,8 @@ def _slopes(segment: Segment, motion: FreeMotion, own: Array) -> tuple[Array, Ex
     return slopes, model
 
 
-def _compressed(columns: Array, left: Array) -> tuple[Array, Array]:
-    """Triangular factor R of the columns Q R, and Q' times the residuals."""
+def compressed(columns: Array, left: Array) -> tuple[Array, Array]:
+    """Return the triangular factor R of the columns Q R, and Q' times the residuals."""
     size = np.linalg.norm(columns, axis=0)
     if size.all() and columns.shape[0] > columns.shape[1]:
         scaled = (columns.T @ columns) / np.outer(size, size)
@@ -182,7 +182,7 @@ def _compressed(columns: Array, left: Array) -> tuple[Array, Array]:
     return np.asarray(factor), np.asarray(basis.T @ left)
 
 
-def _weighted(whitener: Array, table: Array) -> Array:
+def weighted(whitener: Array, table: Array) -> Array:
     """Weigh a table of shape (rows, n, k) and lay it out as (rows n, k)."""
     return np.asarray(np.einsum("dc,bck->bdk", whitener, table).reshape(-1, table.shape[2]))
 
@@ -238,7 +238,7 @@ def _functions(segment: Segment, motion: FreeMotion, own: Array) -> tuple[Expone
     state, matrices = motion.by_state(), motion.by_matrices(sizes)
     if segment.kind == "free":
         nothing = np.zeros((2 * size, n, n), dtype=np.complex128)
-        return _joined([ExponentialSums(nothing, nothing, np.zeros((n, n))), state, matrices]), whole
+        return joined([ExponentialSums(nothing, nothing, np.zeros((n, n))), state, matrices]), whole
     loads = _picked(state, slice(n))
     away = ExponentialSums(-loads.plain, -loads.late, -loads.constant)
     parts = [away, loads, motion.by_time(whole)]
@@ -246,18 +246,19 @@ def _functions(segment: Segment, motion: FreeMotion, own: Array) -> tuple[Expone
         parts += [_picked(state, slice(n, size)), _picked(state, slice(size + n, 2 * size))]
     parts.append(matrices)
     if segment.kind == "release":
-        return _joined(parts), whole
+        return joined(parts), whole
     plain, late, steeper = _means(motion, float(own[2 * n + 1]))
     parts = [part.weighted(plain, late) for part in parts]
     parts.insert(3, whole.weighted(steeper, np.zeros_like(steeper)))
-    return _joined(parts), whole.weighted(plain, late)
+    return joined(parts), whole.weighted(plain, late)
 
 
 def _picked(functions: ExponentialSums, which: slice) -> ExponentialSums:
     return ExponentialSums(functions.plain[:, :, which], functions.late[:, :, which], functions.constant[:, which])
 
 
-def _joined(parts: list[ExponentialSums]) -> ExponentialSums:
+def joined(parts: list[ExponentialSums]) -> ExponentialSums:
+    """Return all functions of several sets as one set."""
     return ExponentialSums(
         np.concatenate([part.plain for part in parts], axis=2),
         np.concatenate([part.late for part in parts], axis=2),

@@ -120,13 +120,13 @@ def fit_modes(records: Sequence[ReleaseRecord], *, sizes: Array, modes: int | Li
         No first guess explains the decays, or the fit does not settle.
     """
     if modes != "auto":
-        free, units = _decays_with(modes - sizes.size, records, sizes=sizes)
+        free, units = decays_with(modes - sizes.size, records, sizes=sizes)
         fit = with_edges(free, records, units)
-        return ChosenFit(fit, units, _missed(fit, units, records))
-    free, units, gain = _free_decays(records, sizes=sizes)
+        return ChosenFit(fit, units, missed(fit, units, records))
+    free, units, gain = free_decays(records, sizes=sizes)
     if not free.internal:
         fit = with_edges(free, records, units)
-        return ChosenFit(fit, units, _missed(fit, units, records))
+        return ChosenFit(fit, units, missed(fit, units, records))
     try:
         fit = with_edges(free, records, units)
     except (FitError, np.linalg.LinAlgError) as problem:
@@ -136,17 +136,17 @@ def fit_modes(records: Sequence[ReleaseRecord], *, sizes: Array, modes: int | Li
         return _without(records, sizes, against)
     if gain_over(free, fit) > SETTINGS.lost * gain:
         return _without(records, sizes, "its motion does not begin at rest with the releases")
-    return ChosenFit(fit, units, _missed(fit, units, records))
+    return ChosenFit(fit, units, missed(fit, units, records))
 
 
 def _without(records: Sequence[ReleaseRecord], sizes: Array, why: str) -> ChosenFit:
     """The fit with one mode for each component, although the decays show more."""
     free, units = fit_decays(records, sizes=sizes, start=guess_of(records))
     fit = with_edges(free, records, units)
-    return ChosenFit(fit, units, _missed(fit, units, records), why)
+    return ChosenFit(fit, units, missed(fit, units, records), why)
 
 
-def _free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units, float]:
+def free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units, float]:
     """Free decays with as many modes as they show clearly, and the log-likelihood that the last of them gained."""
     free, units, gain = _beginning(records, sizes=sizes)
     internal = free.internal
@@ -155,7 +155,7 @@ def _free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Rel
         if _hopeless(internal, free, records):
             continue
         try:
-            larger, others = _decays_with(internal, records, sizes=sizes)
+            larger, others = decays_with(internal, records, sizes=sizes)
             gained = gain_over(larger, free)
             clear = gained > _by_chance(larger, internal, internal - free.internal) + SETTINGS.evidence
             if clear and internal - free.internal > 1:  # each for itself, not all together
@@ -193,7 +193,7 @@ def _lightly_damped(motion: FreeMotion, count: int) -> bool:
     return pairs(motion)[1].size == count and bool((-poles.real < HEAVIEST * np.abs(poles)).all())
 
 
-def _decays_with(internal: int, records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units]:
+def decays_with(internal: int, records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units]:
     """Free decays with so many modes beside one for each component.
 
     A first guess may miss a mode that a guess with one more has, beside another that is none. Where it leads nowhere,
@@ -311,7 +311,7 @@ def _against(fit: ReleaseFit) -> str | None:
     return None
 
 
-def _missed(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> float | None:
+def missed(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> float | None:
     """Frequency of what rings beside the modes fitted [Hz], or None.
 
     That of the narrow peak in the residuals, or rather of the mode that a motion with one more has and the fit lacks,

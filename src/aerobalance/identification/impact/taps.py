@@ -1,0 +1,379 @@
+"""Identification from taps with an instrumented hammer, of one component or of several coupled ones.
+
+With the static calibration of the balance, X + D X' + A X'' = g h(t): the ringing after a tap tells A and D as that
+after a release does, Eq. (8) of [Gorbushin2020]_ with matrices; the measured force tells how it began, and is held
+against the balance's own calibration. It does not tell the mass: neither load nor force holds a displacement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+
+from aerobalance.balance.matrix_errors import MatrixErrors
+from aerobalance.identification.coupled_modes import ModeTable
+from aerobalance.identification.force_error import error_of, force_weights, highest_of
+from aerobalance.identification.impact.tap_account import account_of, excitation_of_taps
+from aerobalance.identification.impact.tap_doubts import (
+    judged_points,
+    left_out,
+    missing_mode,
+    scatter_of,
+    taps_that_differ,
+    unequal_taps,
+)
+from aerobalance.identification.impact.tap_fit import TapFit, settle_taps
+from aerobalance.identification.impact.tap_point import U_GAIN, TapPoint, fit_point, point_of
+from aerobalance.identification.impact.tap_record import TapRecord, tap_record
+from aerobalance.identification.impact.tap_result import ALL, ImpactFit, ImpactIdentification, Taps
+from aerobalance.identification.impact.tap_stages import (
+    PlacedTap,
+    anywhere,
+    free_taps,
+    linked_taps,
+    loads_found,
+    taps_apart,
+)
+from aerobalance.identification.one_component import one_component
+from aerobalance.identification.result import APPLIED, colour_warnings, force_error_warnings
+from aerobalance.identification.step_relaxation.calibration_errors import covariance_of_calibration
+from aerobalance.identification.step_relaxation.experiment_design import (
+    STILL,
+    combination_of,
+    combination_text,
+    first_release_for,
+    pairs,
+    unmoved,
+)
+from aerobalance.identification.step_relaxation.fit import ReleaseFit
+from aerobalance.identification.step_relaxation.identify import colour_of, dynamics_of, rigid_of, sizes_of
+from aerobalance.identification.step_relaxation.stages import Units
+from aerobalance.recording.channel import IMPACT_FORCE, Array
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.doubts import Doubt
+from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.progress import PROGRESS
+from aerobalance.recording.recording import Recording
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """What the fit of taps found, whatever the number of components."""
+
+    fit: TapFit
+    units: Units
+    taps: Taps
+    colour: Array
+    decays: ReleaseFit
+
+
+def identify_taps(
+    recordings: Sequence[Recording],
+    *,
+    components: Sequence[str] = COMPONENTS,
+    mass: float | tuple[float, float] | None = None,
+    half_range: Mapping[str, float] | None = None,
+    modes: int | Literal["auto"] = "auto",
+    points: Sequence[TapPoint | None] = (),
+    errors: Sequence[MatrixErrors] = (),
+) -> ImpactFit | ImpactIdentification:
+    """Identify F = X + D X' + A X'', Eq. (17) of [Gorbushin2020]_ with matrices, from taps of measured force.
+
+    Parameters
+    ----------
+    recordings
+        One or more taps in each, all at one point and in one direction, with the channel ``impact_force``. All at the
+        same sampling rate.
+    components
+        Components, some of `COMPONENTS`; several are taken as coupled.
+    mass
+        Weighed mass [kg; kg*m for a moment], exact or with its standard uncertainty. One component needs it; all six
+        get their mass matrix from it.
+    half_range
+        Half of range by component [N, N*m]; where not given, the largest change of load in the recordings.
+    modes
+        Number of modes; ``"auto"`` takes those that the ringing shows clearly.
+    points
+        Where the taps of every recording were given; None for one whose channel says it. One component may do without:
+        the taps are then taken to be along it.
+    errors
+        Where the balance matrix was used, for each recording: what its calibration leaves in A and D of coupled
+        components is then in `CoupledDynamics.covariance_of_calibration`.
+
+    Raises
+    ------
+    ValueError
+        There is no recording, or components, mass, half range, points or sampling rates do not fit.
+    FitError
+        The taps leave a combination of loads at rest, the ringing shows too few modes, or no fit settles.
+
+    Notes
+    -----
+    The likelihood is that of the readings before and after each contact and of the force's readings in it, all noisy.
+    No window is used: what is cut off at the end of a record is left to the model, and adds no damping.
+    """
+    names = tuple(name for name in COMPONENTS if name in components)
+    _check_call(recordings, names, components, mass=mass, points=points)
+    given = list(points) or [None] * len(recordings)
+    where = [point_of(recording, point) for recording, point in zip(recordings, given, strict=True)]
+    _check_points(recordings, where, names)
+    records = [tap_record(recording, names) for recording in recordings]
+    places = list(dict.fromkeys(where))
+    taps = [
+        PlacedTap(record, tap, places.index(point))
+        for record, point in zip(records, where, strict=True)
+        for tap in record.taps
+        if tap.fault != "double hit"
+    ]
+    component = names[0] if len(names) == 1 else ALL
+    _check_left(taps, records)
+    decays = [tap.decay for tap in taps]
+    sizes = sizes_of(decays, names, half_range)
+    _check_moved(taps, sizes, names)
+    found = _fitted(taps, records, places, recordings, sizes=sizes, modes=modes, names=names, component=component)
+    if len(names) == 1:
+        return _single(found, names[0], mass)
+    left = _of_calibration(found, taps, records, errors, names) if errors else None
+    return _coupled(found, names, mass, given=half_range is not None, left=left)
+
+
+def _of_calibration(
+    found: _Found,
+    taps: Sequence[PlacedTap],
+    records: Sequence[TapRecord],
+    errors: Sequence[MatrixErrors],
+    names: tuple[str, ...],
+) -> Array | None:
+    """What the calibration leaves in A and D, as in the ringing alone: an error E of the loads makes A + E A - A E."""
+    if found.fit.internal:
+        warn_quality(
+            "what the calibration of the balance leaves is not worked out where the model or the sting bends; the "
+            "uncertainties lack it"
+        )
+        return None
+    of = [errors[next(place for place, one in enumerate(records) if one is tap.record)] for tap in taps]
+    return covariance_of_calibration(found.decays, found.units, [tap.decay for tap in taps], of, components=names)
+
+
+def _check_call(
+    recordings: Sequence[Recording],
+    names: tuple[str, ...],
+    components: Sequence[str],
+    *,
+    mass: float | tuple[float, float] | None,
+    points: Sequence[TapPoint | None],
+) -> None:
+    if not recordings:
+        raise ValueError("at least one recording of taps is needed")
+    if not names or len(names) != len(components):
+        raise ValueError(f"components must be some of {', '.join(COMPONENTS)}, each once, not {', '.join(components)}")
+    rates = [recording.rate for recording in recordings]
+    if max(rates) > 1.001 * min(rates):
+        raise ValueError(f"the recordings must have one sampling rate, not {min(rates):g} to {max(rates):g} Hz")
+    if points and len(points) != len(recordings):
+        raise ValueError(f"a point is needed for each of {len(recordings)} recordings, not {len(points)}")
+    if len(names) == 1 and mass is None:
+        raise ValueError(
+            "mass is needed: taps tell stiffness and damping only in proportion to the mass, as neither the load nor "
+            "the force tells a displacement"
+        )
+    if len(names) > 1 and mass is not None and names != COMPONENTS:
+        raise ValueError(f"a mass matrix needs all of {', '.join(COMPONENTS)}; leave the mass out")
+    if isinstance(mass, tuple) and not (0 < mass[0] < np.inf and mass[1] >= 0):
+        raise ValueError(f"mass must be positive, its uncertainty zero or more: {mass[0]}, {mass[1]}")
+
+
+def _check_points(recordings: Sequence[Recording], where: Sequence[TapPoint | None], names: tuple[str, ...]) -> None:
+    """Refuse taps of which it is not known where they were given, where that matters."""
+    lacking = [recording.name for recording, point in zip(recordings, where, strict=True) if point is None]
+    if lacking and len(names) > 1:
+        raise ValueError(
+            f"{', '.join(lacking)}: where was the model tapped, and which way? Give the point and the direction, aft, "
+            f"right and up from the balance's centre (--at 0.1,0,0.05 --direction 0,0,-1), or place and axis of "
+            f"{IMPACT_FORCE} in the channel map"
+        )
+
+
+def _check_left(taps: Sequence[PlacedTap], records: Sequence[TapRecord]) -> None:
+    if not taps:
+        count = sum(len(record.taps) for record in records)
+        raise FitError(
+            f"{', '.join(record.name for record in records)}: in all {count} taps the hammer touched twice, so none "
+            "is left; tap again, with the hammer hanging loosely"
+        )
+
+
+def _check_moved(taps: Sequence[PlacedTap], sizes: Array, names: tuple[str, ...]) -> None:
+    """Refuse taps that leave a combination of loads at rest."""
+    combinations = unmoved([tap.decay for tap in taps], sizes)
+    if not len(combinations):
+        return
+    called = ", ".join(dict.fromkeys(tap.record.name for tap in taps))
+    if len(combinations) == len(names):
+        raise FitError(f"{called}: the loads do not ring after the taps; is the balance connected?")
+    texts = " nor ".join(combination_text(weights, names) for weights in combinations)
+    raise FitError(
+        f"{called}: no tap moves {texts} (loads over half of range) above the noise, so {len(combinations)} of "
+        f"{len(names)} modes stay unknown; add taps that load {first_release_for(combinations, names)}"
+    )
+
+
+def _fitted(
+    taps: Sequence[PlacedTap],
+    records: Sequence[TapRecord],
+    places: Sequence[TapPoint | None],
+    recordings: Sequence[Recording],
+    *,
+    sizes: Array,
+    modes: int | Literal["auto"],
+    names: tuple[str, ...],
+    component: str,
+) -> _Found:
+    """Fit the ringing, then the force, and judge what the one says of the other."""
+    with PROGRESS.stage(0.0, 0.6, "ringing"):
+        free, units, ringing = free_taps(taps, sizes=sizes, modes=modes)
+    _check_seen(free, taps, names)
+    doubts = [*left_out(records, component), *missing_mode(ringing.peak, component)]
+    stated = [fit_point(place, names, sizes) for place in places]
+    u_gain = max(recording.channel(IMPACT_FORCE).relative_uncertainty for recording in recordings) or U_GAIN
+    leave = [False] * len(taps)
+    fit = free
+    linked, scale = any(tap.found.fault is None for tap in taps), 1.0
+    if free.internal and not linked:
+        raise FitError("a mode of the model or sting needs taps of measured force, and that of none can be used")
+    if linked:
+        with PROGRESS.stage(0.6, 0.4, "force"):
+            loose = linked_taps(free, taps, units, anywhere(stated), u_gain=0.0, leave=leave)
+            leave = taps_apart(loose)
+            if any(leave) and not all(leave):
+                loose = linked_taps(free, taps, units, anywhere(stated), u_gain=0.0, leave=leave)
+            judged = judged_points(
+                stated, loads_found(loose), u_gain=u_gain, component=component, sizes=sizes, names=names
+            )
+            fit = linked_taps(free, taps, units, judged.points, u_gain=judged.u_gain, leave=leave)
+        scale = judged.scale
+        doubts += [*taps_that_differ(taps, leave, component), *judged.doubts]
+    fit, colour, more = _with_misfit(fit, units, names, component)
+    if more:  # the same, said better
+        doubts = [one for one in doubts if one.kind != "missing mode"]
+    doubts += more
+    return _Found(
+        fit,
+        units,
+        account_of(fit, units, taps, records, places, doubts=doubts, component=component, scale=scale),
+        colour,
+        ringing.decays,
+    )
+
+
+def _check_seen(fit: TapFit, taps: Sequence[PlacedTap], names: tuple[str, ...]) -> None:
+    """Refuse taps that leave a mode in the noise."""
+    count = len(names) + fit.internal
+    poles = fit.motion.poles
+    energy = np.sum(excitation_of_taps(fit)[1] ** 2, axis=0)
+    if (poles.real >= 0).any() or np.count_nonzero(poles.imag > 0) != count or energy.min() < STILL:
+        called = ", ".join(dict.fromkeys(tap.record.name for tap in taps))
+        raise FitError(
+            f"{called}: the ringing after the taps does not show {count} decaying modes above the noise; tap at other "
+            "points and along other directions, with a harder tip where fast modes are missing, or more strongly"
+        )
+
+
+def _with_misfit(
+    fit: TapFit, units: Units, names: tuple[str, ...], component: str
+) -> tuple[TapFit, Array, list[Doubt]]:
+    """The fit with uncertainties that contain what departs from it, the color of the residuals, and the doubts."""
+    parts = [
+        (linear.after, float(np.median(np.diff(tap.time)))) for tap, linear in zip(fit.taps, fit.linears, strict=True)
+    ]
+    colour = colour_of(parts, fit.motion, fit.noise)
+    scatter = scatter_of(fit)
+    doubts = []
+    larger = colour
+    if scatter is not None:
+        table = ModeTable.of(dynamics_of(fit.common.matrices, fit.information, units, names), sizes=units.sizes)
+        mode = table.modes[scatter.mode]
+        known = float(table.u_damping_ratio[scatter.mode]) / mode.damping_ratio
+        factor = max(scatter.chi2 / scatter.degrees_of_freedom, (scatter.damping / 2 / known) ** 2)
+        doubts.append(unequal_taps(scatter, mode.natural_frequency, component))
+        larger = np.maximum(colour, factor)
+    if (larger > 1).any():
+        noise = fit.noise * np.sqrt(np.outer(larger, larger))
+        try:
+            fit = settle_taps(fit.taps, fit.points, fit.common, fit.own, noise=noise, off=fit.off)
+        except FitError:  # the valley of what is left out
+            fit = replace(fit, noise=noise)
+    return fit, colour, doubts
+
+
+def _single(found: _Found, component: str, mass: float | tuple[float, float] | None) -> ImpactFit:
+    """Mass, stiffness and damping of one component."""
+    value, u_mass = mass if isinstance(mass, tuple) else (mass or 0.0, 0.0)
+    coupled = dynamics_of(found.fit.common.matrices, found.fit.information, found.units, (component,))
+    dynamics = one_component(coupled, value, u_mass)
+    doubts = list(found.taps.doubts)
+    relative = dynamics.uncertainty("damping") / dynamics.damping
+    if relative > DOUBTFUL:
+        text = f"the ringing tells the damping to {100 * relative:.2g} % only"
+        doubts.append(
+            Doubt("damping hardly told", component, text, "tap more strongly, or record for longer", relative, "1")
+        )
+    notes = [*map(str, doubts)]
+    for note in notes:
+        warn_quality(note)
+    return ImpactFit(dynamics, replace(found.taps, doubts=tuple(doubts)), tuple(notes))
+
+
+DOUBTFUL: Final = 0.1
+"""Relative standard uncertainty of the damping above which it is called hardly told."""
+
+
+def _coupled(
+    found: _Found, names: tuple[str, ...], mass: float | tuple[float, float] | None, *, given: bool, left: Array | None
+) -> ImpactIdentification:
+    """A and D of several components, and what they leave."""
+    fit, units = found.fit, found.units
+    dynamics = dynamics_of(fit.common.matrices, fit.information, units, names)
+    if left is not None:
+        dynamics = replace(dynamics, covariance_of_calibration=left)
+    applied = APPLIED * units.sizes
+    error = error_of(dynamics.covariance, force_weights(dynamics, sizes=applied))
+    rigid, notes = rigid_of(dynamics, mass)
+    if rigid is not None:
+        dynamics = replace(dynamics, mass=rigid.mass)
+    up, _ = pairs(fit.motion)
+    table = ModeTable.of(dynamics, sizes=units.sizes)
+    result = ImpactIdentification(
+        dynamics=dynamics,
+        modes=table.modes,
+        u_natural_frequency=table.u_natural_frequency,
+        u_damping_ratio=table.u_damping_ratio,
+        mode_shapes=table.shapes,
+        combinations=np.array([combination_of(fit.motion, mode) for mode in range(len(up))]),
+        half_range=units.sizes,
+        half_range_given=given,
+        residual_deviation=found.taps.residual_deviation,
+        reduced_chi2=found.taps.reduced_chi2,
+        colour=found.colour,
+        degrees_of_freedom=fit.degrees_of_freedom,
+        applied=applied,
+        band=(0.0, highest_of(dynamics)),
+        force_error=error,
+        notes=(),
+        taps=found.taps,
+        rigid=rigid,
+    )
+    said = force_error_warnings(
+        result,
+        left_by="taps",
+        energy=np.sum(excitation_of_taps(fit)[1] ** 2, axis=0),
+        remedy="four times as many taps",
+        after=float(np.max(error / units.sizes)) / 2,
+    )
+    told = [*map(str, found.taps.doubts), *said, *colour_warnings(result), *notes]
+    for note in told:
+        warn_quality(note)
+    return replace(result, notes=tuple(told))

@@ -1,0 +1,266 @@
+"""Taps with an instrumented hammer: estimates at their bound, honest uncertainties, and every fault by its name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import aerobalance as ab
+from aerobalance.dynamics.coupled import CoupledDynamics, ModalForm
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.identification.impact.tap_model import Common, Point, Tap, linearise_tap
+from aerobalance.identification.step_relaxation.fit import motion_of
+from aerobalance.recording.errors import FitError
+from aerobalance.simulation.hammer import Blow, Hammer, Tapping
+from aerobalance.simulation.six_balance import random_balance
+from helpers.hammer import (
+    DAMPING,
+    MASS,
+    ONE,
+    POINTS,
+    STIFFNESS,
+    departures,
+    one_tapped,
+    quietly,
+    ranges,
+    six_tapped,
+)
+from seeds import trials
+
+NEVER = 1e-6
+"""Probability with which a test of chance may fail for a fresh seed."""
+
+
+def _within(squares: float, freedom: int) -> bool:
+    return chi2.ppf(NEVER / 2, freedom) < squares < chi2.isf(NEVER / 2, freedom)
+
+
+def _one(recordings, **settings):
+    return quietly(recordings, components=["AF"], mass=MASS, **settings)
+
+
+def _z(found) -> tuple[float, float]:
+    own = found.dynamics
+    return (
+        (own.stiffness - STIFFNESS) / own.uncertainty("stiffness"),
+        (own.damping - DAMPING) / own.uncertainty("damping"),
+    )
+
+
+def test_one_component_is_told_to_1e4_and_5e3_with_true_uncertainties(rng):
+    count = trials(12, 200)
+    z = []
+    for _ in range(count):
+        found = _one(one_tapped(rng, extra=lambda made: (Blow(made[1].instant + 0.03, 300.0, 0.004),)))
+        assert abs(found.dynamics.stiffness / STIFFNESS - 1) < 1e-4
+        assert abs(found.dynamics.damping / DAMPING - 1) < 5e-3
+        assert [tap.used for tap in found.taps.taps].count("nothing") == 1
+        z.append(_z(found))
+    assert _within(float(np.sum(np.square(z))), 2 * count)
+
+
+def test_a_record_that_is_cut_while_it_rings_adds_no_damping(rng):
+    count = trials(20, 200)
+    z = []
+    for _ in range(count):
+        one = Tapping(ONE, np.array([1.0]), (Blow(0.05, 2000.0, 0.004),), noise=np.array([2.0]), rate=5000.0)
+        z.append(_z(_one(one.record(0.15, rng))))  # a third of the amplitude is lost, two thirds are left
+    assert _within(float(np.sum(np.square(z))), 2 * count)
+
+
+def test_the_force_is_held_against_the_balance(rng):
+    found = _one(one_tapped(rng, hammer=Hammer(noise=1.0, gain=1.004)))
+    gain, u = found.taps.gain
+    assert abs(gain * 1.004 - 1) < 5 * u < 0.005
+    assert abs(found.taps.delay[0]) < 5 * found.taps.delay[1] < 1e-5
+    assert found.doubts == ()
+
+
+@pytest.mark.parametrize(
+    ("hammer", "kind"),
+    [
+        (Hammer(noise=1.0, corner=0.5), "force droop"),
+        (Hammer(noise=1.0, delay=1e-4), "force delay"),
+        (Hammer(noise=1.0, gain=1.1), "force gain"),
+        (Hammer(noise=1.0, gain=-1.0), "force sign"),
+        (Hammer(noise=1.0, limit=2000.0), "clipped force"),
+    ],
+)
+def test_a_faulty_force_is_named_and_does_no_harm(rng, hammer, kind):
+    blows = tuple(Blow(0.3 + 1.5 * number, 1800.0 + 250 * number, 0.004) for number in range(4))
+    record = Tapping(ONE, np.array([1.0]), blows, hammer=hammer, noise=np.array([2.0]), rate=5000.0).record(6.3, rng)
+    found = _one(record)
+    assert [doubt.kind for doubt in found.doubts] == [kind]
+    assert found.doubts[0].effect == 0
+    assert found.verdict == "fit for use"
+    assert np.max(np.abs(_z(found))) < 5
+    if kind == "force delay":
+        assert abs(found.taps.delay[0] - 1e-4) < 5 * found.taps.delay[1]
+    if kind == "force droop":
+        assert abs(found.taps.corner - 0.5) < 0.02
+        assert abs(found.taps.gain[0] - 1) < 0.002  # the droop itself takes 0.6 % of 4 ms at 0.5 Hz
+    if kind == "clipped force":
+        assert [tap.used for tap in found.taps.taps] == ["force and ringing", *["ringing"] * 3]
+
+
+def test_taps_that_are_all_double_are_refused(rng):
+    def bounced(made):
+        return tuple(Blow(blow.instant + 0.02, 400.0, 0.004) for blow in made)
+
+    with pytest.raises(FitError, match="in all 3 taps the hammer touched twice"):
+        _one(one_tapped(rng, blows=3, extra=bounced))
+
+
+def test_taps_that_disagree_are_doubted_and_the_spread_is_counted(rng):
+    records = []
+    for peak, factor in ((3000.0, 1.1), (400.0, 1.0)):
+        own = CoupledDynamics.of_components([Dynamics("AF", MASS, STIFFNESS, factor * DAMPING)])
+        blows = tuple(Blow(0.2 + 1.5 * k, peak, 0.004) for k in range(2))
+        records.append(Tapping(own, np.array([1.0]), blows, noise=np.array([2.0]), rate=5000.0).record(3.3, rng))
+    found = _one(records)
+    doubt = next(doubt for doubt in found.doubts if doubt.kind == "amplitude dependence")
+    assert 0.03 < doubt.effect < 0.07  # half of ten percent
+    assert "larger after stronger taps" in doubt.text
+    assert found.verdict == "doubtful"
+    assert abs(found.dynamics.damping / DAMPING - 1.05) < 2.5 * found.dynamics.uncertainty("damping") / DAMPING
+
+
+class _TwoModes:
+    """AF with a mode more, 1.2 % above the first: closer than the width of either at half power."""
+
+    components = ("AF",)
+    dynamics = Dynamics("AF", MASS, STIFFNESS, DAMPING).with_modes(Mode(67.2, 0.012, 0.35))
+
+    @property
+    def modal_form(self) -> ModalForm:
+        poles, weights = [], []
+        for mode in self.dynamics.modes:
+            rate = 2 * np.pi * mode.natural_frequency
+            pole = np.complex128(rate * (-mode.damping_ratio + 1j * np.sqrt(1 - mode.damping_ratio**2)))
+            weight = mode.share * rate**2 / (pole - pole.conj())
+            poles += [pole, pole.conj()]
+            weights += [weight, np.conj(weight)]
+        return ModalForm(np.array(poles), np.ones((1, 4), dtype=complex), np.array(weights)[:, None])
+
+
+def test_two_modes_closer_than_their_width_are_resolved(rng):
+    blows = tuple(Blow(0.2 + 2 * k, 2000.0, 0.003) for k in range(4))
+    record = Tapping(_TwoModes(), np.array([1.0]), blows, noise=np.array([2.0]), rate=5000.0).record(8.2, rng)
+    for modes in (2, "auto"):
+        found = _one(record, modes=modes).dynamics
+        values = np.array([found.stiffness, found.damping, *(v for m in found.further_modes for v in _values(m))])
+        truth = np.array([STIFFNESS, DAMPING, 67.2, 0.012, 0.35])
+        covariance = found.covariance[np.ix_([1, 2, 4, 5, 6], [1, 2, 4, 5, 6])]
+        error = values - truth
+        assert error @ np.linalg.solve(covariance, error) < chi2.isf(NEVER, 5)
+        assert found.uncertainty("natural_frequency_2") < 0.003
+    alone = _one(record)
+    assert "missing mode" in [doubt.kind for doubt in alone.doubts]
+    assert alone.verdict == "doubtful"
+
+
+def _values(mode: Mode) -> tuple[float, float, float]:
+    return mode.natural_frequency, mode.damping_ratio, mode.share
+
+
+def test_coupled_components_with_close_modes_are_told_with_true_uncertainties(rng):
+    w, turn = 2 * np.pi * 60.0, np.array([[np.cos(0.6), -np.sin(0.6)], [np.sin(0.6), np.cos(0.6)]])
+    inertia = turn @ np.diag([1 / w**2, 1 / (1.005 * w) ** 2]) @ turn.T
+    damping = turn @ np.diag([0.02 / w, 0.03 / (1.005 * w)]) @ turn.T
+    truth = CoupledDynamics(("NF", "SF"), inertia, damping)
+    count, squares = trials(2, 40), 0.0
+    for _ in range(count):
+        records, points = [], []
+        for way in ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)):
+            points.append(ab.TapPoint((0.0, 0.0, 0.0), way, u_place=0.0))
+            blows = tuple(Blow(0.2 + 1.5 * k, 1000.0, 0.003) for k in range(2))
+            one = Tapping(truth, points[-1].loads[[0, 2]], blows, noise=np.ones(2), rest=np.zeros(2), rate=4000.0)
+            records.append(one.record(3.2, rng))
+        found = quietly(records, components=["NF", "SF"], points=points)
+        frequencies = [mode.natural_frequency for mode in found.modes]
+        assert frequencies == pytest.approx([60.0, 60.3], abs=1e-3)
+        squares += departures(found, truth)[1] * 8
+    assert _within(squares, 8 * count)
+
+
+def test_six_components_have_true_uncertainties(rng):
+    count, squares, freedom = trials(1, 20), 0.0, 0
+    for _ in range(count):
+        balance = random_balance(rng)
+        found = quietly(six_tapped(balance, rng), points=POINTS, half_range=ranges(balance), modes=6)
+        squares += departures(found, balance.dynamics)[1] * 72
+        freedom += 72
+        assert found.verdict == "fit for use"
+    assert _within(squares, freedom)
+
+
+def test_a_wrong_point_and_a_wrong_sign_of_one_point_are_named_with_where_it_was(rng):
+    balance = random_balance(rng)
+    turned = replace(POINTS[4], direction=(0.0, 0.0, 1.0))
+    records = six_tapped(balance, rng, given={2: POINTS[3], 4: turned})
+    found = quietly(records, points=POINTS, half_range=ranges(balance), modes=6)
+    assert sorted(doubt.kind for doubt in found.doubts) == ["force sign", "tap point"]
+    point = next(doubt for doubt in found.doubts if doubt.kind == "tap point")
+    assert str(POINTS[2]) in point.text
+    place = point.text.split("line through (")[1].split(")")[0].split(",")
+    assert float(place[0]) == pytest.approx(100.0, abs=10.0)  # aft; the line of action has no place along itself
+    z, _ = departures(found, balance.dynamics)
+    assert np.max(np.abs(z)) < 5.5
+
+
+def test_derivatives_of_a_tap_are_those_of_its_residuals(rng):
+    n, size = 2, 3
+    base = rng.normal(size=(size, size))
+    spring = np.diag([1.0, 1.4, 2.0]) + 0.05 * base
+    brake = np.diag([0.05, 0.06, 0.08]) + 0.002 * base.T
+    common = Common(np.concatenate([spring.ravel(), brake.ravel()]), 0.3, -0.2, 0.05, 0.1)
+    instants = np.arange(-7, 1) * 0.1
+    time = np.concatenate([np.arange(-40, -8) * 0.1, np.arange(1, 300) * 0.1])
+    values = rng.normal(size=(time.size, n))
+    tap = Tap("", 0, time, values, 32, instants, np.sin(np.pi * np.arange(1, 9) / 9), 0.02, 0.01, internal=1)
+    point = Point("", np.array([0.7, -0.4]), 0.1 * rng.normal(size=(n, 2)))
+    off, own = rng.normal(size=2), 0.3 * rng.normal(size=tap.own)
+    whitener = np.array([[1.0, 0.0], [0.3, 1.2]])
+
+    def residuals(parameters: np.ndarray) -> np.ndarray:
+        mine, beside, shared = np.split(parameters, [tap.own, tap.own + 2])
+        moved = common.moved(shared)
+        motion = motion_of(moved.matrices, n)
+        found = linearise_tap(tap, motion, moved, own=mine, point=point, off=beside, whitener=whitener)
+        left = np.vstack([found.before, found.after]) @ whitener.T
+        return np.concatenate([left.ravel(), -mine[-9:]])
+
+    start = np.concatenate([own, off, np.zeros(2 + 2 * size**2)])
+    found = linearise_tap(tap, motion_of(common.matrices, n), common, own=own, point=point, off=off, whitener=whitener)
+    columns = []
+    for place in range(start.size):
+        step = np.zeros(start.size)
+        step[place] = 1e-6
+        columns.append(-(residuals(start + step) - residuals(start - step)) / 2e-6)
+    table = np.column_stack([*columns, residuals(start)])
+    expected, product = table.T @ table, found.block.T @ found.block
+    assert found.squares == pytest.approx(expected[-1, -1], rel=1e-12)
+    expected[-1, -1] = product[-1, -1]  # of the residuals the factor holds what lies along the derivatives
+    assert product == pytest.approx(expected, rel=1e-5, abs=1e-7 * np.abs(expected).max())
+
+
+def test_wrong_calls_say_what_is_needed(rng):
+    record = one_tapped(rng, blows=1)
+    with pytest.raises(ValueError, match="points are those of taps"):
+        ab.identify(record, mass=MASS, points=POINTS[0])
+    with pytest.raises(ValueError, match="mass is needed"):
+        ab.identify(record, components=["AF"], excitation="impact")
+    with pytest.raises(ValueError, match="a point is needed for each of 1"):
+        ab.identify(record, components=["AF"], mass=MASS, excitation="impact", points=POINTS)
+    with pytest.raises(ValueError, match="length 1"):
+        ab.TapPoint((0, 0, 0), (0, 0, 2))
+    silent = one_tapped(rng, blows=1, hammer=Hammer(noise=1.0, gain=0.0))
+    with pytest.raises(FitError, match="never stands out of its noise"):
+        ab.identify(silent, components=["AF"], mass=MASS, excitation="impact")
+    bare = replace(record, channels={"AF": record.channel("AF")})
+    with pytest.raises(FitError, match="has no impact_force"):
+        ab.identify(bare, components=["AF"], mass=MASS, excitation="impact")
