@@ -75,15 +75,15 @@ def test_a_component_alone_gives_what_it_makes_alone():
 def test_the_mean_of_a_run_is_as_uncertain_as_said(rng):
     # the steady load of runs under a random load, whose share in the mean of so short a record is chance
     dynamics, scores, us = spring(), [], []
-    for _ in range(24):
+    for _ in range(16):
         found = mean_loads(estimate_force(run_of(rng, mean=200.0), dynamics, hum="keep"))
         us.append(found.errors.uncertainty()[0])
         scores.append((found.values[0] - 200.0) / us[-1])
-    # white noise of 20 N over 800 samples; its spectrum by 12 tapers is known to 29 %, the mean of 24 to 6 %
-    assert np.mean(np.square(us)) == pytest.approx(20.0**2 / 800, rel=5 * 0.06)
-    # t with 11 degrees of freedom has a variance of 11/9, and its square a standard deviation of 2.3: 24 of them
-    assert np.mean(np.square(scores)) < 11 / 9 + 5 * 2.3 / np.sqrt(24)
-    assert np.mean(np.square(scores)) > 11 / 9 - 0.9
+    # white noise of 20 N over 800 samples; its spectrum by 12 tapers is known to 29 %, the mean of 16 to 7 %
+    assert np.mean(np.square(us)) == pytest.approx(20.0**2 / 800, rel=5 * 0.07)
+    # t with 11 degrees of freedom has a variance of 11/9, and its square a standard deviation of 2.3: 16 of them
+    assert np.mean(np.square(scores)) < 11 / 9 + 5 * 2.3 / np.sqrt(16)
+    assert np.mean(np.square(scores)) > 0.2
 
 
 def test_bands_make_up_the_whole(rng):
@@ -100,9 +100,9 @@ def test_stiffness_and_damping_are_told_by_each_record(rng):
     # k = M w^2 and b = 2 M z w: a balance whose stiffness is 2 % higher, and its damping 1.5 times as large
     known = spring()
     other = spring(stiffness=1.02 * known.stiffness, damping=1.5 * known.damping)
-    found = [reduce_run(run_of(rng, samples=6400, dynamics=other), known).resonances[0] for _ in range(10)]
+    found = [reduce_run(run_of(rng, samples=6400, dynamics=other), known).resonances[0] for _ in range(6)]
     told = [one for one in found if one.stiffness is not None]
-    assert len(told) >= 5
+    assert len(told) >= 3
     of_k, of_b = trend_of([one.stiffness for one in told]), trend_of([one.damping for one in told])
     assert of_k.mean - 0.02 == pytest.approx(0, abs=4 * of_k.u_mean)
     assert of_b.mean - 0.5 == pytest.approx(0, abs=4 * of_b.u_mean + 0.1)  # to first order in the logarithm

@@ -102,6 +102,7 @@ def simulated_test(
     drifted: int | None = None,
     change_at: int | None = None,
     drift: float = 0.004,
+    calibration: bool = True,
 ) -> WholeTest:
     """Simulate a test and write its files.
 
@@ -123,6 +124,8 @@ def simulated_test(
         The polar from which another balance (of the same dynamics) is used.
     drift
         How far they drift, over the output at half of range.
+    calibration
+        Whether the matrices are found on a stand, or exact.
     """
     folder.mkdir(parents=True, exist_ok=True)
     first = random_balance(rng)
@@ -139,8 +142,10 @@ def simulated_test(
     for number, balance in enumerate(balances, 1):
         noise = 1e-4 * float(balance.matrix.output_scale.min())
         stand = CalibrationStand(balance.matrix, noise=noise, repeats=3)
-        found = calibrate(stand.run(int(rng.integers(1 << 31))).schedule, reading_noise=noise)
-        write_balance(folder / f"balance_{number}.json", found.matrix, found={})
+        matrix = balance.matrix
+        if calibration:
+            matrix = calibrate(stand.run(int(rng.integers(1 << 31))).schedule, reading_noise=noise).matrix
+        write_balance(folder / f"balance_{number}.json", matrix, found={})
     write_dynamics(folder / "dynamics.json", first.dynamics)
     test, rows, number = WholeTest(folder), [], 0
     for polar in range(polars):

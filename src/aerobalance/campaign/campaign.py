@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from dataclasses import replace as replaced
 from pathlib import Path
 from time import time
 from typing import TYPE_CHECKING, Any
@@ -163,6 +164,7 @@ def reduce_runs(
     engine: Engine | None = None,
     report: Report | None = None,
     replace: bool = False,
+    ready: Callable[[Run], bool] = lambda run: True,
 ) -> Campaign:
     """Reduce all runs of a test to loads and forces [N, N*m], coefficients [1] and what sums them up.
 
@@ -182,6 +184,8 @@ def reduce_runs(
         Writes the page of a run; None for none.
     replace
         Whether the folder may hold other files already.
+    ready
+        Whether a run can be reduced already; the others are left out.
 
     Raises
     ------
@@ -196,6 +200,8 @@ def reduce_runs(
     engine = Engine() if engine is None else engine
     results = Results(_whole(out))
     results.begin(replace=replace)
+    known_names = [run.name for run in found.runs]
+    found = replaced(found, runs=tuple(run for run in found.runs if ready(run)))
     works, rows = planned(found, results.out, with_reports=report is not None)
     todo = []
     for work in works:
@@ -213,7 +219,7 @@ def reduce_runs(
     _ended(coming)
     ordered = [{**rows[run.name], **head_of(run)} for run in found.runs]
     ordered = [{**head_of(run), **row} for run, row in zip(found.runs, ordered, strict=True)]
-    results.keep_only([run.name for run in found.runs])
+    results.keep_only(known_names)
     quality = quality_of(ordered, found.definition.repeats)
     campaign = Campaign(
         found.name,

@@ -164,10 +164,11 @@ def quality_of(rows: Sequence[Mapping[str, Any]], rules: Repeats) -> Quality:
         *_resonances(good),
     ]
     pooled = {name: found for name in names if (found := _pooled([one for one in repeats if one.quantity == name]))}
-    everything = _pooled(repeats)
-    if everything is not None:
-        pooled["all"] = everything
+    if pooled:
+        freedom = sum(one.freedom for one in pooled.values())
+        whole = sum(one.freedom * one.chi_square for one in pooled.values()) / freedom
         flags += _scatter(pooled)
+        pooled["all"] = Pooled(whole, freedom)
     return Quality(tuple(repeats), pooled, tuple(_joined(flags)))
 
 
@@ -236,10 +237,12 @@ def _difference(name: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> 
 
 
 def _pooled(repeats: Sequence[RepeatGroup]) -> Pooled | None:
+    """Sum of the squares over that expected: stated uncertainties are estimates, whose inverses would be biased."""
     freedom = sum(one.freedom for one in repeats)
-    if not freedom:
+    expected = sum(one.freedom * one.expected**2 for one in repeats)
+    if not freedom or not expected:
         return None
-    return Pooled(sum(one.freedom * one.chi_square for one in repeats) / freedom, freedom)
+    return Pooled(sum(one.freedom * one.deviation**2 for one in repeats) / expected, freedom)
 
 
 def _scatter(pooled: Mapping[str, Pooled]) -> list[Flag]:
@@ -247,8 +250,6 @@ def _scatter(pooled: Mapping[str, Pooled]) -> list[Flag]:
 
     flags = []
     for name, one in pooled.items():
-        if name == "all":
-            continue
         chance = float(chdtrc(one.freedom, one.chi_square * one.freedom))
         low = float(chdtri(one.freedom, 1 - SETTINGS.scatter)) / one.freedom
         if chance < SETTINGS.scatter:

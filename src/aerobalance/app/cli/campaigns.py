@@ -1,4 +1,4 @@
-"""Commands on whole tests: campaign."""
+"""Commands on whole tests: campaign and watch."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from aerobalance.app.cli import loading
 from aerobalance.app.cli.options import Json, Replace, Verbose, example
 from aerobalance.app.cli.result import Manner, show
 
@@ -55,3 +56,34 @@ def campaign(
         Manner(as_json, verbose, replace),
         doing="reducing runs",
     )
+
+
+@app.command(epilog=example("watch runs --dynamics dynamics.json -o results"))
+def watch(
+    test: Test,
+    out: OutFolder,
+    dynamics: Dynamics = None,
+    balance: FolderBalance = None,
+    workers: Annotated[
+        int, typer.Option("--workers", help="Processes of this machine; 0 for the command itself.", min=0)
+    ] = 0,
+    every: Annotated[float, typer.Option("--every", help="Time between two looks in s.", min=0.1)] = 2.0,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", help="How long to watch in s; else until Ctrl-C.", min=0)
+    ] = None,
+    as_json: Json = False,
+    verbose: Verbose = False,
+) -> None:
+    """Do what campaign does while a test goes on: runs join the results as their files come in."""
+    from aerobalance.app.commands import campaign as command
+    from aerobalance.io.safe_write import OUTPUTS
+
+    def say(text: str) -> None:
+        typer.echo(text, err=True)
+
+    loading.done()
+    OUTPUTS.begin(replace=True)
+    result = command.watch(
+        test, out, dynamics=dynamics, balance=balance, workers=workers, every=every, seconds=seconds, say=say
+    )
+    show(lambda: result, Manner(as_json, verbose), doing="watching")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Final
@@ -13,11 +14,13 @@ from aerobalance.app.commands.shared import Result, collected_warnings, table_te
 from aerobalance.app.commands.uncertainty import Origins
 from aerobalance.app.options import as_options
 from aerobalance.app.reports.force_curves import ForceCurves
-from aerobalance.campaign.campaign import Campaign, reduce_runs
+from aerobalance.campaign.assignment import Run
+from aerobalance.campaign.campaign import Campaign, prepared, reduce_runs
 from aerobalance.campaign.engine import Engine
 from aerobalance.campaign.places import is_address, name_of
 from aerobalance.campaign.reduction import ReducedRun
 from aerobalance.campaign.results import HISTORIES, PAGE, SUMMARY, Results
+from aerobalance.campaign.watching import EVERY, Watch
 from aerobalance.campaign.work import RunWork
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.error_sources import undivided
@@ -48,6 +51,12 @@ def campaign(
             warn_quality(f"{flag.kind}: {flag.text}")
         if len(flags) > MOST_SAID:
             warn_quality(f"and {len(flags) - MOST_SAID} more, in {PAGE}")
+    return account(found, collected)
+
+
+def account(found: Campaign, collected: Sequence[str]) -> Result:
+    """Plain data on a campaign."""
+    flags = found.quality.flags
     result: Result = {
         "test": found.name,
         "out": found.out,
@@ -64,7 +73,7 @@ def campaign(
         "summary_table": SUMMARY,
         "histories": HISTORIES,
         "page": PAGE,
-        "warnings": collected,
+        "warnings": list(collected),
     }
     return {**result, "summary": summary(result)}
 
@@ -131,6 +140,39 @@ def with_pages(
     return found
 
 
+def watch(
+    test: str,
+    out: str,
+    *,
+    dynamics: str | None = None,
+    balance: str | None = None,
+    workers: int = 0,
+    every: float = EVERY,
+    seconds: float | None = None,
+    say: Callable[[str], None],
+) -> Result:
+    """Reduce the runs of a test as their files come in, for so long [s] or until interrupted."""
+
+    def reduce(ready: Callable[[Run], bool]) -> Campaign:
+        found = reduce_runs(
+            test,
+            out,
+            dynamics=dynamics,
+            balance=balance,
+            engine=Engine(workers=workers),
+            report=write_run_report,
+            ready=ready,
+        )
+        write_page_of(found, refresh=max(1, round(every)))
+        return found
+
+    found = Watch(lambda: prepared(test, dynamics=dynamics, balance=balance), reduce, say, every).go(seconds)
+    if found is None:
+        return {"test": test, "out": out, "runs": 0, "summary": f"no run came into {test}\n"}
+    write_page_of(found)
+    return account(found, [])
+
+
 def _counts(words: list[str]) -> dict[str, int]:
     return {word: words.count(word) for word in dict.fromkeys(words)}
 
@@ -156,12 +198,12 @@ def summary(result: Result) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_page_of(found: Campaign) -> None:
+def write_page_of(found: Campaign, *, refresh: int = 0) -> None:
     """Write the page of a campaign into its folder."""
     from aerobalance.app.reports.campaign_report import write_campaign_report  # noqa: PLC0415 - plotting is slow
 
     with Results(found.out).writing(PAGE) as beside:
-        write_campaign_report(beside, found)
+        write_campaign_report(beside, found, refresh=refresh)
 
 
 def write_run_report(path: Path, work: RunWork, found: ReducedRun, said: list[str]) -> None:

@@ -44,7 +44,7 @@ MOST_RUNS: Final = 8
 """Runs that are named of a warning."""
 
 
-def write_campaign_report(path: Path, found: Campaign) -> None:
+def write_campaign_report(path: Path, found: Campaign, *, refresh: int = 0) -> None:
     """Write what the runs of a test are together as one HTML file, whole or not at all.
 
     Parameters
@@ -53,6 +53,8 @@ def write_campaign_report(path: Path, found: Campaign) -> None:
         The HTML file; reports of runs are beside it in ``reports``.
     found
         The results.
+    refresh
+        Time after which a browser loads the page again [s]; 0 for never.
 
     Raises
     ------
@@ -66,6 +68,7 @@ def write_campaign_report(path: Path, found: Campaign) -> None:
     together = quality.pooled.get("all")
     content = {
         "found": found,
+        "refresh": refresh,
         "good": good,
         "counts": _counts(good),
         "groups": _groups(quality.flags),

@@ -1,0 +1,116 @@
+"""A test that is going on: its runs are reduced as their files come in."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from aerobalance.campaign.assignment import Run
+from aerobalance.campaign.campaign import Campaign, Prepared
+from aerobalance.campaign.places import is_address
+from aerobalance.campaign.rows import REDUCED
+from aerobalance.io.locked_file import is_locked
+from aerobalance.recording.errors import ReadError
+
+EVERY: Final = 2.0
+"""Time between two looks at the folder [s]."""
+
+SETTLED: Final = 2.0
+"""Time that a file has not changed for before it is taken for complete [s]."""
+
+State = dict[str, tuple[int, int]]
+"""Size and time of change of files."""
+
+
+def complete(run: Run) -> bool:
+    """Return whether all files of a run are there, and nobody writes to them any more."""
+    return all(_settled(place) for place in run.inputs)
+
+
+def _settled(place: str) -> bool:
+    if is_address(place):
+        return True  # what a store lists is whole
+    path = Path(place)
+    try:
+        return time.time() - path.stat().st_mtime >= SETTLED and not is_locked(path)
+    except FileNotFoundError:
+        return True  # the run has the reason then
+    except OSError:
+        return False
+
+
+@dataclass(slots=True, eq=False)
+class Watch:
+    """Looks for the files of a test, and has what is new reduced.
+
+    Attributes
+    ----------
+    prepare
+        Finds the runs that there are.
+    reduce
+        Reduces those that are complete; what is done is known.
+    told
+        Takes what there is to say.
+    every
+        Time between two looks [s].
+    """
+
+    prepare: Callable[[], Prepared]
+    reduce: Callable[[Callable[[Run], bool]], Campaign]
+    told: Callable[[str], None]
+    every: float = EVERY
+    _found: Campaign | None = None
+    _known: State | None = None
+    _left: list[str] = field(default_factory=list)
+    _said: str = ""
+
+    def go(self, seconds: float | None = None) -> Campaign | None:
+        """Watch for so long [s], or until interrupted; return the last results, None where there are none."""
+        end = None if seconds is None else time.monotonic() + seconds
+        while True:
+            self.look()
+            if end is not None and time.monotonic() + self.every > end:
+                return self._found
+            time.sleep(self.every)
+
+    def look(self) -> None:
+        """Look once, and have reduced what is new and complete."""
+        try:
+            state = self._state()
+            if state == self._known and not self._left:
+                return
+            self._left = []
+            found = self.reduce(self._ready)
+        except ReadError as problem:  # there is no run yet, or a file is just being replaced
+            if str(problem) != self._said:
+                self._said = str(problem)
+                self.told(f"waiting: {problem}")
+            return
+        self._known, self._found = state, found
+        for row in found.rows:
+            if row["run_name"] in found.done:
+                said = row["verdict"] if row["status"] == REDUCED else f"set aside: {row['reason']}"
+                self.told(f"{row['run_name']}: {said}")
+
+    def _ready(self, run: Run) -> bool:
+        if complete(run):
+            return True
+        self._left.append(run.name)
+        return False
+
+    def _state(self) -> State:
+        """Size and time of change of all files of the runs that there are."""
+        state = {}
+        for place in {place for run in self.prepare().runs for place in run.inputs}:
+            if is_address(place):
+                state[place] = 0, 0
+                continue
+            try:
+                about = Path(place).stat()
+            except OSError:
+                continue
+            state[place] = about.st_size, about.st_mtime_ns
+        return state
