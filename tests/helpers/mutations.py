@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -29,11 +30,13 @@ from helpers.mutations import damaged
 from aerobalance.io import load_channel_map, read, template
 from aerobalance.recording.errors import ReadError
 warnings.simplefilter("ignore")
-original, folder, seed, first, last = Path(sys.argv[2]), Path(sys.argv[3]), *map(int, sys.argv[4:7])
+originals, folder, seed, first, count = json.loads(sys.argv[2]), Path(sys.argv[3]), *map(int, sys.argv[4:7])
 chosen = load_channel_map(sys.argv[7]) if sys.argv[7] else None
-template(original), read(original, channel_map=chosen)  # libraries and their caches
-for number in range(first, last):
-    path = damaged(original, folder, numpy.random.default_rng([seed, number]))
+for number in range(first, count * len(originals)):
+    original = Path(originals[number // count])
+    if number in (first, number // count * count):
+        template(original), read(original, channel_map=chosen)  # libraries and their caches
+    path = damaged(original, folder, numpy.random.default_rng([seed, number % count]))
     print(json.dumps([number]), flush=True)
     start, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     resource.setrlimit(resource.RLIMIT_CPU, (int(start) + 30, resource.RLIM_INFINITY))
@@ -62,6 +65,18 @@ class Trial:
     most: float = 0.0
     faults: list[str] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
+
+    def take(self, name: str, said: list[str], spent: float, more: float) -> None:
+        """Count what a copy was read to, and note what it must not be."""
+        self.longest, self.most = max(self.longest, spent), max(self.most, more)
+        if spent > SECONDS or more > BYTES:
+            self.faults.append(f"{name}: {spent:.1f} s, {more / 1e6:.0f} MB: {said}")
+        for text in said:
+            if text.startswith("!") or len(text) > 1000 or (text != "read" and name.split(maxsplit=1)[0] not in text):
+                self.faults.append(f"{name}: {text[:300]}")
+        self.read += said[-1] == "read"
+        self.refused += said[-1] != "read"
+        self.words.append(said[-1])
 
 
 def damaged(original: Path, folder: Path, rng: np.random.Generator) -> Path:
@@ -106,40 +121,31 @@ def mutated(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(found)
 
 
-def trial(original: Path, folder: Path, *, count: int, seed: int, channel_map: Path | str = "") -> Trial:
-    """Read so many damaged copies of a file; a process that dies goes on behind the copy that killed it."""
+def trial(originals: Sequence[Path], folder: Path, *, count: int, seed: int, channel_map: Path | str = "") -> Trial:
+    """Read so many damaged copies of each file; a process that dies goes on behind the copy that killed it."""
     found = Trial()
     folder.mkdir(parents=True, exist_ok=True)
     env = os.environ | {"OMP_NUM_THREADS": "1"}
-    first = 0
-    while first < count:
+    first, last = 0, count * len(originals)
+    while first < last:
         paths = json.dumps([path for path in sys.path if path])
-        command = [sys.executable, "-c", READER, paths, str(original), str(folder), str(seed), str(first), str(count)]
+        files = json.dumps([str(original) for original in originals])
+        command = [sys.executable, "-c", READER, paths, files, str(folder), str(seed), str(first), str(count)]
         command.append(str(channel_map))
         done = subprocess.run(command, capture_output=True, text=True, check=False, env=env)
-        last = first - 1
-        for line in done.stdout.splitlines():
-            if not line.startswith("["):
-                found.faults.append(f"{first}: printed {line[:200]}")
-                continue
-            row = json.loads(line)
-            last = row[0]
-            if len(row) == 1:
-                continue
-            number, said, spent, more = row
-            found.longest, found.most = max(found.longest, spent), max(found.most, more)
-            if spent > SECONDS or more > BYTES:
-                found.faults.append(f"{number}: {spent:.1f} s, {more / 1e6:.0f} MB: {said}")
-            for text in said:
-                if text.startswith("!") or len(text) > 1000 or (text != "read" and original.name not in text):
-                    found.faults.append(f"{number}: {text[:300]}")
-            found.read += said[-1] == "read"
-            found.refused += said[-1] != "read"
-            found.words.append(said[-1])
-        if last < first or done.returncode == 0:
-            if done.returncode:
-                found.faults.append(f"{first}: ended with {done.returncode}: {done.stderr[-500:]}")
+        rows = [json.loads(line) if line.startswith("[") else line for line in done.stdout.splitlines()]
+        begun = [row[0] for row in rows if isinstance(row, list)]
+        for row in rows:
+            if isinstance(row, str):
+                found.faults.append(f"printed {row[:200]}")
+            elif len(row) > 1:
+                found.take(f"{originals[row[0] // count].name} {row[0] % count}", *row[1:])
+        if done.returncode == 0:
             break
-        found.faults.append(f"{last}: the process died ({done.returncode}): {done.stderr[-300:]}")
-        first = last + 1
+        at = max(begun, default=first)
+        name = originals[at // count].name
+        found.faults.append(f"{name} {at % count}: the process died ({done.returncode}): {done.stderr[-300:]}")
+        if not begun:
+            break
+        first = at + 1
     return found

@@ -57,6 +57,7 @@ __all__ = [
     "as_it_went_in",
     "check_output",
     "column_names",
+    "format_of",
     "is_text",
     "load_channel_map",
     "read",
@@ -177,7 +178,7 @@ def read(path: Path | str, *, channel_map: ChannelMap | None = None) -> Recordin
         Samples are missing or saturated, or time stamps jitter.
     """
     file = Path(path)
-    chosen = _format(file)
+    chosen = format_of(file)
     if channel_map is None:
         columns = chosen.read_columns(file)
         clocked = any(column.clock is not None for column in columns.columns)
@@ -203,7 +204,7 @@ def column_names(path: Path | str, *, header_line: int | None = None) -> tuple[s
     """
     file = Path(path)
     text = header_line is not None or is_text(file)
-    found = csv_file.headings(file, Layout(header_line=header_line)) if text else _format(file).headings(file)
+    found = csv_file.headings(file, Layout(header_line=header_line)) if text else format_of(file).headings(file)
     return tuple(heading.name if text else heading.label for heading in found if heading.label)
 
 
@@ -215,7 +216,7 @@ def is_text(path: Path | str) -> bool:
     ReadError
         The file is of no known format.
     """
-    return _format(Path(path)) is csv_file
+    return format_of(Path(path)) is csv_file
 
 
 def states_times(path: Path | str) -> bool:
@@ -227,7 +228,7 @@ def states_times(path: Path | str) -> bool:
         The file is of no known format, or has no header.
     """
     file = Path(path)
-    found = _format(file)
+    found = format_of(file)
     return found is not csv_file or any(heading.name == "time" or heading.time for heading in found.headings(file))
 
 
@@ -254,14 +255,14 @@ def template(path: Path | str, *, header_line: int | None = None) -> str:
     """
     file = Path(path)
     if header_line is None:
-        found = _format(file)
+        found = format_of(file)
         if found is not csv_file:
             return map_text(file, found.headings(file))
     layout = Layout(header_line=header_line)
     return map_text(file, csv_file.headings(file, layout), found=describe_text(file, layout))
 
 
-def _format(path: Path) -> Format:
+def format_of(path: Path) -> Format:
     """Find the format of a file by its content."""
     head = b""
     if not _is_store(path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import mmap
 import re
 import struct
 import zlib
@@ -10,12 +11,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
 
 import numpy as np
 
 from aerobalance.io.columns import Append, Clock, split_label
 from aerobalance.io.hdf5_layout import StoredChannel
+from aerobalance.io.mat_elements import COMPLEX, MATRIX, PACKED, check_variable, unpacked_variable
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.said_by_file import clock_of, epoch_of, number_of, plain_keys, text_of
 from aerobalance.io.sensor_text import sensor_of, sensor_text
@@ -31,7 +33,7 @@ NAME: Final = "MATLAB (version 5)"
 
 _SIGNATURE: Final = b"MATLAB 5.0"
 _HEADER: Final = 128
-_MATRIX, _PACKED = 14, 15
+_HEAD: Final = 4096
 _STRUCT, _CELL, _OBJECT, _CHAR, _SPARSE, _FUNCTION, _OPAQUE = 2, 1, 3, 4, 5, 16, 17
 _ITEM: Final = {6: 8, 7: 4, 8: 1, 9: 1, 10: 2, 11: 2, 12: 4, 13: 4, 14: 8, 15: 8}
 _UNPACKED: Final = 1100
@@ -65,7 +67,7 @@ class _Variable:
     name
         Its name.
     kind
-        Its class, a number of MATLAB's.
+        Its class, a number of MATLAB's; `COMPLEX` for complex numbers.
     shape
         Its dimensions.
     size
@@ -120,7 +122,7 @@ def _variables(path: Path) -> list[_Variable]:
             where = f"byte {place}"
             if count > size - place - 8:
                 raise ReadError(path, where, f"claims {count} bytes where {size - place - 8} are left: it is cut off")
-            if kind not in (_MATRIX, _PACKED):
+            if kind not in (MATRIX, PACKED):
                 raise ReadError(
                     path, where, f"is of type {kind}, where a variable (14 or 15) must begin: it is damaged"
                 )
@@ -131,8 +133,7 @@ def _variables(path: Path) -> list[_Variable]:
                 raise ReadError(
                     path, f"{where}, {variable.name!r}", f"claims {held} bytes, stored in {count}: it is damaged"
                 )
-            if kind == _PACKED:
-                _check_unpacked(path, f"{where}, {variable.name!r}", file, place + 8, count)
+            _check(path, f"{where}, {variable.name!r}", file, _Place(kind, place + 8, count, order), variable)
             found.append(variable)
             file.seek(place + 8 + count)
     return found
@@ -140,8 +141,8 @@ def _variables(path: Path) -> list[_Variable]:
 
 def _head(file: BinaryIO, kind: int, count: int) -> bytes:
     """First bytes of a variable, after its tag."""
-    raw = file.read(min(count, 4096))
-    if kind == _PACKED:
+    raw = file.read(min(count, _HEAD))
+    if kind == PACKED:
         return zlib.decompressobj().decompress(raw, 2048)[8:]
     return raw
 
@@ -163,18 +164,42 @@ def _described(path: Path, where: str, head: bytes, order: str, count: int) -> _
         text = head[place + 4 : place + 4 + (tag >> 16)]
     else:
         text = head[place + 8 : place + 8 + struct.unpack_from(f"{order}I", head, place + 4)[0]]
-    return _Variable(text[:200].decode("latin-1"), flags & 0xFF, shape, count)
+    kind = COMPLEX if flags & COMPLEX else flags & 0xFF
+    return _Variable(text[:200].decode("latin-1"), kind, shape, count)
 
 
-def _check_unpacked(path: Path, where: str, file: BinaryIO, place: int, count: int) -> None:
-    """Refuse a packed variable whose own length, at its beginning, is not what its bytes could be."""
-    file.seek(place)
-    begin = zlib.decompressobj().decompress(file.read(min(count, 4096)), 8)
+class _Place(NamedTuple):
+    """Where a variable is: its kind of element, the place and length of its content, and the byte order."""
+
+    kind: int
+    begin: int
+    length: int
+    order: str
+
+
+def _check(path: Path, where: str, file: BinaryIO, at: _Place, variable: _Variable) -> None:
+    """Refuse a variable whose elements, or whose size when unpacked, cannot be."""
+    file.seek(at.begin)
+    if at.kind != PACKED:
+        with (
+            mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as whole,
+            memoryview(whole) as view,
+            view[at.begin : at.begin + at.length] as content,
+        ):
+            check_variable(path, where, content, at.order, whole=True)
+        return
+    packed = file.read(min(at.length, _HEAD))
+    begin = zlib.decompressobj().decompress(packed, 8)
     if len(begin) < 8:
         raise ReadError(path, where, "cannot be unpacked: it is damaged")
-    length = min(struct.unpack("<I", begin[4:])[0], struct.unpack(">I", begin[4:])[0])
-    if length > _UNPACKED * count:
-        raise ReadError(path, where, f"claims {length} bytes unpacked of {count}: it is damaged")
+    (length,) = struct.unpack(f"{at.order}I", begin[4:])
+    if length > _UNPACKED * at.length:
+        raise ReadError(path, where, f"claims {length} bytes unpacked of {at.length}: it is damaged")
+    if variable.kind in (*_ITEM, COMPLEX):  # its numbers follow its head in one piece
+        check_variable(path, where, unpacked_variable(path, where, packed, _HEAD), at.order, whole=False)
+        return
+    packed += file.read(at.length - len(packed))
+    check_variable(path, where, unpacked_variable(path, where, packed, length + 8), at.order, whole=True)
 
 
 def _load(path: Path, name: str) -> Any:
@@ -188,7 +213,6 @@ def _load(path: Path, name: str) -> Any:
             variable_names=[name],
             squeeze_me=False,
             struct_as_record=True,
-            verify_compressed_data_integrity=False,
         )[name]
 
 
@@ -252,7 +276,9 @@ class _Walk:
     ) -> None:
         """Take an array: one series of a row or a column, or one for each column of a matrix."""
         if kind not in _ITEM:
-            what = {_CELL: "a cell array", _SPARSE: "a sparse matrix"}.get(kind, "no array of numbers")
+            what = {_CELL: "a cell array", _SPARSE: "a sparse matrix", COMPLEX: "an array of complex numbers"}.get(
+                kind, "no array of numbers"
+            )
             self.series.append(Series(label, text, "", 0, lambda *_: np.empty(0), fault=f"it is {what}"))
             return
         if len(shape) != 2 or max(shape) < 2 or min(shape) > _MOST_COLUMNS or min(shape) < 1:

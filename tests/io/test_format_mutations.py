@@ -1,0 +1,41 @@
+"""Damaged files of every binary format: no crash, no hang, no memory beyond measure, and the place is said."""
+
+from pathlib import Path
+
+from helpers.foreign_files import FILES, wav
+from helpers.mutations import trial
+from seeds import trials
+
+CHOSEN = (
+    *("packed.mat", "plain.mat", "new.mat", "paths.h5", "four.nc", "three.nc", "three.zarr", "columns.parquet"),
+    *("columns.feather", "plain.mf4", "packed.mf4", "text.uff", "binary.uff"),
+)
+
+
+def told(words: list[str]) -> list[str]:
+    """Refusals that do not say where in the file it is."""
+    return [text for text in words if text != "read" and ": is a damaged" in text and text.count(": ") < 3]
+
+
+def test_damaged_files_are_refused_or_read_within_bounds(tmp_path, seed) -> None:
+    for given in FILES:
+        given.make(tmp_path / given.name)
+    count = trials(120, 1000)
+    found = trial([tmp_path / name for name in CHOSEN], tmp_path / "damaged", count=count, seed=seed)
+    assert found.faults == []
+    assert found.read + found.refused == count * len(CHOSEN)
+    # packed formats have checksums or fall apart; of the others a share stays readable
+    assert 0.05 * count * len(CHOSEN) < found.read < 0.6 * count * len(CHOSEN)
+    assert told(found.words) == []
+
+
+def test_damaged_wav_is_refused_or_read_within_bounds(tmp_path, seed) -> None:
+    wav(tmp_path / "a.wav")
+    toml = tmp_path / "map.toml"
+    toml.write_text('[channels.AF]\ncolumn = "channel 1"\nunit = "N"\n')
+    found = trial(
+        [Path(tmp_path / "a.wav")], tmp_path / "damaged", count=trials(120, 1000), seed=seed, channel_map=toml
+    )
+    assert found.faults == []
+    assert found.read > 20
+    assert found.refused > 20
