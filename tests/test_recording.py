@@ -355,3 +355,43 @@ def test_a_stated_uncertainty_rests_on_no_limit():
     values = np.clip(np.sin(np.arange(400) / 5), -0.7, 0.7)
     assert Channel("AF", values, "N").saturated.any()
     assert not Channel("u_AF", values, "N").saturated.any()
+
+
+def test_series_of_sep005_go_both_ways() -> None:
+    stamps = 0.25 + np.arange(50) / 100
+    given = [
+        {"data": np.sin(stamps), "name": "AF", "unit_str": "kN", "fs": 100.0, "time": stamps},
+        {"data": 0.1 * stamps, "name": "pitch", "unit_str": "deg", "fs": 100.0, "time": stamps},
+    ]
+    for one in given:
+        one["start_timestamp"] = "2024-03-12T10:15:00.125"
+    found = Recording.from_sep005(given)
+    assert found.epoch == np.datetime64("2024-03-12T10:14:59.875", "ns")
+    np.testing.assert_allclose(found.channel("AF").values, 1e3 * np.sin(stamps), rtol=1e-15)
+    assert (found.rate, found.start) == pytest.approx((100.0, 0.25), rel=1e-12)
+    for one, other in zip(found.to_sep005(), given, strict=True):
+        np.testing.assert_allclose(one["data"], other["data"], rtol=1e-15)
+        np.testing.assert_allclose(one["time"], stamps, rtol=1e-12)
+        assert (one["name"], one["unit_str"]) == (other["name"], other["unit_str"])
+        assert np.datetime64(one["start_timestamp"]) == np.datetime64(other["start_timestamp"])
+    single = Recording.from_sep005({"data": np.arange(4.0), "name": "AF", "unit_str": "N", "fs": 10})
+    np.testing.assert_allclose(single.time, [0, 0.1, 0.2, 0.3], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"unit_str": None}, "series 2 has no unit_str; SEP-005 asks for"),
+        ({"fs": None}, "series 2 has no fs"),
+        ({"fs": 50.0}, "AF and pitch have different clocks; make a recording of those of each clock"),
+        ({"data": np.zeros(7)}, "AF and pitch have different clocks"),
+        ({"name": "AF"}, "two of the series have one name"),
+        ({"start_timestamp": "2025-01-01T00:00:00"}, "the series begin at different times"),
+        ({"unit_str": "N"}, "an angle is expected"),
+    ],
+)
+def test_series_of_sep005_that_do_not_fit_are_refused(change, words) -> None:
+    first = {"data": np.arange(8.0), "name": "AF", "unit_str": "N", "fs": 100.0, "start_timestamp": "2024-03-12T10:15"}
+    second = {**first, "name": "pitch", "unit_str": "deg"} | change
+    with pytest.raises(ValueError, match=words):
+        Recording.from_sep005([first, {key: value for key, value in second.items() if value is not None}])

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,8 +15,9 @@ from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, warn_qua
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.jitter import following, on_steady_clock
 from aerobalance.recording.parts import Extent
+from aerobalance.recording.sep005 import clock_of_series
 from aerobalance.recording.steady_clock import SteadyClock, first_repeated, seconds_of_stamps, steady_clock
-from aerobalance.recording.units import conversion_for
+from aerobalance.recording.units import conversion_for, edge_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -219,6 +220,61 @@ class Recording:
         said = {str(key): variable.attrs.get("units") for key, variable in data.data_vars.items()}
         units = {key: str(unit) for key, unit in said.items() if unit is not None}
         return cls.from_arrays(data[time].to_numpy(), columns, units=units, name=name)
+
+    @classmethod
+    def from_sep005(
+        cls, series: Sequence[Mapping[str, Any]] | Mapping[str, Any], *, name: str = "recording"
+    ) -> Recording:
+        """Recording of time series as SEP-005 of SDyPy has them: dictionaries, all of one clock.
+
+        Parameters
+        ----------
+        series
+            Dictionaries with ``data`` of shape (n,), ``name``, ``unit_str``, and ``fs`` [Hz] or ``time`` [s]; where
+            there, ``start_timestamp`` is the date and time of the first sample.
+        name
+            What to call the recording in messages.
+
+        Raises
+        ------
+        ValueError
+            A key is missing, or the series have different clocks (each clock is a recording of its own, and
+            `aerobalance.recording.joining.join` makes one of them); or as in `from_arrays`.
+        FitError
+            As in `from_arrays`.
+        """
+        given = [series] if isinstance(series, Mapping) else list(series)
+        stamps, began = clock_of_series(given)
+        columns = {str(one["name"]): one["data"] for one in given}
+        if len(columns) < len(given):
+            raise ValueError("two of the series have one name; every channel needs a name of its own")
+        units = {str(one["name"]): str(one["unit_str"]) for one in given}
+        return replace(cls.from_arrays(stamps, columns, units=units, name=name), epoch=began)
+
+    def to_sep005(self) -> list[dict[str, Any]]:
+        """Channels as time series as SEP-005 of SDyPy has them, in the units of their files: a dictionary each.
+
+        With ``data`` of shape (n,), NaN where a sample is missing, ``name``, ``unit_str``, ``fs`` [Hz], ``time`` [s],
+        and where it is known ``start_timestamp``, the date and time (UTC) of the first sample.
+        """
+        found = []
+        for channel in self:
+            unit = channel.file_unit or edge_unit(channel.name, channel.unit)
+            data = (
+                channel.values if unit == channel.unit else conversion_for(channel.name, unit).outside(channel.values)
+            )
+            one: dict[str, Any] = {
+                "data": data,
+                "name": channel.name,
+                "unit_str": unit,
+                "fs": self.rate,
+                "time": self.time,
+            }
+            if self.epoch is not None:
+                since = np.timedelta64(round(1e9 * self.start), "ns")
+                one["start_timestamp"] = str(self.epoch + since)
+            found.append(one)
+        return found
 
     def to_dataframe(self) -> pd.DataFrame:
         """Channels in SI units (gauge outputs in mV/V) over the time [s], as a pandas data frame."""
