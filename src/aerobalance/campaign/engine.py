@@ -39,6 +39,9 @@ PATIENCE: Final = 120.0
 ANSWER: Final = 10.0
 """How long the first answer of a scheduler is waited for [s]."""
 
+FEW: Final = 2
+"""Runs up to which no processes are started for them, which takes some seconds."""
+
 LOSSES: Final = 2
 """Workers that a run may cost before it is set aside."""
 
@@ -52,7 +55,7 @@ class Engine:
     scheduler
         Address of a Dask scheduler; None for processes of this machine.
     workers
-        Processes of this machine; 0 for this process itself, None for one a processor.
+        Processes of this machine; 0 for this process itself, None for one a processor where there are enough runs.
     patience
         How long a scheduler that is gone is waited for [s].
     told
@@ -76,7 +79,8 @@ class Engine:
         """
         if not tasks:
             return
-        if self.scheduler is None and self.workers == 0:
+        alone = self.workers == 0 or (self.workers is None and len(tasks) <= FEW)
+        if self.scheduler is None and alone:
             for task in tasks:
                 yield task, work_on(task, report)
             return

@@ -300,7 +300,7 @@ def _zeros(rows: Sequence[Mapping[str, Any]]) -> list[Flag]:
         zeros = [first[name] for name in dict.fromkeys(row["zero_from"] for row in own)]
         if not zeros:
             continue
-        moved: dict[tuple[str, ...], list[str]] = {}
+        moved: dict[str, dict[str, list[str]]] = {}
         for name in COMPONENTS:
             for unit in ("N", "Nm"):
                 label = f"{name}_{unit}"
@@ -310,15 +310,18 @@ def _zeros(rows: Sequence[Mapping[str, Any]]) -> list[Flag]:
                 level = np.array([row[f"zero_{label}"] for row in zeros])
                 drift = np.array([row[f"zero_drift_{label}"] for row in zeros])
                 for place in _apart(level, u):
-                    text = f"{name} by {level[place] - np.median(level):.3g} {_told(unit)} from the others"
-                    moved.setdefault(("", zeros[place]["zero_from"]), []).append(text)
+                    text = f"{name} {level[place] - np.median(level):+.3g} {_told(unit)}"
+                    moved.setdefault(zeros[place]["zero_from"], {}).setdefault("apart from the others", []).append(
+                        text
+                    )
                 for place in _apart(drift, np.sqrt(2) * u, about=0.0):
-                    text = f"{name} by {drift[place]:.3g} {_told(unit)} from the zero before to that after"
-                    moved.setdefault(("", zeros[place]["zero_from"]), []).append(text)
-        for (_, zero), texts in moved.items():
+                    text = f"{name} {drift[place]:+.3g} {_told(unit)}"
+                    moved.setdefault(zeros[place]["zero_from"], {}).setdefault("from first to last", []).append(text)
+        for zero, found in moved.items():
             runs = tuple(row["run_name"] for row in own if row["zero_from"] == zero)
-            names = " and ".join(_short(part) for part in zero.split(" "))
-            flags.append(Flag("zero drift", f"zero {names} ({len(runs)} runs): {'; '.join(texts)}", runs))
+            names = ", ".join(_short(part) for part in zero.split(" "))
+            said = "; ".join(f"{how}: {', '.join(texts)}" for how, texts in found.items())
+            flags.append(Flag("zero drift", f"{names} ({len(runs)} runs) {said}", runs))
     return flags
 
 

@@ -34,6 +34,7 @@ def head_of(run: Run) -> Row:
 
 def set_aside(run: Run, reason: str, warnings: Sequence[str] = ()) -> Row:
     """Return the row of a run that could not be reduced."""
+    reason = reason.removeprefix(f"{run.file}: ")  # as the row names it
     return {**head_of(run), **run.columns, "status": ASIDE, "reason": reason, "warnings": list(warnings)}
 
 

@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from aerobalance.app.cli import loading
 from aerobalance.app.cli.options import Json, Replace, Verbose, example
 from aerobalance.app.cli.result import Manner, show
 
@@ -58,7 +57,7 @@ def campaign(
     )
 
 
-@app.command(epilog=example("watch runs --dynamics dynamics.json -o results"))
+@app.command(epilog=example("watch runs --dynamics dynamics.json --seconds 3 -o watched"))
 def watch(
     test: Test,
     out: OutFolder,
@@ -76,14 +75,14 @@ def watch(
 ) -> None:
     """Do what campaign does while a test goes on: runs join the results as their files come in."""
     from aerobalance.app.commands import campaign as command
-    from aerobalance.io.safe_write import OUTPUTS
 
     def say(text: str) -> None:
         typer.echo(text, err=True)
 
-    loading.done()
-    OUTPUTS.begin(replace=True)
-    result = command.watch(
-        test, out, dynamics=dynamics, balance=balance, workers=workers, every=every, seconds=seconds, say=say
+    show(
+        lambda: command.watch(
+            test, out, dynamics=dynamics, balance=balance, workers=workers, every=every, seconds=seconds, say=say
+        ),
+        Manner(as_json, verbose, replace=True),
+        doing="watching",
     )
-    show(lambda: result, Manner(as_json, verbose), doing="watching")

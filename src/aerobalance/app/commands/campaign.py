@@ -27,6 +27,7 @@ from aerobalance.estimation.error_sources import undivided
 from aerobalance.estimation.force_collector import SummaryOfParts
 from aerobalance.estimation.force_parts import ForcePart
 from aerobalance.estimation.result import ForceSummary
+from aerobalance.io.safe_write import OUTPUTS
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.parts import parts_of
 
@@ -44,6 +45,7 @@ def campaign(
     replace: bool = False,
 ) -> Result:
     """Reduce all runs of a test that are not done yet, and write what they show."""
+    there = Path(out).exists()
     with collected_warnings() as collected:
         found = with_pages(test, out, dynamics=dynamics, balance=balance, engine=engine, replace=replace)
         flags = found.quality.flags
@@ -51,7 +53,16 @@ def campaign(
             warn_quality(f"{flag.kind}: {flag.text}")
         if len(flags) > MOST_SAID:
             warn_quality(f"and {len(flags) - MOST_SAID} more, in {PAGE}")
+    _note_folder(out, replaced=there)
     return account(found, collected)
+
+
+def _note_folder(out: str, *, replaced: bool) -> None:
+    """Let the answer name the folder, and not each of its files."""
+    OUTPUTS.written.clear()
+    OUTPUTS.replaced.clear()
+    if not is_address(out):
+        OUTPUTS.note(Path(out), replaced=replaced)
 
 
 def account(found: Campaign, collected: Sequence[str]) -> Result:
@@ -170,6 +181,7 @@ def watch(
     if found is None:
         return {"test": test, "out": out, "runs": 0, "summary": f"no run came into {test}\n"}
     write_page_of(found)
+    _note_folder(out, replaced=False)
     return account(found, [])
 
 
@@ -194,7 +206,7 @@ def summary(result: Result) -> str:
         ]
         heads = ("", "chi-square per degree of freedom", "degrees of freedom")
         lines.append(table_text("repeat runs against their stated uncertainty", heads, rows))
-    lines.append(f"{result['page']}, {result['summary_table']} and {result['histories']} in {result['out']}")
+    lines.append(f"{result['page']}, {result['summary_table']} and {result['histories']} are in the folder")
     return "\n".join(lines) + "\n"
 
 

@@ -192,7 +192,7 @@ def _cut(laboratory: _Laboratory) -> None:
 
 
 def _run(laboratory: _Laboratory) -> None:
-    """A run at an angle: gusts through the resonance and a step, as bridges and as balance loads, and the truth."""
+    """A run at an angle, gusts and a step: as bridges, as balance loads whole and in two, and the truth."""
     gusts = band_noise(laboratory.generator, low=1.0, high=150.0, rms=40.0, period=20.0)
     angle = np.deg2rad(4.0)
     rig = CableCut(
@@ -206,6 +206,10 @@ def _run(laboratory: _Laboratory) -> None:
     time = found.recording.time
     laboratory.bridges("run.txt", time, found.load, np.full(time.size, angle))
     write_recording(laboratory.folder / "run.csv", found.recording)
+    runs, half = laboratory.folder / "runs", time.size // 2
+    runs.mkdir(exist_ok=True)
+    for number, part in enumerate((found.recording.part(0, half), found.recording.part(half, time.size)), 1):
+        write_recording(runs / f"run_{number}.csv", part)
     _columns(laboratory.folder / "truth.csv", time, {"AF": found.applied})
 
 

@@ -92,7 +92,7 @@ def polar_figure(rows: Sequence[Row], quantities: Sequence[str], *, apart: Seque
                     capsize=2,
                     label=f"{what}, {'to be looked at' if outside else '95 %'}",
                 )
-        ax.set_title(named(name))
+        ax.set_title(named(name), fontsize=10, loc="left")
     for ax in axes[count:]:
         ax.set_visible(False)
     for ax in axes[max(count - columns, 0) : count]:
@@ -174,7 +174,7 @@ def zero_figure(rows: Sequence[Row]) -> str | None:
             after = level - middle + drift
             ax.vlines(x, level - middle, after, color=colours.second, linewidth=1.2)
             ax.plot(x[drift != 0], after[drift != 0], "_", color=colours.second, markersize=6)
-        ax.set_title(f"{name} [{'N·m' if label.endswith('Nm') else 'N'}]")
+        ax.set_title(f"{name} [{'N·m' if label.endswith('Nm') else 'N'}]", fontsize=10, loc="left")
     for ax in axes[len(names) :]:
         ax.set_visible(False)
     for ax in axes[max(len(names) - columns, 0) : len(names)]:
@@ -211,6 +211,7 @@ def resonance_figure(rows: Sequence[Row]) -> str | None:
                 label=label[len("k_change_") :].replace("_", " "),
             )
         ax.axhline(0, color=colours.ink, linewidth=0.8)
-        ax.set(xlabel="number of the run in the test", title=title)
+        ax.set_xlabel("number of the run in the test")
+        ax.set_title(title, fontsize=10, loc="left")
         legend(ax, colours, "best", columns=2)
     return inline(figure, "resonances", "Changes of stiffness and damping along the test")
