@@ -17,7 +17,10 @@ from scipy.signal import butter, filtfilt, iirnotch, sosfiltfilt
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.direct import band_limited as band_limited_of
+from aerobalance.estimation.direct import central_differences as central_differences_of
+from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.result import ComponentForce
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, acceleration_name
@@ -230,8 +233,7 @@ def _design(response: MeasuredResponse, rate: float) -> Array:
 
 def central_differences(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """Eq. (17) of [Gorbushin2020]_ with the paper's derivatives."""
-    whole = without_gaps(recording, dynamics.component)
-    estimate = estimate_force(whole, _balance(dynamics), method="paper", gravity=settings.gravity).only
+    estimate = _inverse(recording, dynamics, settings, bandwidth=None)
     left = _one_mode(dynamics, "M, b and k are those of the first")
     return BaselineEstimate(
         "central differences", estimate.values, estimate.method, f"no delay; first and last sample poor{left}"
@@ -241,10 +243,18 @@ def central_differences(recording: Recording, dynamics: ModalModel, settings: Ba
 def band_limited(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """Eq. (17) of [Gorbushin2020]_ limited to a band, customarily twice the natural frequency."""
     bandwidth = corner_frequency(recording, settings, 2 * dynamics.natural_frequency)
-    estimate = estimate_force(
-        without_gaps(recording, dynamics.component), _balance(dynamics), bandwidth=bandwidth, gravity=settings.gravity
-    ).only
+    estimate = _inverse(recording, dynamics, settings, bandwidth=bandwidth)
     return BaselineEstimate("band-limited inverse", estimate.values, estimate.method, ZERO_PHASE, tuning=bandwidth)
+
+
+def _inverse(
+    recording: Recording, dynamics: ModalModel, settings: BaselineSettings, *, bandwidth: float | None
+) -> ComponentForce:
+    """A direct inverse; what the record says against the dynamics is not asked, as a rival does not."""
+    balance = _balance(dynamics)
+    record = force_record(without_gaps(recording, balance.component), balance, gravity=settings.gravity)
+    one = record.component_records(record.loads)[balance.component]
+    return central_differences_of(one) if bandwidth is None else band_limited_of(one, bandwidth)
 
 
 def this_estimator(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
