@@ -67,15 +67,17 @@ def test_step_beside_one_over_f(rng):
 
 def test_uncertainty_is_that_of_the_true_noise(rng):
     """The rms error under a load of a broad band, over the uncertainty that was said."""
-    felt, force = load_of_band(rng, 120, rms=500)
-    values = felt + noise_of(rng, one_over_f(20).density, n=N, longer=4)
-    found = estimate_force(record_of(values), T128, noise={"AF": one_over_f(20)}).only
-    inner = slice(N // 20, -N // 20)
-    error = (found.values - force)[inner]
+    inner, ratios = slice(N // 20, -N // 20), []
+    for _ in range(3):
+        felt, force = load_of_band(rng, 120, rms=500)
+        values = felt + noise_of(rng, one_over_f(20).density, n=N, longer=4)
+        found = estimate_force(record_of(values), T128, noise={"AF": one_over_f(20)}).only
+        error = (found.values - force)[inner]
+        ratios.append(float(np.sqrt(np.mean(error**2) / np.mean(found.uncertainty[inner] ** 2))))
     # 0.9 * 5 s of a band of 120 Hz hold 1,080 independent errors (2 % of their rms), but the half of their power that
     # is 1/f lies in a few slow ones: its variance of 0.1 N^2 a factor e in frequency, 3 of 5 below 3 Hz; 30 % at worst
-    ratio = float(np.sqrt(np.mean(error**2) / np.mean(found.uncertainty[inner] ** 2)))
-    assert 0.7 < ratio < 1.5
+    # one record in fifty leaves other dynamics open, and then more is stated
+    assert 0.7 < float(np.median(ratios)) < 1.5
 
 
 def test_faint_slow_force_is_doubted(rng):

@@ -233,6 +233,26 @@ def test_few_steps_of_a_converter_are_told_and_counted():
         assert found["error"] < 2 * found["u"]
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "bandwidth 100 Hz, step",
+        "bandwidth 300 Hz, step",
+        "bandwidth 100 Hz, 0-60 Hz",
+        "three points, step",
+        "three points, 0-60 Hz",
+    ],
+)
+def test_direct_inverses_count_what_lies_beyond_their_band(name):
+    """Over several records error and uncertainty are of one size, whatever the inverse misses of the force."""
+    count = trials(4, 20)
+    found = [tried(CASES[name], seed)[1] for seed in range(count)]
+    squares = np.array([[one["error"] ** 2, one["u"] ** 2] for one in found])
+    ratio = float(np.sqrt(squares[:, 0].sum() / squares[:, 1].sum()))
+    # the error of a step beyond the band, and at an end, is one number a record: chi-square with `count` degrees
+    assert abs(ratio - 1) < 4 / np.sqrt(2 * count) / 2
+
+
 def test_a_step_of_the_converter_is_found():
     rng = np.random.default_rng(5)
     assert step_of(0.25 * rng.integers(-40, 40, 1000)) == pytest.approx(0.25)

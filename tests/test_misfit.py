@@ -239,19 +239,19 @@ def test_a_changed_spring_is_found_where_the_load_hides_its_ringing(rng):
     assert np.sqrt(np.mean(z**2)) < 2
 
 
-@pytest.mark.parametrize("gain", [5.0, 9.0, 11.9])
-def test_what_a_record_leaves_open_counts_by_its_probability(gain, monkeypatch, rng):
-    """Bayes' rule: of odds of e^-12, a gain of g in log-likelihood makes a probability of 1 / (1 + e^(12-g))."""
+@pytest.mark.parametrize("probability", [0.001, 0.1, 0.8])
+def test_what_a_record_leaves_open_counts_by_its_probability(probability, monkeypatch, rng):
+    """The variance of a force that is F with probability 1 - p and F + e with p, about F, is p e^2."""
     values = flat(BARE, rng, seconds=2.0)
     recording = Recording.from_columns(np.arange(values.size) / RATE, {"AF": Channel("AF", values, "N")})
     before = estimate_force(recording, BARE).only
     other = BARE.retuned(frequency=1.002, damping=1.0)
-    spoken = resonance.Spoken("natural frequency", other, gain, probability=1 / (1 + np.exp(12 - gain)))
+    spoken = resonance.Spoken("natural frequency", other, 10.0, probability=probability)
     monkeypatch.setattr(model_check, "spoken_for", lambda *_, **__: spoken)
     after = estimate_force(recording, BARE)
     assert after.doubts == ()
     error = error_under(before.values, own=BARE, other=other, interval=1 / RATE)
-    expected = np.sqrt(spoken.probability * np.mean(error**2))
+    expected = np.sqrt(probability * np.mean(error**2))
     assert after.only.budget[model_check.LEFT_OPEN] == pytest.approx(expected, rel=0.02)
     np.testing.assert_array_equal(after.only.values, before.values)
 

@@ -381,7 +381,9 @@ def ground_channels() -> Iterator[Case]:
         yield Case(f"pitch 20 ms late, {name}", "ground", pitching(pitch_late=0.02), ("attitude delay",))
         yield Case(f"pitch 100 ms late, {name}", "ground", pitching(pitch_late=0.1), ("attitude delay",))
         yield Case(f"pitch sign, {name}", "ground", pitching(pitch_gain=-1.0), ("attitude gain",))
-        yield Case(f"pitch gain 5 %, {name}", "ground", pitching(pitch_gain=1.05), ("attitude gain",))
+        # beside a broad load the gain is known to 4 % at best: the motion is in ten ordinates, of 5 N of the load each
+        seen = name == "step"
+        yield Case(f"pitch gain 5 %, {name}", "ground", pitching(pitch_gain=1.05), ("attitude gain",), shown=seen)
 
 
 def with_gap(record: Record, rng: np.random.Generator, *, seconds: float, channel: str = "AF") -> Record:

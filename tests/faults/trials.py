@@ -28,7 +28,7 @@ from faults.cases import Case, all_cases
 from faults.scene import Record
 from faults.six import HALF_RANGE
 
-SHOWN = 9.0
+SHOWN = 12.0
 """Gain in log-likelihood from which on a record can show that its dynamics are others: of sound records less than one
 in a hundred gains as much by some dynamics."""
 

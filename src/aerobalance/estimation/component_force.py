@@ -22,8 +22,9 @@ from aerobalance.estimation.checks.ground_channels import (
     with_channel_aligned,
 )
 from aerobalance.estimation.checks.mains_hum import hum_doubts
+from aerobalance.estimation.checks.model_error import as_noise
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error, step_of
-from aerobalance.estimation.direct import band_limited, central_differences
+from aerobalance.estimation.direct import band_limited, central_differences, missed
 from aerobalance.estimation.error_sources import Contribution
 from aerobalance.estimation.force_smoother import (
     LARGEST_HUM,
@@ -35,7 +36,7 @@ from aerobalance.estimation.force_smoother import (
 from aerobalance.estimation.ground_gaps import has_hidden_motion, with_hidden_motion
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import ComponentRecord, SingleRecord
-from aerobalance.estimation.result import ComponentForce
+from aerobalance.estimation.result import ComponentForce, with_errors
 from aerobalance.estimation.spectra.line_noise import Hum, Line
 from aerobalance.estimation.spectra.noise_floor import departure_of
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
@@ -57,6 +58,9 @@ FREQUENCIES: Final = 4097
 
 EXPLAINED_BLOCK: Final = 256
 """Samples over which it is looked whether the readings are explained."""
+
+BEYOND_THE_BAND: Final = "force beyond the band, and at the ends"
+"""Name of the error of a direct inverse where the force is too fast for it or its past or future is not recorded."""
 
 SLOW: Final = 0.5
 """Frequency over the natural one below which noise that rises at low frequency has most of its power."""
@@ -82,7 +86,10 @@ def estimated(record: ComponentRecord, *, method: Method, bandwidth: float | Non
         what = "lines for hum" if record.noise is None else "a spectrum of noise"
         raise ValueError(f"only the smoother without a bandwidth can take {what}")
     _check(record)
-    return central_differences(record) if bandwidth is None else band_limited(record, bandwidth)
+    found = central_differences(record) if bandwidth is None else band_limited(record, bandwidth)
+    # what lies beyond the band, as the optimal estimate shows it
+    error, lasts = missed(record, found.values, Fitted.of(record, hum="keep").smoothed.force, bandwidth)
+    return with_errors(found, as_noise(error, name=BEYOND_THE_BAND, period=lasts, interval=record.interval))
 
 
 def by_smoother(*, method: Method, bandwidth: float | None) -> bool:

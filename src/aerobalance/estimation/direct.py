@@ -89,6 +89,50 @@ def _differences(load: Array, dynamics: ModalModel, *, interval: float) -> Array
     return np.asarray(load + damping * load_rate + inertia * load_acceleration)
 
 
+def missed(record: ComponentRecord, values: Array, force: Array, bandwidth: float | None) -> tuple[Array, float]:
+    """Return what a direct inverse makes of a force beyond the force itself [N], and how long it takes [s].
+
+    Parameters
+    ----------
+    record
+        The component with its record.
+    values
+        What the inverse gave, shape (n,) [N].
+    force
+        The force that acts, shape (n,) [N].
+    bandwidth
+        That of the band-limited inverse [Hz]; None for central differences.
+    """
+    d, h = record.dynamics, record.interval
+    if bandwidth is not None:
+        error = _changed(force, h, lambda f: _band(f, bandwidth) - 1)
+        # so far the roll-off reaches beyond an end, where it takes what is not known for known
+        reach = min(round(2 * BAND_ORDER / (bandwidth * h)), error.size // 2)
+        for end in (slice(reach), slice(-reach, None)) if reach else ():
+            error[end] = values[end] - force[end]
+        return error, 1 / bandwidth
+    damping, inertia = d.quadratic
+
+    def beside_one(f: Array) -> NDArray[np.complex128]:
+        angle = 2 * np.pi * f * h
+        inverse = 1 + 1j * damping * np.sin(angle) / h + inertia * (2 * np.cos(angle) - 2) / h**2
+        return np.asarray(inverse * d.response(f) - 1)
+
+    return _changed(force + record.motion_force, h, beside_one), 1 / d.natural_frequency
+
+
+def _changed(values: Array, interval: float, transfer: Callable[[Array], NDArray[np.inexact]]) -> Array:
+    """Apply a transfer function to a record that goes on as it ends, shape (n,)."""
+    count = values.size
+    closed = np.concatenate([values, values[::-1]])
+    frequency = np.asarray(np.fft.rfftfreq(closed.size, interval), dtype=np.float64)
+    return np.asarray(np.fft.irfft(np.fft.rfft(closed) * transfer(frequency), closed.size)[:count])
+
+
+def _band(f: Array, bandwidth: float) -> Array:
+    return np.asarray(1 / (1 + (f / bandwidth) ** (2 * BAND_ORDER)))
+
+
 def band_limited(record: ComponentRecord, bandwidth: float) -> ComponentForce:
     """Eq. (17) of [Gorbushin2020]_ in the frequency domain, times a zero-phase Butterworth roll-off."""
     d, h = record.dynamics, record.interval
@@ -99,7 +143,7 @@ def band_limited(record: ComponentRecord, bandwidth: float) -> ComponentForce:
     load = _without_gaps(record, "the band-limited inverse")
 
     def band(f: Array) -> Array:
-        return np.asarray(1 / (1 + (f / bandwidth) ** (2 * BAND_ORDER)))
+        return _band(f, bandwidth)
 
     def inverse(f: Array) -> NDArray[np.complex128]:
         return np.asarray(band(f) / d.response(f))

@@ -183,7 +183,7 @@ def _fitted(part: _Part, steps: list[Step]) -> list[Step]:
     reading, first = part.reading, part.fixed.shape[1]
     small, most = 0.05 * reading.interval, 0.5 * reading.interval
     for _ in range(SETTINGS.iterations):
-        slow = np.array([step.duration > 0 for step in steps])
+        slow = np.array([step.duration > 0 for step in steps], dtype=bool)
         columns = part.columns(
             [response_to(step, reading) for step in steps],
             [_derivative(step, reading, later=small) for step in steps],

@@ -17,7 +17,7 @@ import numpy as np
 
 from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
-from aerobalance.estimation.prior import fit_prior, generalised_least_squares
+from aerobalance.estimation.prior import fit_prior, generalised_least_squares, whitened
 from aerobalance.estimation.record import SingleRecord, Through
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.motion.platform import SystematicParameter
@@ -59,6 +59,14 @@ class GroundChannelSettings:
         What is left of delay and gain over their standard uncertainties, from which on an alignment is at its end.
     rounds
         Most times that delay and gain are looked for.
+    apart, reach, most_delays
+        Distance of the delays that are tried, in periods of the motion (its rms frequency); largest of them over the
+        length of the record; how many are tried either side, at most.
+    beyond_slopes
+        Delay from which on slopes do not tell it any more, over the distance of those tried.
+    promising, decisive
+        Gain in log-likelihood of a delay of these from which on the force's spectrum is learned again without it, and
+        that it must have then.
     """
 
     sure: float = 3.5
@@ -72,6 +80,12 @@ class GroundChannelSettings:
     most: float = 64.0
     settled: float = 0.1
     rounds: int = 5
+    apart: float = 0.05
+    reach: float = 0.125
+    most_delays: int = 40
+    beyond_slopes: float = 2.0
+    promising: float = 3.0
+    decisive: float = 12.0
 
 
 SETTINGS: Final = GroundChannelSettings()
@@ -193,6 +207,9 @@ def _compared(record: SingleRecord, fit: SmootherResult, through: Through, chann
     measured = _measured(record, fit, channel)
     if measured is None:
         return None
+    far = _far(record, fit, channel.name, measured, through)
+    if far is not None:
+        return far
     sizes, u = measured.sizes, np.sqrt(np.diag(measured.covariance))
     moved = through(measured.felt) * sizes
     errors = np.column_stack([moved[:, 0], moved[:, 1], moved[:, 0] + moved[:, 2]])
@@ -219,6 +236,51 @@ class _Measured:
     covariance: Array
     slopes: Array
     felt: Array
+
+
+def _far(record: SingleRecord, fit: SmootherResult, name: str, measured: _Measured, through: Through) -> _Found | None:
+    """What the load says of a channel that is later than slopes tell; None where it is not.
+
+    What the channel should have read is what it read, moved in time and of another size: of many delays that one is
+    taken which leaves least of the reading.
+    """
+    h, reading = record.interval, fit.reading
+    motion = measured.slopes[:, 1]
+    pace = float(np.std(np.diff(motion))) / (2 * np.pi * h * float(np.std(motion)))
+    apart = SETTINGS.apart / pace
+    each_side = min(SETTINGS.most_delays, int(SETTINGS.reach * motion.size * h / apart))
+
+    def felt(delay: float) -> Array:
+        moved = fractional_delay(motion, delay=-delay, interval=h)
+        return np.asarray(record.felt_under(SystematicParameter("", "", moved, 0.0)))
+
+    delays = apart * np.arange(-each_side, each_side + 1)
+    known = instant_columns(reading, fit.steps, heights=[step.height for step in fit.steps])[0]
+    shown = np.column_stack([felt(delay) for delay in delays])
+    shapes = np.column_stack([known, shown])
+    white = whitened(fit.filter, reading.filled + felt(0.0), shapes)
+    basis, _ = np.linalg.qr(white[:, 1 : 1 + known.shape[1]])
+    rest = white - basis @ (basis.T @ white)
+    told = (rest[:, 0] @ rest[:, -delays.size :]) ** 2 / np.sum(rest[:, -delays.size :] ** 2, axis=0)
+    best = float(delays[np.argmax(told)])
+    gained = float(np.max(told) - told[each_side]) / 2
+    if abs(best) <= SETTINGS.beyond_slopes * apart or gained < SETTINGS.promising:
+        return None
+    size = SETTINGS.probe * h
+    slope = (felt(best + size) - felt(best - size)) / (2 * size)
+    shapes = np.column_stack([known, felt(best), slope])
+    learned = fit_prior(reading, columns=np.column_stack([shapes, felt(0.0)]), before=fit.learned)
+    filter_ = KalmanFilter.of(reading.system(learned), reading.present)
+    sizes, covariance, left = generalised_least_squares(filter_, reading.filled + felt(0.0), shapes)
+    as_it_is = generalised_least_squares(filter_, reading.filled, known)[2]
+    gain, moved = sizes[-2:]
+    if gain <= 0 or as_it_is - left < 2 * SETTINGS.decisive:
+        return None  # of the other sign, slopes tell it
+    delay = best + float(np.clip(moved / gain, -apart, apart))
+    u_gain, u_moved = np.sqrt(np.diag(covariance)[-2:])
+    errors = -through(np.column_stack([felt(delay) - felt(0.0), (gain - 1) * felt(delay)]))
+    columns = np.column_stack([errors, errors[:, 0]])
+    return _Found(name, delay, float(u_moved / gain), float(gain - 1), float(u_gain), 0.0, 1.0, columns)
 
 
 def _measured(record: SingleRecord, fit: SmootherResult, channel: Channel) -> _Measured | None:

@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.special import expit
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
@@ -41,10 +42,12 @@ class ResonanceSettings:
         or a natural frequency that is far off, must: a narrow band of the load looks like one.
     worth_a_look
         Gain from which on a resonance near the expected one is looked at closer.
-    open_from, open_half
-        Gain of a resonance near the expected one from which on the record leaves it open, and at which it is as likely
-        as the expected one. Of records that agree 2.5 % reach 7, 0.8 % reach 9 and none of 400 reached 10: the places
-        that are looked at are many, and what an identification gives is not doubted lightly.
+    decisive_near
+        Gain that a resonance near the expected one must bring, for which no price is paid.
+    open_from, open_half, open_steepness
+        Gain of such a resonance from which on the record leaves it open, at which it is as likely as the expected one,
+        and how fast that grows. Of records that agree 2.5 % reach 7, 0.8 % reach 9 and 0.3 % reach 12: the places that
+        are looked at are many, and what an identification gives is not doubted lightly.
     confirmed
         Gain of the dynamics over a balance that does not ring, from which it is certain that it rings near there.
     far, broad
@@ -83,8 +86,10 @@ class ResonanceSettings:
 
     decisive: float = 12.0
     worth_a_look: float = 2.0
-    open_from: float = 5.0
-    open_half: float = 12.0
+    decisive_near: float = 16.0
+    open_from: float = 6.0
+    open_half: float = 14.0
+    open_steepness: float = 0.7
     decisive_far: float = 22.0
     confirmed: float = 25.0
     far: float = 0.1
@@ -284,9 +289,9 @@ def _beside(evidence: Evidence, dynamics: Dynamics, near: Dynamics, *, own: floa
     if gain < SETTINGS.open_from:
         return None
     spoken = _named(Spoken("natural frequency", other, gain), evidence, dynamics, confirmed=confirmed)
-    if spoken is None or gain >= SETTINGS.decisive:
+    if spoken is None or gain >= SETTINGS.decisive_near:
         return spoken
-    return spoken._replace(probability=float(1 / (1 + np.exp(SETTINGS.open_half - gain))))
+    return spoken._replace(probability=float(expit(SETTINGS.open_steepness * (gain - SETTINGS.open_half))))
 
 
 def _price(kind: str, evidence: Evidence) -> float:
