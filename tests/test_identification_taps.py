@@ -15,6 +15,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.impact.tap_model import Common, Point, Tap, linearise_tap
 from aerobalance.identification.step_relaxation.fit import motion_of
 from aerobalance.recording.errors import FitError
+from aerobalance.simulation.drives import band_noise
 from aerobalance.simulation.hammer import Blow, Hammer, Tapping
 from aerobalance.simulation.six_balance import random_balance
 from helpers.hammer import (
@@ -145,6 +146,22 @@ class _TwoModes:
             poles += [pole, pole.conj()]
             weights += [weight, np.conj(weight)]
         return ModalForm(np.array(poles), np.ones((1, 4), dtype=complex), np.array(weights)[:, None])
+
+
+def test_a_shaker_on_the_model_tells_one_component(rng):
+    count, z = trials(3, 60), []
+    for number in range(count):
+        push = band_noise(rng, low=10.0, high=300.0, rms=100.0, period=6.0)
+        hammer = Hammer(noise=1.0, gain=-1.004 if number == 0 else 1.004)
+        one = Tapping(ONE, np.array([1.0]), (), hammer=hammer, noise=np.array([2.0]), rate=5000.0, shaker=push)
+        found = _one(one.record(5.0, rng))
+        z.append(_z(found))
+        gain, u = found.taps.gain
+        assert abs(gain * hammer.gain - 1) < 6 * u < 0.01
+        assert [doubt.kind for doubt in found.doubts] == (["force sign"] if number == 0 else [])
+        assert abs(found.dynamics.stiffness / STIFFNESS - 1) < 1e-4
+        assert abs(found.dynamics.damping / DAMPING - 1) < 5e-3
+    assert _within(float(np.sum(np.square(z))), 2 * count)
 
 
 def test_two_modes_closer_than_their_width_are_resolved(rng):

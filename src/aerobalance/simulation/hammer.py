@@ -15,6 +15,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.recording.channel import IMPACT_FORCE, Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording
+from aerobalance.simulation.drives import Signal
 
 CELLS = 4
 """Cells of the integration per sample."""
@@ -90,6 +91,8 @@ class Tapping:
         Loads at rest, shape (n,) [N, N*m].
     rate
         Sampling rate [Hz].
+    shaker
+        Force of a shaker over time, from 0 on [N]; None for none.
     """
 
     dynamics: CoupledDynamics
@@ -99,10 +102,14 @@ class Tapping:
     noise: Array = field(default_factory=lambda: np.zeros(1))
     rest: Array = field(default_factory=lambda: np.zeros(1))
     rate: float = 10_000.0
+    shaker: Signal | None = None
 
     def force(self, time: Array) -> Array:
         """Force of all blows at times [s], shape (m,) [N]."""
-        return np.asarray(np.sum([blow.force(time) for blow in self.blows], axis=0), dtype=np.float64)
+        force = np.zeros(time.shape)
+        for blow in self.blows:
+            force += blow.force(time)
+        return force if self.shaker is None else force + np.where(time >= 0, self.shaker(np.maximum(time, 0.0)), 0.0)
 
     def felt(self, samples: int) -> Array:
         """Loads felt at the samples, shape (samples, n) [N, N*m]."""

@@ -46,7 +46,7 @@ def identify_impact(
         typer.Argument(
             metavar="REC...",
             callback=given_all,
-            help="Recordings with impact_force [N] beside the loads, each with one or more taps at one point.",
+            help="Recordings with impact_force [N] beside the loads, each with taps at one point, or one of a shaker.",
         ),
     ],
     mass: MaybeMass = None,
@@ -97,7 +97,7 @@ def identify_impact(
     verbose: Verbose = False,
     replace: Replace = False,
 ) -> None:
-    """Identify from taps with an instrumented hammer: the force is measured, at known points and directions."""
+    """Identify from taps with an instrumented hammer, or a shaker: a measured force at known points and directions."""
     from aerobalance.app.commands import identify_coupled, identify_impact
 
     if half_range and component != "all":

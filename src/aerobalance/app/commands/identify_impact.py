@@ -43,6 +43,7 @@ from aerobalance.io.coupled_part import coupled_payload
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.io.modal_uff import ReadModes, WrittenResponse, read_modes, write_responses
 from aerobalance.recording.components import AXIS_VECTORS, COMPONENTS, DIRECTIONS, MOMENTS
+from aerobalance.recording.errors import FitError
 
 WAYS: Final[Mapping[str, tuple[float, float, float]]] = {
     **AXIS_VECTORS,
@@ -184,12 +185,17 @@ def identify_impact(
             modes=wanted,
             points=list(points) or None,
         )
+    if responses is not None and not cast("ImpactFit | ImpactIdentification", found).taps.responses:
+        raise FitError(
+            f"{paths[0].name}: response functions are written of taps whose force can be used, and there is none"
+        )
     if responses is not None:
         where = [point_of(one, two) for one, two in zip(recordings, points or [None] * len(recordings), strict=True)]
         _write(responses, cast("ImpactFit | ImpactIdentification", found).taps, where, names)
     inputs = [*paths, *(file for file in used if file is not None)]
     if isinstance(found, ImpactFit):
-        details = {"method": "taps of measured force, maximum likelihood", **_taps_details(found.taps, names)}
+        way = "taps" if found.taps.taps else "a shaker"
+        details = {"method": f"{way} of measured force, maximum likelihood", **_taps_details(found.taps, names)}
         if files is not None:
             details["calibration_of_balance"] = CALIBRATION_DROPS_OUT
         result = identified(
@@ -284,7 +290,7 @@ def _taps_table(taps: Taps) -> str:
         for tap in taps.taps
     ]
     heads = ["tap", "point", "peak [N]", "contact [ms]", "force to [Hz]", "used"]
-    lines = [table_text("Taps", heads, rows)]
+    lines = [table_text("Taps", heads, rows)] if rows else ["a shaker, whose force acts all along"]
     lines += [f"point {number}: {name}" for number, name in enumerate(taps.points, start=1)]
     if taps.gain is not None and taps.delay is not None:
         lines.append(

@@ -16,6 +16,7 @@ import numpy as np
 from aerobalance.balance.matrix_errors import MatrixErrors
 from aerobalance.identification.coupled_modes import ModeTable
 from aerobalance.identification.force_error import error_of, force_weights, highest_of
+from aerobalance.identification.impact.shaker import identify_shaker, is_shaken
 from aerobalance.identification.impact.tap_account import account_of, excitation_of_taps
 from aerobalance.identification.impact.tap_doubts import (
     judged_points,
@@ -86,7 +87,7 @@ def identify_taps(
     ----------
     recordings
         One or more taps in each, all at one point and in one direction, with the channel ``impact_force``. All at the
-        same sampling rate.
+        same sampling rate. For one component, one recording of a shaker on the model serves as well.
     components
         Components, some of `COMPONENTS`; several are taken as coupled.
     mass
@@ -120,6 +121,8 @@ def identify_taps(
     given = list(points) or [None] * len(recordings)
     where = [point_of(recording, point) for recording, point in zip(recordings, given, strict=True)]
     _check_points(recordings, where, names)
+    if any(is_shaken(recording) for recording in recordings):
+        return _shaken(recordings, where, names, mass, modes)
     records = [tap_record(recording, names) for recording in recordings]
     places = list(dict.fromkeys(where))
     taps = [
@@ -156,6 +159,24 @@ def _of_calibration(
         return None
     of = [errors[next(place for place, one in enumerate(records) if one is tap.record)] for tap in taps]
     return covariance_of_calibration(found.decays, found.units, [tap.decay for tap in taps], of, components=names)
+
+
+def _shaken(
+    recordings: Sequence[Recording],
+    where: Sequence[TapPoint | None],
+    names: tuple[str, ...],
+    mass: float | tuple[float, float] | None,
+    modes: int | Literal["auto"],
+) -> ImpactFit:
+    """One component, from a shaker."""
+    if len(names) > 1:
+        raise FitError(
+            f"{recordings[0].name}: the force acts all along, as that of a shaker; several components are identified "
+            "from taps, or from a shaken ground end (identify rig)"
+        )
+    if len(recordings) > 1 or mass is None:
+        raise ValueError(f"a shaker is fitted in one recording at a time, not in {len(recordings)}")
+    return identify_shaker(recordings[0], component=names[0], mass=mass, modes=modes, point=where[0])
 
 
 def _check_call(
