@@ -55,7 +55,7 @@ def test_a_fault_that_the_load_shows_clearly_leaves_nothing(name):
 @pytest.mark.parametrize("name", ["pitch 20 ms late, 0-60 Hz", "pitch 20 ms late, step", "step, pitching"])
 def test_what_is_not_known_of_an_alignment_counts(name):
     whole = []
-    count = trials(3, 12)
+    count = trials(2, 12)
     for seed in range(count):
         _, after = tried(name, seed, align=True)
         whole.append((after["error"] / after["u"]) ** 2)

@@ -357,7 +357,7 @@ def test_three_modes_are_found(rng):
 
 @pytest.mark.slow
 def test_scatter_of_the_second_mode_is_stated(rng):
-    draws, second = trials(12, 30), Mode(165.0, 0.008, -0.05)
+    draws, second = trials(6, 30), Mode(165.0, 0.008, -0.05)
     scores, totals = [], []
     for _ in range(draws):
         score, total = misfit(said(several(rng, second, seconds=6.0), modes=2)[0].dynamics, LARGE.with_modes(second))
