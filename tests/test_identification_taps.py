@@ -53,7 +53,7 @@ def _z(found) -> tuple[float, float]:
 
 
 def test_one_component_is_told_to_1e4_and_5e3_with_true_uncertainties(rng):
-    count = trials(12, 200)
+    count = trials(6, 100)
     z = []
     for _ in range(count):
         found = _one(one_tapped(rng, extra=lambda made: (Blow(made[1].instant + 0.03, 300.0, 0.004),)))
@@ -278,6 +278,33 @@ def test_wrong_calls_say_what_is_needed(rng):
     silent = one_tapped(rng, blows=1, hammer=Hammer(noise=1.0, gain=0.0))
     with pytest.raises(FitError, match="never stands out of its noise"):
         ab.identify(silent, components=["AF"], mass=MASS, excitation="impact")
+    for level in (0.0, 5.0):
+        flat = replace(record.channel("AF"), values=np.full(record.samples, level))
+        dead = replace(record, channels={**record.channels, "AF": flat})
+        with pytest.raises(FitError, match="readings of AF never change"):
+            ab.identify(dead, components=["AF"], mass=MASS, excitation="impact")
     bare = replace(record, channels={"AF": record.channel("AF")})
     with pytest.raises(FitError, match="has no impact_force"):
         ab.identify(bare, components=["AF"], mass=MASS, excitation="impact")
+
+
+@pytest.mark.parametrize("noise", [0.0, 2.0])
+@pytest.mark.parametrize("force_noise", [0.0, 1.0])
+def test_records_without_noise_are_fitted_as_well(rng, noise, force_noise):
+    found = _one(one_tapped(rng, noise=np.array([noise]), hammer=Hammer(noise=force_noise)))
+    assert abs(found.dynamics.stiffness / STIFFNESS - 1) < (1e-4 if noise else 1e-9)
+    assert abs(found.dynamics.damping / DAMPING - 1) < (5e-3 if noise else 1e-7)
+
+
+def test_missing_readings_of_loads_and_force_do_no_harm(rng):
+    record = one_tapped(rng)
+    load, force = record.channel("AF").values.copy(), record.channel("impact_force").values.copy()
+    load[::5] = np.nan
+    load[4000:9000] = np.nan
+    force[int(np.argmax(force))] = np.nan
+    channels = {
+        name: replace(record.channel(name), values=values) for name, values in (("AF", load), ("impact_force", force))
+    }
+    found = _one(replace(record, channels=channels))
+    assert [doubt.kind for doubt in found.doubts] == ["clipped force"]
+    assert np.max(np.abs(_z(found))) < 5

@@ -41,7 +41,7 @@ HalfRange = Annotated[
 
 app = typer.Typer()
 identify = typer.Typer(
-    help="Stiffness and damping of a balance, from a release, a shaken rig, a published table or a stiffness.",
+    help="Stiffness and damping of a balance, from a release, taps, a shaken rig, a published table or a stiffness.",
     epilog=f"Example: {PROGRAM} identify decay cut.csv --component AF --mass 177.87 -o dynamics.json",
     no_args_is_help=True,
 )

@@ -149,7 +149,8 @@ def tap_record(recording: Recording, components: tuple[str, ...]) -> TapRecord:
     found = _contacts(readings, scatter, recording.rate)
     if not found:
         raise FitError(
-            f"{recording.name}: {FORCE} never stands out of its noise ({scatter:.2g} N); was the hammer connected?"
+            f"{recording.name}: {FORCE} never stands out of its noise"
+            f"{f' ({scatter:.2g} N)' if scatter > np.finfo(float).tiny else ''}; was the hammer connected?"
         )
     corner, u_corner = _corner(readings, found, recording.rate, scatter)
     if corner > SETTINGS.droop * u_corner:

@@ -229,6 +229,13 @@ def _check_left(taps: Sequence[PlacedTap], records: Sequence[TapRecord]) -> None
 
 def _check_moved(taps: Sequence[PlacedTap], sizes: Array, names: tuple[str, ...]) -> None:
     """Refuse taps that leave a combination of loads at rest."""
+    still = [
+        name
+        for column, name in enumerate(names)
+        if all(np.ptp(tap.record.values[tap.found.after, column]) == 0 for tap in taps)
+    ]
+    if still:
+        raise FitError(f"the readings of {', '.join(still)} never change after the taps; is the balance connected?")
     combinations = unmoved([tap.decay for tap in taps], sizes)
     if not len(combinations):
         return
