@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from dataclasses import replace as replaced
 from pathlib import Path
 from time import time
@@ -49,6 +49,8 @@ class Campaign:
         What the test is.
     seconds
         How long this call took [s].
+    changed
+        Whether anything is otherwise than after the call before; False where all was known and is written.
     """
 
     name: str
@@ -57,7 +59,8 @@ class Campaign:
     quality: Quality
     done: tuple[str, ...]
     definition: Definition
-    seconds: float = field(default=0.0)
+    seconds: float = 0.0
+    changed: bool = True
 
     @property
     def reduced(self) -> list[Row]:
@@ -230,7 +233,11 @@ def reduce_runs(
         found.definition,
         time() - begun,
     )
+    text = json_text(manifest(campaign))
+    if not todo and text == results.manifest and exists(results.place(SUMMARY)):
+        return replaced(campaign, changed=False)
     write_summary(campaign, results)
+    results.write_text(text, MANIFEST)
     return campaign
 
 
@@ -284,7 +291,6 @@ def write_summary(campaign: Campaign, results: Results) -> None:
         for one in campaign.quality.repeats
     ]
     results.write_table(repeats, "repeats.parquet")
-    results.write_text(json_text(manifest(campaign)), MANIFEST)
 
 
 def manifest(campaign: Campaign) -> Mapping[str, Any]:
@@ -297,6 +303,7 @@ def manifest(campaign: Campaign) -> Mapping[str, Any]:
         "name": campaign.name,
         "notes": campaign.definition.notes,
         "runs": len(campaign.rows),
+        "names": [row["run_name"] for row in campaign.rows],
         "reduced": len(campaign.reduced),
         "set_aside": campaign.aside,
         "flags": [asdict(flag) for flag in campaign.quality.flags],

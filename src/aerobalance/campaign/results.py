@@ -121,6 +121,14 @@ class Results:
         except OSError as error:
             raise ValueError(f"cannot write {target}: {reason_of(error)}") from error
 
+    @property
+    def manifest(self) -> str:
+        """What the last call wrote for programs; empty where there is nothing."""
+        try:
+            return self._read(MANIFEST).decode("utf-8")
+        except (OSError, ValueError):
+            return ""
+
     def record(self, run: str, key: str, row: Mapping[str, Any], outputs: Sequence[str]) -> None:
         """Write what a run's result is; the last of what it has."""
         text = json_text({"kind": RUN_KIND, "key": key, "outputs": list(outputs), "row": dict(row)})

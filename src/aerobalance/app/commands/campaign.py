@@ -17,7 +17,7 @@ from aerobalance.app.reports.force_curves import ForceCurves
 from aerobalance.campaign.assignment import Run
 from aerobalance.campaign.campaign import Campaign, prepared, reduce_runs
 from aerobalance.campaign.engine import Engine
-from aerobalance.campaign.places import is_address, name_of
+from aerobalance.campaign.places import exists, is_address, name_of
 from aerobalance.campaign.reduction import ReducedRun
 from aerobalance.campaign.results import HISTORIES, PAGE, SUMMARY, Results
 from aerobalance.campaign.watching import EVERY, Watch
@@ -147,7 +147,8 @@ def with_pages(
     found = reduce_runs(
         test, out, dynamics=dynamics, balance=balance, engine=engine, report=write_run_report, replace=replace
     )
-    write_page_of(found)
+    if found.changed or not exists(Results(found.out).place(PAGE)):
+        write_page_of(found)
     return found
 
 
