@@ -14,6 +14,7 @@ import aerobalance as ab
 from aerobalance.app.cli import main
 from aerobalance.io import FORMATS, load_channel_map, read, template, write_recording
 from aerobalance.io import series as io_series
+from aerobalance.io.long_record import open_record
 from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Channel, CrossAxis
 from aerobalance.recording.errors import DataQualityWarning, ReadError
@@ -313,3 +314,60 @@ def test_formats_have_names_and_endings_of_their_own() -> None:
     assert len(set(names)) == len(names)
     assert len(set(endings)) == len(endings)
     assert {".csv", ".h5", ".parquet", ".uff", ".mat", ".nc"} <= set(endings)
+
+
+LONG = 70_000
+"""Samples of a recording that is read part by part."""
+
+
+@pytest.fixture(scope="module")
+def long_files(tmp_path_factory):
+    """One long recording in every format that is written, and its map."""
+    folder = tmp_path_factory.mktemp("long")
+    time = np.arange(LONG) / 1000
+    temperature = Channel("temperature", 20 + 0.001 * time, "degC")
+    values = {"AF": Channel("AF", np.sin(time), "N", file_unit="kN"), "temperature": temperature}
+    recording = Recording.from_columns(time, values)
+    for ending in ("nc", "parquet", "uff", "mat", "h5"):
+        write_recording(folder / f"a.{ending}", recording)
+    (folder / "map.toml").write_text('[channels.NF]\ncolumn = "AF"\nunit = "kN"\nsign = -1\n')
+    return folder, recording
+
+
+@pytest.mark.parametrize("ending", ["nc", "parquet", "uff", "h5"])
+def test_a_long_file_is_read_in_parts(long_files, ending, monkeypatch) -> None:
+    folder, recording = long_files
+    with open_record(folder / f"a.{ending}") as record:
+        assert not isinstance(record, Recording)
+        part = record.part(30_000, 31_000)
+        whole = recording.part(30_000, 31_000)
+        assert (record.samples, record.rate, record.start) == pytest.approx((LONG, 1000.0, 0.0), abs=1e-9)
+        np.testing.assert_allclose(part.channel("AF").values, whole.channel("AF").values, rtol=3e-16)
+        np.testing.assert_allclose(part.stamps, whole.stamps, rtol=1e-14)
+        assert part.start == pytest.approx(30.0, abs=1e-9)
+        assert part.extent.means == pytest.approx(whole.extent.means)
+        assert (part.extent.begin, part.extent.end) == pytest.approx((whole.extent.begin, whole.extent.end))
+
+
+def test_a_map_is_used_in_parts(long_files) -> None:
+    folder, recording = long_files
+    chosen = load_channel_map(folder / "map.toml")
+    with open_record(folder / "a.nc", channel_map=chosen) as record:
+        assert not isinstance(record, Recording)
+        part = record.part(10, 20)
+    np.testing.assert_allclose(part.channel("NF").values, -recording.channel("AF").values[10:20], rtol=3e-16)
+    with open_record(folder / "a.mat", channel_map=chosen) as record:
+        assert isinstance(record, Recording)  # a variable is read whole
+
+
+def test_readings_that_look_like_references_to_texts_are_readings(tmp_path) -> None:
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs["fs"] = RATE
+        load = file.create_dataset("AF", data=LOAD)
+        load.attrs["unit"] = "N"
+    at = path.read_bytes().index(b"GCOL")
+    values = np.frombuffer(np.array([7, 0, 9999, at, 0, 1, 0, 5], "<u4").tobytes(), "<f8")
+    with h5py.File(path, "r+") as file:
+        file["AF"][10:14] = values
+    np.testing.assert_array_equal(read(path).channel("AF").values[10:14], values)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -122,7 +123,8 @@ def _arrow(path: Path, stack: contextlib.ExitStack) -> Holdings:
         place = table.schema.get_field_index(name)
         return lambda begin, end: _numbers(table.column(place).slice(begin, end - begin))
 
-    return _holdings(path, table.schema, table.num_rows, reader)
+    # packed columns are unpacked by now
+    return replace(_holdings(path, table.schema, table.num_rows, reader), parts=False)
 
 
 def _holdings(path: Path, schema: Any, rows: int, reader: Any) -> Holdings:

@@ -282,7 +282,7 @@ def mapped_recording(raw: RawColumns, chosen: ChannelMap) -> Recording:
     own = chosen.file.time is None and chosen.file.rate is None
     raw = _on_own_clocks(raw, chosen) if own else of_one_length(raw)
     stamps, time_unit = _stamps(raw, chosen)
-    channels = {name: _channel(raw, chosen, name) for name in chosen.channels}
+    channels = mapped_channels(raw, chosen)
     rate, ticks = (raw.rate, raw.ticks) if own else (None, None)
     recording = on_clock(raw.path, stamps, channels, time_unit=time_unit, rate=rate, ticks=ticks, epoch=raw.epoch)
     derived = {name: channel.derivative for name, channel in chosen.channels.items() if channel.derivative}
@@ -292,6 +292,17 @@ def mapped_recording(raw: RawColumns, chosen: ChannelMap) -> Recording:
     for name, order in derived.items():
         replaced[name] = _differentiated(replaced[name], order, recording.rate)
     return replace(recording, channels=replaced)
+
+
+def mapped_channels(raw: RawColumns, chosen: ChannelMap) -> dict[str, Channel]:
+    """Channels of the columns of a foreign file, as they were sampled: none differentiated.
+
+    Raises
+    ------
+    ReadError
+        A column is not there, has no unit, or has one of another kind.
+    """
+    return {name: _channel(raw, chosen, name) for name in chosen.channels}
 
 
 def _on_own_clocks(raw: RawColumns, chosen: ChannelMap) -> RawColumns:

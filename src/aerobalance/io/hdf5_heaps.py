@@ -7,6 +7,7 @@ with its index and its size; a text elsewhere is its length, the place of the co
 from __future__ import annotations
 
 import mmap
+import re
 import struct
 from pathlib import Path
 from typing import Final
@@ -14,8 +15,11 @@ from typing import Final
 from aerobalance.recording.errors import ReadError
 
 _MARK: Final = b"GCOL\x01\0\0\0"
+_TEXT: Final = re.compile(rb"[\x19\x29\x39]...\x10\0\0\0[\x10-\x13\x20-\x23\x30-\x33]", re.DOTALL)
+"""Type of a text (or list) of any length, and the beginning of that of its letters."""
+
 _HEAD: Final = 16
-_LOOKED_THROUGH: Final = 1 << 26
+_LOOKED_THROUGH: Final = 1 << 23
 """Bytes at either end that are looked through of a file of more than twice as many."""
 
 
@@ -71,7 +75,9 @@ def _check_texts(path: Path, view: mmap.mmap, at: int, objects: dict[int, int], 
     while place >= 0 and place + 12 <= len(view):
         (length,) = struct.unpack_from("<I", view, place - 4)
         (index,) = struct.unpack_from("<I", view, place + 8)
-        if index in objects and length > objects[index]:  # any other number there is no reference
+        # readings may have the same bytes, but not behind the type of a text of any length
+        is_text = _TEXT.search(view[max(0, place - 68) : place - 4]) is not None
+        if is_text and index in objects and length > objects[index]:
             raise ReadError(
                 path,
                 f"byte {place - 4}",

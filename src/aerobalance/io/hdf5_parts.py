@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from aerobalance.io.columns import RawColumns
 from aerobalance.io.hdf5_contents import Contents, contents_of, opened
 from aerobalance.io.hdf5_file import LARGEST_GAP, raw_column, read_block, remarks_on
+from aerobalance.io.series_record import steady_clock_of
 from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of_missing
 from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import ReadError, warn_quality
 from aerobalance.recording.parts import Extent
-from aerobalance.recording.recording import JITTER_ALLOWED, Recording
+from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import conversion
 
 if TYPE_CHECKING:
@@ -231,24 +232,8 @@ def _steady(file: h5py.File, found: Contents) -> _Clock | None:
         return None  # short blocks within the file
     change = conversion(found.time_unit, expected="s")
 
-    def stamps() -> Iterator[tuple[int, Array]]:
-        for begin in range(0, samples, ROWS):
-            part = np.asarray(file["time"][begin : min(begin + ROWS, samples)], dtype=np.float64)
-            yield begin, np.asarray(change.inside(part))
+    def stamps(begin: int, end: int) -> Array:
+        return np.asarray(change.inside(np.asarray(file["time"][begin:end], dtype=np.float64)))
 
-    origin = float(next(stamps())[1][0])
-    middle = (samples - 1) / 2
-    total = along = 0.0
-    for begin, part in stamps():
-        since = part - origin
-        total += float(since.sum())
-        along += float((np.arange(begin, begin + part.size) - middle) @ since)
-    interval = along / (samples * (samples**2 - 1.0) / 12)
-    start = total / samples - interval * middle
-    if not interval > 0:
-        return None
-    for begin, part in stamps():
-        departure = part - origin - start - interval * np.arange(begin, begin + part.size)
-        if not np.max(np.abs(departure)) < JITTER_ALLOWED * interval:
-            return None
-    return _Clock(origin + start, interval)
+    clock = steady_clock_of(stamps, samples)
+    return None if clock is None else _Clock(clock.start, clock.interval)

@@ -7,10 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from aerobalance.io import hdf5_file, read
+from aerobalance.io import format_of, hdf5_file, read
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.hdf5_parts import opened_record
-from aerobalance.io.opening import opened_file
+from aerobalance.io.series import SeriesFormat
+from aerobalance.io.series_record import opened_series
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.parts import LongRecord
 from aerobalance.recording.recording import Recording
@@ -26,8 +27,8 @@ LARGE: Final = 1 << 28
 def open_record(path: Path | str, *, channel_map: ChannelMap | None = None) -> Iterator[LongRecord[Recording]]:
     """Open a recording of which parts are read as they are wanted.
 
-    A recording in HDF5 as this program writes it, on a steady clock and without a channel map, is; every other is read
-    whole.
+    A recording in HDF5 as this program writes it, on a steady clock and without a channel map, is, and a file of
+    another program whose format allows it (see `aerobalance.io.series_record`); every other is read whole.
 
     Parameters
     ----------
@@ -45,12 +46,16 @@ def open_record(path: Path | str, *, channel_map: ChannelMap | None = None) -> I
         As in `aerobalance.io.read`, of a part when it is read; or a large file is read whole.
     """
     file = Path(path)
-    with opened_file(file) as opened:
-        head = opened.read(16)
-    if channel_map is None and hdf5_file.can_read(head, file):
+    form = format_of(file)
+    if channel_map is None and form is hdf5_file:
         with opened_record(file) as record:
             if record is not None and record.samples > SHORT:
                 yield record
+                return
+    if isinstance(form, SeriesFormat):
+        with opened_series(file, form.reader, channel_map) as series:
+            if series is not None and series.samples > SHORT:
+                yield series
                 return
     size = file.stat().st_size
     if size > LARGE:

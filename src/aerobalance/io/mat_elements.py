@@ -5,6 +5,7 @@ MAT-File Format, The MathWorks: every element has a type and a length; a variabl
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from pathlib import Path
@@ -110,11 +111,11 @@ class _Check:
         shape = struct.unpack_from(f"{self._order}{length // 4}i", self._view, begin)
         if min(shape) < 0:
             raise self._fail(begin, f"has the dimensions {' x '.join(map(str, shape))}")
-        kind, begin, length, place = self._element(place, end)
-        if kind not in (1, 2, 16):
-            raise self._fail(begin, f"has a name of type {kind}")
+        _, _, _, place = self._element(place, end)  # the name
+        members = math.prod(shape)
         if content in (_STRUCT, _OBJECT):
-            place = self._fields(place, end, content)
+            place, fields = self._fields(place, end, content)
+            members *= fields
         nested = content in (_CELL, _STRUCT, _OBJECT)
         count = 0
         while place + 8 <= end and (self._whole or place + 8 <= len(self._view)):
@@ -124,12 +125,14 @@ class _Check:
             if nested:
                 self.matrix(begin, begin + length, depth + 1)
             count += 1
+        if nested and count != members:
+            raise self._fail(place, f"has {count} of {members} members")
         needed = (3 if content == _SPARSE else 1) + bool(flags & COMPLEX)
         if not nested and self._whole and count < needed:
             raise self._fail(place, f"has {count} of {needed} pieces of content")
 
-    def _fields(self, place: int, end: int, content: int) -> int:
-        """Check the names of fields, and return where they end."""
+    def _fields(self, place: int, end: int, content: int) -> tuple[int, int]:
+        """Check the names of fields, and return where they end and how many there are."""
         if content == _OBJECT:
             _, _, _, place = self._element(place, end)
         kind, begin, length, place = self._element(place, end)
@@ -139,4 +142,4 @@ class _Check:
         kind, begin, length, place = self._element(place, end)
         if kind not in (1, 2) or length % width:
             raise self._fail(begin, f"has {length} bytes of names of fields of {width}")
-        return place
+        return place, length // width

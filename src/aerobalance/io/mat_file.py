@@ -100,7 +100,7 @@ def opened(path: Path) -> Iterator[Holdings]:
         walk = _Walk(path)
         small = {one.name: _load(path, one.name) for one in variables if _is_small(one)}
         walk.level("", small, variables)
-        holdings = Holdings(with_axes(walk.series), walk.epoch)
+        holdings = Holdings(with_axes(walk.series), walk.epoch, parts=False)
     yield holdings
 
 

@@ -82,7 +82,7 @@ def _holdings(path: Path, mdf: Any) -> Holdings:
             unit = "s" if is_master else _unit(channel)
             name, unit = named(str(channel.name).strip(), unit)
             fault = "" if samples > 1 else f"it has {samples} sample(s)"
-            fetch = _Fetch(mdf, g, c, is_master)
+            fetch = _Fetch(mdf, g, c, is_master, samples)
             series.append(
                 Series(
                     text,
@@ -122,18 +122,17 @@ class _Fetch:
     group: int
     channel: int
     master: bool
+    samples: int
 
     def read(self, begin: int, end: int) -> Any:
         """Samples from one to another (not included), as numbers in their unit."""
         if self.master:
             return self.mdf.get_master(self.group, record_offset=begin, record_count=end - begin)
-        values, invalid = self.mdf.get(
-            group=self.group,
-            index=self.channel,
-            samples_only=True,
-            record_offset=begin,
-            record_count=end - begin,
-        )
+        if end - begin == self.samples:
+            values, invalid = self.mdf.get(group=self.group, index=self.channel, samples_only=True)
+        else:  # the library returns the samples alone for the whole only
+            part = self.mdf.get(group=self.group, index=self.channel, record_offset=begin, record_count=end - begin)
+            values, invalid = part.samples, part.invalidation_bits
         if values.dtype.kind not in "fiub" or values.ndim != 1:
             raise ValueError("it holds text or arrays; readings over time are needed")
         if invalid is not None and np.any(invalid):

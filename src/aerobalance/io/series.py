@@ -101,11 +101,14 @@ class Holdings:
         Date and time (UTC where the file says so) at which its times are zero; None where it does not say it.
     remarks
         What is doubtful about the file.
+    parts
+        Whether a part of a series costs no more than itself to be read.
     """
 
     series: tuple[Series, ...]
     epoch: np.datetime64 | None = None
     remarks: tuple[str, ...] = ()
+    parts: bool = True
 
 
 class Reader(Protocol):
@@ -296,7 +299,9 @@ def columns_of(
     clocks = {axis: _clock_of(path, _by_label(found, axis)) for axis in axes if axis}
     values = read_all(path, [series for _, series in chosen])
     columns = tuple(
-        replace(_bare(number, series), values=values[series.label], clock=series.clock or clocks.get(series.axis))
+        replace(
+            bare_column(number, series), values=values[series.label], clock=series.clock or clocks.get(series.axis)
+        )
         for number, series in chosen
     )
     most = max((column.values.size for column in columns), default=0)
@@ -309,7 +314,7 @@ def chosen_series(path: Path, found: Holdings, wanted: Sequence[str | int] | Non
     if wanted is None:
         return _described(path, found, numbered)
     shown = [(number, series) for number, series in numbered if not series.hidden]
-    bare = tuple(_bare(number, series) for number, series in shown)
+    bare = tuple(bare_column(number, series) for number, series in shown)
     stub = RawColumns(path, bare, range(0))
     numbers = {stub.find(key, where="channels").number for key in wanted}
     return [(number, series) for number, series in numbered if number in numbers]
@@ -348,7 +353,8 @@ def _by_label(found: Holdings, label: str) -> Series:
     return next(series for series in found.series if series.label == label)
 
 
-def _bare(number: int, series: Series) -> RawColumn:
+def bare_column(number: int, series: Series) -> RawColumn:
+    """Column of a series without its cells."""
     unit = "s" if series.stamps else series.unit
     return RawColumn(
         series.label,
@@ -370,14 +376,14 @@ def _on_one_axis(
     place = 1 + found.series.index(axis)
     others = [(number, series) for number, series in chosen if number != place]
     values = read_all(path, [axis, *(series for _, series in others)])
-    columns = [replace(_bare(number, series), values=values[series.label]) for number, series in others]
-    time = replace(_bare(place, axis), values=values[axis.label])
+    columns = [replace(bare_column(number, series), values=values[series.label]) for number, series in others]
+    time = replace(bare_column(place, axis), values=values[axis.label])
     columns.insert(0, replace(time, name="time") if named else time)
     rows = range(1, columns[0].values.size + 1)
-    return RawColumns(path, tuple(columns), rows, time=place, epoch=epoch_of(path, found, axis))
+    return RawColumns(path, tuple(columns), rows, time=place, epoch=axis_epoch(path, found, axis))
 
 
-def epoch_of(path: Path, found: Holdings, axis: Series) -> np.datetime64 | None:
+def axis_epoch(path: Path, found: Holdings, axis: Series) -> np.datetime64 | None:
     """Date and time at which the times of an axis are zero: the first of its stamps, or what the file says."""
     if not axis.stamps or not axis.samples:
         return found.epoch

@@ -253,7 +253,8 @@ def _holdings(path: Path, file: BinaryIO, sets: list[_Set]) -> Holdings:
         series.append(Series(label, name, unit, header.points, read, clock=clock, axis=axis, fault=fault))
     dates = (date_of(one.removeprefix("epoch ")) for set_ in sets for one in (set_.header.ids[4],))
     exact = next((date for date in dates if date is not None), None)
-    return Holdings((*series, *axes), exact if exact is not None else _date(sets[0].header.ids[2]))
+    epoch = exact if exact is not None else _date(sets[0].header.ids[2])
+    return Holdings((*series, *axes), epoch, parts=all(one.binary for one in sets))
 
 
 def _unit_of_time(header: _Header) -> str:

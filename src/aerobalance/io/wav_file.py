@@ -50,7 +50,7 @@ def opened(path: Path) -> Iterator[Holdings]:
             Series(f"channel {k + 1}", f"channel {k + 1}", "", samples, _reader(data, k), clock=clock)
             for k in range(columns)
         )
-    yield Holdings(series)
+    yield Holdings(series, parts=width != 3)
 
 
 def _checked(path: Path) -> int:
