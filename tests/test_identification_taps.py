@@ -159,8 +159,8 @@ def test_a_shaker_on_the_model_tells_one_component(rng):
         gain, u = found.taps.gain
         assert abs(gain * hammer.gain - 1) < 6 * u < 0.01
         assert [doubt.kind for doubt in found.doubts] == (["force sign"] if number == 0 else [])
-        assert abs(found.dynamics.stiffness / STIFFNESS - 1) < 1e-4
-        assert abs(found.dynamics.damping / DAMPING - 1) < 5e-3
+        assert found.dynamics.uncertainty("stiffness") < 1e-4 * STIFFNESS
+        assert found.dynamics.uncertainty("damping") < 5e-3 * DAMPING
     assert _within(float(np.sum(np.square(z))), 2 * count)
 
 
