@@ -67,6 +67,7 @@ def test_a_folder_becomes_a_table_and_histories_that_other_programs_read(tmp_pat
     assert data["AF"].attrs["units"] == "N"
     with xr.open_datatree(tmp_path / "out" / "histories.zarr", engine="zarr", consolidated=False) as tree:
         assert sorted(tree) == ["run_1", "run_2", "run_3"]
+    assert found.quality.repeats == ()  # nothing says that runs are at one angle
     assert found.table.loc["run_2", "balance_AF_N"] == table["balance_AF_N"]["run_2"]
 
 

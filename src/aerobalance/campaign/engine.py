@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -130,6 +131,7 @@ class Engine:
         import dask  # noqa: PLC0415 - of an extra
         from distributed import Client, LocalCluster  # noqa: PLC0415
 
+        _quiet_tracker()
         count = min(tasks, self.workers or _processors())
         with (
             dask.config.set(
@@ -233,6 +235,18 @@ def _row_of(future: Any, task: RunWork) -> Row | None:
 def _need_dask() -> None:
     if find_spec("distributed") is None:
         raise MissingLibraryError("distributed")
+
+
+def _quiet_tracker() -> None:
+    """Start the process that tidies up after others so that it does not complain where Ctrl-C ended these."""
+    from multiprocessing import resource_tracker  # noqa: PLC0415 - few calls need it
+
+    quiet = "ignore:resource_tracker"
+    sys.warnoptions.append(quiet)
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        sys.warnoptions.remove(quiet)
 
 
 def _processors() -> int:

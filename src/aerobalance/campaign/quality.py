@@ -30,6 +30,10 @@ class QualitySettings:
         Distance of a run from its repeats, over the standard uncertainty of the difference.
     resonance
         Standard uncertainties that stiffness or damping of all runs, or its change along them, is off.
+    of_one
+        The same over the standard uncertainty by one run: what its likelihood may be wrong by does not average out.
+    told
+        Share of the runs that have to tell it: of few, those tell that chance has moved.
     scatter
         Chi-square per degree of freedom, of few repeats with the chance of a thousandth, beyond which it is said.
     fewest
@@ -39,6 +43,8 @@ class QualitySettings:
     zero: float = 6.0
     outlier: float = 4.5
     resonance: float = 5.0
+    of_one: float = 0.4
+    told: float = 0.5
     scatter: float = 1e-3
     fewest: int = 5
 
@@ -184,12 +190,14 @@ def quantities(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 def conditions(
     rows: Sequence[Mapping[str, Any]], rules: Repeats
 ) -> list[tuple[dict[str, Any], list[Mapping[str, Any]]]]:
-    """Return the groups of runs at one condition, each with the columns that it agrees in; also groups of one."""
+    """Return the groups of runs at one condition, each with its columns; runs of which none is known are alone."""
     groups: list[tuple[dict[str, Any], list[Mapping[str, Any]]]] = []
     for row in rows:
         own = {name: _condition(row, name) for name in rules.by}
         for key, members in groups:
-            if all(_near(key[name], own[name], rules.tolerance.get(name, 1e-9)) for name in rules.by):
+            if any(value is not None for value in own.values()) and all(
+                _near(key[name], own[name], rules.tolerance.get(name, 1e-9)) for name in rules.by
+            ):
                 members.append(row)
                 break
         else:
@@ -367,18 +375,19 @@ def _resonances(rows: Sequence[Mapping[str, Any]]) -> list[Flag]:
         labels = dict.fromkeys(key for row in own for key in row if key.startswith(("k_change_", "b_change_")))
         for label in labels:
             told = [row for row in own if row.get(label) is not None and row.get(f"u_{label}")]
-            if len(told) < SETTINGS.fewest:
+            if len(told) < max(SETTINGS.fewest, SETTINGS.told * len(own)):
                 continue
+            least = SETTINGS.of_one * float(np.median([row[f"u_{label}"] for row in told]))
             found = trend(
                 [row["place"] for row in told], [row[label] for row in told], [row[f"u_{label}"] for row in told]
             )
             kind = "stiffness" if label[0] == "k" else "damping"
             which = label[9:].replace("_", " ")
             runs = told[0]["run_name"], told[-1]["run_name"]
-            if abs(found.change) > SETTINGS.resonance * found.u_change:
+            if abs(found.change) > max(SETTINGS.resonance * found.u_change, least):
                 text = f"{kind} of {which} changes by {100 * found.change:.2g} % ± {100 * found.u_change:.1g} %"
                 flags.append(Flag(kind, f"{text} from {runs[0]} to {runs[1]}", runs))
-            elif abs(found.mean) > SETTINGS.resonance * found.u_mean:
+            elif abs(found.mean) > max(SETTINGS.resonance * found.u_mean, least):
                 text = f"{kind} of {which} is {100 * found.mean:+.2g} % ± {100 * found.u_mean:.1g} %"
                 flags.append(
                     Flag(kind, f"{text} off that of {_short(dynamics)} in the mean of {len(told)} runs", runs)

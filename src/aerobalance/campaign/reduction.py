@@ -243,6 +243,7 @@ def flow_of(columns: Mapping[str, object], means: Mapping[str, float], settings:
     """
     alpha, beta = angles_of_attitude(means.get("pitch", 0.0), means.get("roll", 0.0))
     found = {"alpha": alpha, "beta": beta}
+    told = "pitch" in means
     for name, wanted in zip(FLOW_COLUMNS, (settings.alpha, settings.beta), strict=True):
         key = name if wanted is None else wanted
         if key in columns:
@@ -250,6 +251,7 @@ def flow_of(columns: Mapping[str, object], means: Mapping[str, float], settings:
             if not isinstance(given, int | float) or isinstance(given, bool):
                 raise ValueError(f"column {key} must be a number of degrees, not {given!r}")
             found[name] = float(np.radians(given))
+            told = True
         elif wanted is not None:
             raise ValueError(f"{name} should be in column {wanted}, which this run does not have")
     return Flow(
@@ -260,6 +262,7 @@ def flow_of(columns: Mapping[str, object], means: Mapping[str, float], settings:
         pressure=pressure_of(settings.pressure, columns, means),
         u_pressure=0.0 if settings.pressure is None else settings.pressure.u,
         u_pressure_run=0.0 if settings.pressure is None else settings.pressure.u_run,
+        known=told,
     )
 
 

@@ -41,6 +41,8 @@ class Flow:
         Dynamic pressure [Pa]; None where it is not known.
     u_pressure, u_pressure_run
         The same of it [Pa].
+    known
+        Whether table or recording say the angles; else they are taken as zero.
     """
 
     alpha: float = 0.0
@@ -50,6 +52,7 @@ class Flow:
     pressure: float | None = None
     u_pressure: float = 0.0
     u_pressure_run: float = 0.0
+    known: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -54,7 +54,8 @@ class Resonance:
     natural_frequency
         That of the dynamics [Hz].
     frequency, u_frequency
-        Relative change of the natural frequency and its standard uncertainty [1]; None where the record does not tell.
+        Logarithm of the natural frequency over that, its relative change where it is small, whose mean over many runs
+        is not biased, and its standard uncertainty [1]; None where the record does not tell.
     damping_ratio, u_damping_ratio
         The same of the damping ratio.
     """
@@ -164,9 +165,9 @@ def _told(still: Resonance, ratio: float, likelihood: Callable[[Array], float]) 
     return Resonance(
         still.name,
         still.natural_frequency,
-        float(np.expm1(point[0])),
+        float(point[0]),
         float(u[0]),
-        float(np.expm1(point[1])),
+        float(point[1]),
         float(u[1]),
     )
 

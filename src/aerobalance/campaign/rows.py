@@ -54,8 +54,8 @@ def row_of(run: Run, found: ReducedRun, warnings: Sequence[str]) -> Row:
         "duration_s": recording.duration,
         "rate_Hz": recording.rate,
         "samples": recording.samples,
-        "alpha_deg": float(np.degrees(found.flow.alpha)),
-        "beta_deg": float(np.degrees(found.flow.beta)),
+        "alpha_deg": float(np.degrees(found.flow.alpha)) if found.flow.known else None,
+        "beta_deg": float(np.degrees(found.flow.beta)) if found.flow.known else None,
         "pressure_Pa": found.flow.pressure,
     }
     row |= _means(found)

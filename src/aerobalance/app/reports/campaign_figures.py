@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from aerobalance.app.reports.page import PLACE_HOLDERS, STYLE, inline, legend
-from aerobalance.campaign.quality import RepeatGroup
+from aerobalance.campaign.quality import SETTINGS, RepeatGroup
 from aerobalance.recording.components import COMPONENTS
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 COVERAGE_FACTOR: Final = 1.96
 """Standard uncertainties on either side that hold 95 % of the errors."""
 
-MOST_BARS: Final = 150
+MOST_BARS: Final = 600
 """Runs up to which an error bar is drawn of each."""
 
 MARKS: Final = ("o", "s", "^", "D", "v", "P")
@@ -111,8 +111,8 @@ def polar_figure(rows: Sequence[Row], quantities: Sequence[str], *, apart: Seque
 def _abscissa(rows: Sequence[Row]) -> tuple[str, str]:
     """What polars are drawn over: the angle that changes, else the number of the run."""
     for key, label in (("alpha_deg", "angle of attack [deg]"), ("beta_deg", "sideslip [deg]")):
-        values = [row[key] for row in rows]
-        if values and max(values) - min(values) > 1e-6:
+        values = [row[key] for row in rows if row[key] is not None]
+        if len(values) == len(rows) and values and max(values) - min(values) > 1e-6:
             return key, label
     return "place", "number of the run in the test"
 
@@ -187,7 +187,7 @@ def resonance_figure(rows: Sequence[Row]) -> str | None:
     labels = [
         label
         for label in dict.fromkeys(key for row in rows for key in row if key.startswith(("k_change_", "b_change_")))
-        if sum(row.get(label) is not None for row in rows) > 1
+        if sum(row.get(label) is not None for row in rows) > max(1, SETTINGS.told * len(rows))
     ]
     if not labels:
         return None
