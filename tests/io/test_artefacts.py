@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import PARAMETERS, Dynamics
-from aerobalance.io.artefacts import write_json
+from aerobalance.io.artefacts import digest, write_json
 from aerobalance.io.dynamics_file import read_dynamics, write_dynamics
 from aerobalance.io.mass_file import read_masses
 from aerobalance.recording.errors import ReadError
@@ -294,3 +294,13 @@ def test_json_takes_plain_data_only(tmp_path):
     assert list(tmp_path.iterdir()) == []
     write_json(tmp_path / "x.json", {"a": float("inf"), "b": np.float64(1.5), "µ": True})
     assert json.loads((tmp_path / "x.json").read_text(encoding="utf-8")) == {"a": None, "b": 1.5, "µ": True}
+
+
+def test_the_digest_of_a_folder_is_that_of_its_files(tmp_path) -> None:
+    for name in ("one", "two"):
+        (tmp_path / name / "c").mkdir(parents=True)
+        (tmp_path / name / "zarr.json").write_text("{}")
+        (tmp_path / name / "c" / "0").write_bytes(b"12345678")
+    assert digest(tmp_path / "one") == digest(tmp_path / "two")
+    (tmp_path / "two" / "c" / "0").write_bytes(b"12345679")
+    assert digest(tmp_path / "one") != digest(tmp_path / "two")

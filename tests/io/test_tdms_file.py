@@ -525,7 +525,7 @@ def test_a_wrong_segment_is_refused(tmp_path):
     data = three_segments()
     one = len(data) // 3
     path = written(tmp_path, data[:one] + b"XXXX" + data[one + 4 :])
-    with pytest.raises(ReadError, match=r"run\.tdms: is a damaged TDMS file"):
+    with pytest.raises(ReadError, match=r"run\.tdms: its segments: is a damaged TDMS file"):
         read(path)
 
 

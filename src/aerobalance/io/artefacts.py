@@ -148,13 +148,17 @@ def provenance(inputs: Sequence[Path], *, settings: Mapping[str, object] | None 
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file.
+    """SHA-256 of a file; of a folder that of the names and digests of its files.
 
     Raises
     ------
     ReadError
         It cannot be read.
     """
+    if path.is_dir():
+        files = sorted(one for one in path.rglob("*") if one.is_file())
+        lines = [f"{one.relative_to(path).as_posix()} {digest(one)}\n" for one in files]
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
     with opened_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -126,6 +126,8 @@ class _Fetch:
 
     def read(self, begin: int, end: int) -> Any:
         """Samples from one to another (not included), as numbers in their unit."""
+        if self.master and end - begin == self.samples:
+            return self.mdf.get_master(self.group)
         if self.master:
             return self.mdf.get_master(self.group, record_offset=begin, record_count=end - begin)
         if end - begin == self.samples:

@@ -174,7 +174,9 @@ def _opened(path: Path) -> Iterator[TdmsFile]:
         raise ReadError(path, "", "is damaged, or too large for the memory; read fewer channels at a time") from None
     except Exception as error:  # noqa: BLE001 - the reader fails in a dozen ways on damaged files
         text = " ".join(str(error).split()) or type(error).__name__
-        raise ReadError(path, "", f"is a damaged TDMS file, or of a kind that cannot be read: {text[:200]}") from None
+        raise ReadError(
+            path, "its segments", f"is a damaged TDMS file, or of a kind that cannot be read: {text[:200]}"
+        ) from None
     if cut_off:
         said = ["the file was cut off while it was written; what was complete is used, and the end is missing"]
     for text in dict.fromkeys(said):
