@@ -1,0 +1,421 @@
+"""Writes docs/formats.md: what is measured of every format, beside the library of the format alone.
+
+    python docs/formats.py [--samples 15000000] [--folder build/formats] [--page docs/formats.md] [NAME ...]
+
+Files of twelve channels are written and read, each in a process of its own; of those named, or of all. Rows that were
+measured before are kept in FOLDER/rows.json. Takes 4 GB of memory and as much of the disk.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).parent
+RATE = 25_000.0
+CHANNELS = ("NF", "PM", "SF", "YM", "RM", "AF", "rNF", "rPM", "rSF", "rYM", "rRM", "rAF")
+UNITS = ("N", "N*m", "N", "N*m", "N*m", "N", *["mV/V"] * 6)
+SMALLER = {"MATLAB 7.3": 5, "UFF 58": 100, "UFF 58b": 10, "text (CSV)": 50}
+"""Formats of which files are shorter by so much, as the library alone takes minutes, or the file is text."""
+
+HEAD = """# Formats
+
+Reading twelve channels of {samples} samples each (float64: {size:.0f} MB; shorter where said) from every
+format, and one of them, beside the library of the format alone, which turns the same file into the same
+arrays. Processor times of single processes, on files that are in memory already, medians of three; they vary
+by a third on a machine that does other work. Peak memory is that of the process with its libraries. What is
+read is checked for numbers that no reading is, own HDF5 for its checksums, and text cell by cell, which the
+library alone does not do; a recording is made of it after that. In brackets what can be read without the rest
+of the file; what is mapped into memory does not count as read. This page is written by `python
+docs/formats.py`.
+
+| {heads} |
+|---|---|---|---|---|---|---|---|---|
+"""
+
+HEADS = (
+    "format",
+    "samples",
+    "library",
+    "all channels: s",
+    "over the library",
+    "peak memory: MB",
+    "over the library",
+    "one channel: s",
+    "read of the file: MB",
+)
+
+
+def column(number: int, samples: int) -> np.ndarray:
+    """Return the readings of a channel: noise on a slow sine, as many digits as a 24-bit converter has."""
+    rng = np.random.default_rng(number)
+    return np.round(np.sin(np.arange(samples) * 1e-3) + 0.01 * rng.standard_normal(samples), 7)
+
+
+def stamps(samples: int) -> np.ndarray:
+    """Return the times of the samples."""
+    return np.arange(samples) / RATE
+
+
+def write_hdf5(path: Path, samples: int) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file.attrs["fs"] = RATE
+        for number, (name, unit) in enumerate(zip(CHANNELS, UNITS, strict=True)):
+            file.create_dataset(name, data=column(number, samples)).attrs["unit"] = unit
+
+
+def write_mat73(path: Path, samples: int) -> None:
+    import h5py
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file.create_dataset("fs", data=[[RATE]])
+        for number, name in enumerate(CHANNELS):
+            data = file.create_dataset(
+                name,
+                data=column(number, samples)[None, :],
+                chunks=(1, min(samples, 1 << 16)),
+                compression="gzip",
+                compression_opts=1,
+            )
+            data.attrs["MATLAB_class"] = np.bytes_("double")
+    with path.open("r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file")
+
+
+def write_recording(path: Path, samples: int) -> None:
+    from aerobalance.io.results_file import writing
+
+    with writing(path, samples=samples) as append:
+        columns = {"time [s]": stamps(samples)}
+        columns |= {f"{n} [{u}]": column(i, samples) for i, (n, u) in enumerate(zip(CHANNELS, UNITS, strict=True))}
+        step = 1 << 20
+        for begin in range(0, samples, step):
+            append({label: values[begin : begin + step] for label, values in columns.items()})
+
+
+def write_netcdf3(path: Path, samples: int) -> None:
+    from scipy.io import netcdf_file
+
+    with netcdf_file(path, "w", version=2) as file:
+        file.createDimension("time", samples)
+        for number, name in enumerate(("time", *CHANNELS)):
+            variable = file.createVariable(name, "d", ("time",))
+            variable.units = "s" if name == "time" else UNITS[number - 1]
+            variable[:] = stamps(samples) if name == "time" else column(number - 1, samples)
+
+
+def write_feather(path: Path, samples: int) -> None:
+    import pyarrow as pa
+
+    names = [f"{name} [{unit}]" for name, unit in zip(CHANNELS, UNITS, strict=True)]
+    table = pa.table([stamps(samples), *(column(i, samples) for i in range(12))], names=["time [s]", *names])
+    with pa.OSFile(str(path), "wb") as sink, pa.ipc.new_file(sink, table.schema) as writer:
+        writer.write_table(table, max_chunksize=1 << 18)
+
+
+def write_zarr(path: Path, samples: int) -> None:
+    import zarr
+
+    root = zarr.open_group(path, mode="w")
+    root.attrs["fs"] = RATE
+    for number, (name, unit) in enumerate(zip(CHANNELS, UNITS, strict=True)):
+        array = root.create_array(name, shape=(samples,), chunks=(1 << 20,), dtype="f8")
+        array[:] = column(number, samples)
+        array.attrs["units"] = unit
+
+
+def write_mdf(path: Path, samples: int) -> None:
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        pairs = enumerate(zip(CHANNELS, UNITS, strict=True))
+        file.append([Signal(column(i, samples), stamps(samples), name=name, unit=unit) for i, (name, unit) in pairs])
+        file.save(path, overwrite=True)
+
+
+def write_wav(path: Path, samples: int) -> None:
+    from scipy.io import wavfile
+
+    table = np.column_stack([np.round(column(i, samples) * 2**22).astype(np.int32) << 8 for i in range(12)])
+    wavfile.write(path, int(RATE), table)
+
+
+def write_tdms(path: Path, samples: int) -> None:
+    from nptdms import ChannelObject, TdmsWriter
+
+    with TdmsWriter(str(path)) as writer:
+        given = {"wf_increment": 1 / RATE, "wf_start_offset": 0.0}
+        pairs = enumerate(zip(CHANNELS, UNITS, strict=True))
+        writer.write_segment(
+            [
+                ChannelObject("run", name, column(i, samples), {**given, "unit_string": unit})
+                for i, (name, unit) in pairs
+            ]
+        )
+
+
+def write_uff(path: Path, samples: int) -> None:
+    import pyuff
+
+    for number, (name, unit) in enumerate(zip(CHANNELS, UNITS, strict=True)):
+        given = pyuff.prepare_58(
+            binary=0,
+            func_type=1,
+            rsp_node=number + 1,
+            rsp_dir=1,
+            ref_node=0,
+            ref_dir=0,
+            data=column(number, samples),
+            x=stamps(samples),
+            id1=name,
+            abscissa_spacing=1,
+            abscissa_spec_data_type=17,
+            ordinate_spec_data_type=0,
+            orddenom_spec_data_type=0,
+            z_axis_spec_data_type=0,
+            ordinate_axis_units_lab=unit,
+            abscissa_min=0.0,
+            abscissa_inc=1 / RATE,
+        )
+        pyuff.UFF(str(path)).write_sets(given, mode="add")
+
+
+def with_h5py(path: Path) -> list[np.ndarray]:
+    import h5py
+
+    with h5py.File(path) as file:
+        return [np.asarray(file[name][...], dtype=float).ravel() for name in CHANNELS]
+
+
+def with_own(path: Path) -> list[np.ndarray]:
+    import h5py
+
+    with h5py.File(path) as file:
+        return list(np.ascontiguousarray(file["samples"][...].T))
+
+
+def with_h5netcdf(path: Path) -> list[np.ndarray]:
+    import h5netcdf
+
+    with h5netcdf.File(path) as file:
+        return [np.asarray(file[name][...]) for name in ("time", *CHANNELS)]
+
+
+def with_netcdf_file(path: Path) -> list[np.ndarray]:
+    from scipy.io import netcdf_file
+
+    with netcdf_file(path, mmap=True) as file:
+        return [np.array(file.variables[name].data, dtype="f8") for name in ("time", *CHANNELS)]
+
+
+def with_loadmat(path: Path) -> list[np.ndarray]:
+    from scipy.io import loadmat
+
+    found = loadmat(path)
+    return [found[name].ravel() for name in ("time", *CHANNELS)]
+
+
+def with_pyuff(path: Path) -> list[np.ndarray]:
+    import pyuff
+
+    return [one["data"] for one in pyuff.UFF(str(path)).read_sets()]
+
+
+def with_parquet(path: Path) -> list[np.ndarray]:
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path, use_threads=False)
+    return [one.to_numpy() for one in table.columns]
+
+
+def with_arrow(path: Path) -> list[np.ndarray]:
+    import pyarrow as pa
+
+    with pa.memory_map(str(path)) as source:
+        return [one.to_numpy() for one in pa.ipc.open_file(source).read_all().columns]
+
+
+def with_zarr(path: Path) -> list[np.ndarray]:
+    import zarr
+
+    root = zarr.open_group(path, mode="r")
+    return [root[name][:] for name in CHANNELS]
+
+
+def with_asammdf(path: Path) -> list[np.ndarray]:
+    from asammdf import MDF
+
+    with MDF(path) as file:
+        return [file.get_master(0), *(file.get(name, samples_only=True)[0] for name in CHANNELS)]
+
+
+def with_wavfile(path: Path) -> list[np.ndarray]:
+    from scipy.io import wavfile
+
+    _, table = wavfile.read(path, mmap=True)
+    return [table[:, i] / 2.0**31 for i in range(12)]
+
+
+def with_nptdms(path: Path) -> list[np.ndarray]:
+    from nptdms import TdmsFile
+
+    file = TdmsFile.read(path)
+    return [file["run"][name][:] for name in CHANNELS]
+
+
+def with_pandas(path: Path) -> list[np.ndarray]:
+    import pandas as pd
+
+    frame = pd.read_csv(path)
+    return [frame[name].to_numpy() for name in frame.columns]
+
+
+Way = tuple[str, str, str, Callable[[Path, int], None], Callable[[Path], Any], str]
+FORMATS: dict[str, Way] = {
+    "own HDF5": ("own.h5", "h5py", "part", write_recording, with_own, "AF"),
+    "HDF5 of others": ("other.h5", "h5py", "part", write_hdf5, with_h5py, "AF"),
+    "MATLAB 7.3": ("seven.mat", "h5py", "part", write_mat73, with_h5py, "AF"),
+    "MATLAB 5": ("five.mat", "scipy", "variable", write_recording, with_loadmat, "AF"),
+    "NetCDF-4": ("four.nc", "h5netcdf", "part", write_recording, with_h5netcdf, "AF"),
+    "NetCDF-3": ("three.nc", "scipy", "part", write_netcdf3, with_netcdf_file, "AF"),
+    "Parquet": ("a.parquet", "pyarrow", "row group", write_recording, with_parquet, "AF [N]"),
+    "Arrow": ("a.feather", "pyarrow", "part", write_feather, with_arrow, "AF [N]"),
+    "Zarr": ("a.zarr", "zarr", "chunk", write_zarr, with_zarr, "AF"),
+    "MDF 4": ("a.mf4", "asammdf", "part", write_mdf, with_asammdf, "1/AF"),
+    "WAV": ("a.wav", "scipy", "part", write_wav, with_wavfile, "channel 6"),
+    "LabVIEW TDMS": ("a.tdms", "npTDMS", "channel", write_tdms, with_nptdms, "run/AF"),
+    "UFF 58b": ("b.uff", "pyuff", "part", write_recording, with_pyuff, "AF"),
+    "UFF 58": ("t.uff", "pyuff", "data set", write_uff, with_pyuff, "AF"),
+    "text (CSV)": ("a.csv", "pandas", "-", write_recording, with_pandas, "AF"),
+}
+
+
+def with_this(path: Path, keys: list[str] | None) -> list[np.ndarray]:
+    """Read columns as the commands do, before they are made channels."""
+    from aerobalance.io import format_of
+    from aerobalance.recording.errors import DataQualityWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        return [one.values for one in format_of(path).read_columns(path, wanted=keys).columns]
+
+
+def measured(task: Callable[[], Any]) -> dict[str, float]:
+    """Processor time [s], peak memory of the process [MB], and bytes read from files [MB]."""
+    before, start = bytes_read(), time.process_time()
+    kept = task()
+    spent = time.process_time() - start
+    assert all(np.isfinite(one[-1]) for one in kept)
+    # of this process alone: ru_maxrss begins with what the process had that started it
+    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    peak = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+    return {"seconds": spent, "peak": peak, "read": (bytes_read() - before) / 1e6}
+
+
+def bytes_read() -> int:
+    """Bytes that this process has asked the system for."""
+    return int(Path("/proc/self/io").read_text(encoding="ascii").split()[1])
+
+
+def child(name: str, way: str, path: Path) -> None:
+    """Measure one way and print it."""
+    file, _, _, _, alone, key = FORMATS[name]
+    del file
+    small = path.with_name(f"small-{path.name}")
+    keys = {"WAV": [f"channel {i + 1}" for i in range(12)], "MATLAB 7.3": list(CHANNELS)}
+    everything = keys.get(name)
+    tasks = {
+        "alone": alone,
+        "all": lambda given: with_this(given, everything),
+        "one": lambda given: with_this(given, [key]),
+    }
+    warnings.simplefilter("ignore")
+    tasks[way](small)  # libraries are loaded and warm
+    print(json.dumps(measured(lambda: tasks[way](path))))
+
+
+def row(name: str, samples: int, folder: Path) -> dict[str, Any]:
+    """Measure one format, each way three times in turn: the medians."""
+    file, library, lazy, write, _, _ = FORMATS[name]
+    samples //= SMALLER.get(name, 1)
+    path = folder / file
+    for place, count in ((path, samples), (folder / f"small-{file}", 1000)):
+        if place.is_dir():
+            shutil.rmtree(place)
+        place.unlink(missing_ok=True)
+        write(place, count)
+    size = (
+        sum(one.stat().st_size for one in path.rglob("*") if one.is_file()) if path.is_dir() else path.stat().st_size
+    )
+    found: dict[str, Any] = {"name": name, "library": library, "lazy": lazy, "samples": samples, "size": size / 1e6}
+    rounds: dict[str, list[dict[str, float]]] = {"alone": [], "all": [], "one": []}
+    for _ in range(3):
+        for way, kept in rounds.items():
+            command = [sys.executable, __file__, "--child", name, way, str(path)]
+            done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ)
+            kept.append(json.loads(done.stdout.splitlines()[-1]))
+    for way, kept in rounds.items():
+        found[way] = {key: float(np.median([one[key] for one in kept])) for key in kept[0]}
+    for place in (path, folder / f"small-{file}"):
+        shutil.rmtree(place) if place.is_dir() else place.unlink()
+    return found
+
+
+def page(rows: list[dict[str, Any]], samples: int) -> str:
+    """Return the page."""
+    lines = []
+    for one in rows:
+        whole, alone, single = one["all"], one["alone"], one["one"]
+        cells = [
+            f"{one['name']} ({one['lazy']})",
+            f"{one['samples']:,}".replace(",", " "),
+            one["library"],
+            f"{whole['seconds']:.2g}",
+            f"{whole['seconds'] / max(alone['seconds'], 1e-3):.2f}",
+            f"{whole['peak']:.0f}",
+            f"{whole['peak'] / alone['peak']:.2f}",
+            f"{single['seconds']:.2g}",
+            f"{single['read']:.0f} of {one['size']:.0f}",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    head = HEAD.format(samples=f"{samples:,}".replace(",", " "), size=samples * 96 / 1e6, heads=" | ".join(HEADS))
+    return head + "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Measure and write the page."""
+    if sys.argv[1:2] == ["--child"]:
+        child(sys.argv[2], sys.argv[3], Path(sys.argv[4]))
+        return
+    parser = argparse.ArgumentParser(description="Measure every format.")
+    parser.add_argument("names", nargs="*")
+    parser.add_argument("--samples", type=int, default=15_000_000)
+    parser.add_argument("--folder", type=Path, default=HERE.parent / "build" / "formats")
+    parser.add_argument("--page", type=Path, default=HERE / "formats.md")
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    kept = given.folder / "rows.json"
+    rows = {one["name"]: one for one in json.loads(kept.read_text(encoding="utf-8"))} if kept.exists() else {}
+    for name in given.names or FORMATS:
+        rows[name] = row(name, given.samples, given.folder)
+        kept.write_text(json.dumps(list(rows.values()), indent=1), encoding="utf-8")
+        print(name, rows[name]["all"]["seconds"] / max(rows[name]["alone"]["seconds"], 1e-3), flush=True)
+    ordered = [rows[name] for name in FORMATS if name in rows]
+    given.page.write_text(page(ordered, given.samples), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
