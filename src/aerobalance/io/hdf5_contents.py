@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.io.hdf5_closing import marked_as_written
+from aerobalance.io.hdf5_heaps import check_heaps
 from aerobalance.io.hdf5_layout import BLOCK, CHANNELS, EVENT, FORMAT, GAP, STATUS, StoredChannel
 from aerobalance.io.said_by_file import date_of
 from aerobalance.recording.analog_filter import AntiAlias, Kind
@@ -99,6 +100,8 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
     try:
         marked = _being_written(path)
+        if not marked:
+            check_heaps(path)
         # Beside a writer its lock stands in nobody's way, and the library wants both opened in one way in a process.
         locking = False if marked else "best-effort"
         with h5py.File(path, "r", swmr=marked, libver="latest", locking=locking) as file:

@@ -58,6 +58,7 @@ def can_read(head: bytes, path: Path) -> bool:
     import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
 
     try:
+        check_heaps(path)
         with h5py.File(path, "r") as file:
             return "format" not in file.attrs or text_of(file.attrs["format"]) != FORMAT
     except Exception:  # noqa: BLE001 - damaged, or being written: then the recorder's own reader says what is wrong
