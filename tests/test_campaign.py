@@ -20,9 +20,9 @@ import pytest
 import xarray as xr
 
 import aerobalance as ab
-from aerobalance.campaign import engine as engines
-from aerobalance.campaign.campaign import reduce_runs
-from aerobalance.campaign.engine import Engine
+from aerobalance.app.campaign import engine as engines
+from aerobalance.app.campaign.campaign import reduce_runs
+from aerobalance.app.campaign.engine import Engine
 from aerobalance.estimation.force import estimate_force
 from aerobalance.io import read, write_recording
 from aerobalance.recording.errors import ReadError
@@ -104,7 +104,7 @@ def test_another_version_or_setting_is_worked_out_anew(tmp_path, rng, monkeypatc
     assert reduce_runs(test, tmp_path / "out", engine=HERE).done == ()  # words change nothing
     test.write_text(test.read_text() + "[force]\nbandwidth = 30.0\n")
     assert reduce_runs(test, tmp_path / "out", engine=HERE).done == ("run_1",)
-    from aerobalance.campaign import work
+    from aerobalance.app.campaign import work
 
     monkeypatch.setattr(work, "SCHEMA", work.SCHEMA + 1)
     assert reduce_runs(test, tmp_path / "out", engine=HERE).done == ("run_1",)
@@ -306,8 +306,8 @@ def test_a_worker_that_is_killed_costs_its_task_only(tmp_path, rng):
     engine = Engine(workers=2)
     out = tmp_path / "out"
     rows = {}
-    from aerobalance.campaign.campaign import planned, prepared
-    from aerobalance.campaign.results import Results
+    from aerobalance.app.campaign.campaign import planned, prepared
+    from aerobalance.app.campaign.results import Results
 
     Results(str(out)).begin()
     works, _ = planned(prepared(runs, dynamics=dynamics), str(out), with_reports=False)

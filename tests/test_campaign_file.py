@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from aerobalance.campaign.assignment import assigned, definition_of_folder
-from aerobalance.campaign.definition import definition_from, load_definition
-from aerobalance.campaign.run_table import read_rows
+from aerobalance.app.campaign.assignment import assigned, definition_of_folder
+from aerobalance.app.campaign.definition import definition_from, load_definition
+from aerobalance.app.campaign.run_table import read_rows
 from aerobalance.recording.errors import ReadError
 
 SETUP = [{"dynamics": "dynamics.json"}]

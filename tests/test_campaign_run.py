@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aerobalance.campaign.definition import Axes, Placed, Pressure, Reference
-from aerobalance.campaign.mean_loads import Errors, MeanLoads, mean_loads
-from aerobalance.campaign.quality import trend
-from aerobalance.campaign.reduction import RunSettings, reduce_run
-from aerobalance.campaign.resolved import Flow, angles_of_attitude, frame_of, resolved
+from aerobalance.app.campaign.definition import Axes, Placed, Pressure, Reference
+from aerobalance.app.campaign.mean_loads import Errors, MeanLoads, mean_loads
+from aerobalance.app.campaign.quality import trend
+from aerobalance.app.campaign.reduction import RunSettings, reduce_run
+from aerobalance.app.campaign.resolved import Flow, angles_of_attitude, frame_of, resolved
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.frames import Frame, ResolvedLoads, coefficients, wind_loads

@@ -10,8 +10,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from aerobalance.campaign.campaign import Campaign, reduce_runs
-from aerobalance.campaign.engine import Engine
+from aerobalance.app.campaign.campaign import Campaign, reduce_runs
+from aerobalance.app.campaign.engine import Engine
 from aerobalance.io import read, write_recording
 from helpers.whole_test import WholeTest, coverage, simulated_test
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from aerobalance.campaign.campaign import planned, prepared, reduce_runs
-from aerobalance.campaign.engine import Engine
-from aerobalance.campaign.results import Results
+from aerobalance.app.campaign.campaign import planned, prepared, reduce_runs
+from aerobalance.app.campaign.engine import Engine
+from aerobalance.app.campaign.results import Results
 from helpers.axial_runs import axial_folder
 
 pytestmark = [pytest.mark.alone, pytest.mark.filterwarnings("ignore:.*depart from what the model:UserWarning")]

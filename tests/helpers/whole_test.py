@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
+from aerobalance.app.campaign.resolved import WIND_COEFFICIENTS
 from aerobalance.balance.calibration.fit import calibrate
-from aerobalance.campaign.resolved import WIND_COEFFICIENTS
 from aerobalance.io import write_recording
 from aerobalance.io.balance_file import write_balance
 from aerobalance.io.dynamics_file import write_dynamics

@@ -1,1 +1,1 @@
-"""What people use: command line, commands, reports, demonstrations and the operator's page."""
+"""What people use: command line, commands, campaigns, reports, demonstrations and the operator's page."""

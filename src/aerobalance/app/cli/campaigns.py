@@ -40,8 +40,8 @@ def campaign(
     replace: Replace = False,
 ) -> None:
     """Reduce many runs to one row each: loads, forces, coefficients with uncertainty; only what is not done yet."""
+    from aerobalance.app.campaign.engine import Engine
     from aerobalance.app.commands import campaign as command
-    from aerobalance.campaign.engine import Engine
 
     if scheduler is not None and workers is not None:
         raise ValueError("--scheduler and --workers exclude each other: a scheduler has workers of its own")

@@ -7,6 +7,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
+from aerobalance.app.campaign.assignment import Run
+from aerobalance.app.campaign.campaign import Campaign, prepared, reduce_runs
+from aerobalance.app.campaign.engine import Engine
+from aerobalance.app.campaign.places import exists, is_address, name_of
+from aerobalance.app.campaign.reduction import ReducedRun
+from aerobalance.app.campaign.results import HISTORIES, PAGE, SUMMARY, Results
+from aerobalance.app.campaign.watching import EVERY, Watch
+from aerobalance.app.campaign.work import RunWork
 from aerobalance.app.commands.answers import short
 from aerobalance.app.commands.doubts import doubt_result
 from aerobalance.app.commands.force import force_result
@@ -14,14 +22,6 @@ from aerobalance.app.commands.shared import Result, collected_warnings, table_te
 from aerobalance.app.commands.uncertainty import Origins
 from aerobalance.app.options import as_options
 from aerobalance.app.reports.force_curves import ForceCurves
-from aerobalance.campaign.assignment import Run
-from aerobalance.campaign.campaign import Campaign, prepared, reduce_runs
-from aerobalance.campaign.engine import Engine
-from aerobalance.campaign.places import exists, is_address, name_of
-from aerobalance.campaign.reduction import ReducedRun
-from aerobalance.campaign.results import HISTORIES, PAGE, SUMMARY, Results
-from aerobalance.campaign.watching import EVERY, Watch
-from aerobalance.campaign.work import RunWork
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.error_sources import undivided
 from aerobalance.estimation.force_collector import SummaryOfParts

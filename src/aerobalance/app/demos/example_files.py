@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -25,7 +26,7 @@ from aerobalance.recording.gravity import gravity_share
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor, VibrationRig
 from aerobalance.simulation.calibration_stand import CalibrationStand
-from aerobalance.simulation.drives import Sweep, band_noise
+from aerobalance.simulation.drives import Signal, Sweep, band_noise
 from aerobalance.simulation.hammer import Blow, Hammer, Tapping
 from aerobalance.simulation.published import CABLE_CUT, VIBRATION_RIG
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
@@ -143,6 +144,7 @@ def write_examples(folder: Path, generator: np.random.Generator) -> None:
     _weighed(laboratory)
     _cut(laboratory)
     _run(laboratory)
+    _polar(laboratory)
     _other_ways(laboratory)
 
 
@@ -192,7 +194,7 @@ def _cut(laboratory: _Laboratory) -> None:
 
 
 def _run(laboratory: _Laboratory) -> None:
-    """A run at an angle, gusts and a step: as bridges, as balance loads whole and in two, and the truth."""
+    """A run at an angle, gusts and a step: as bridges, as balance loads, and the truth."""
     gusts = band_noise(laboratory.generator, low=1.0, high=150.0, rms=40.0, period=20.0)
     angle = np.deg2rad(4.0)
     rig = CableCut(
@@ -206,11 +208,27 @@ def _run(laboratory: _Laboratory) -> None:
     time = found.recording.time
     laboratory.bridges("run.txt", time, found.load, np.full(time.size, angle))
     write_recording(laboratory.folder / "run.csv", found.recording)
-    runs, half = laboratory.folder / "runs", time.size // 2
-    runs.mkdir(exist_ok=True)
-    for number, part in enumerate((found.recording.part(0, half), found.recording.part(half, time.size)), 1):
-        write_recording(runs / f"run_{number}.csv", part)
     _columns(laboratory.folder / "truth.csv", time, {"AF": found.applied})
+
+
+def _polar(laboratory: _Laboratory) -> None:
+    """Four runs of a test, two of them repeats, as balance loads."""
+    folder = laboratory.folder / "runs"
+    folder.mkdir(exist_ok=True)
+    for number, degrees in enumerate((0.0, 4.0, 8.0, 4.0), 1):
+        gusts = band_noise(laboratory.generator, low=1.0, high=150.0, rms=20.0, period=20.0)
+        rig = CableCut(
+            cable_force=0.0,
+            applied=partial(_steady_with, gusts, 250.0 + 3.0 * degrees**2),
+            pitch=partial(np.full_like, fill_value=np.deg2rad(degrees)),
+            sensors={"AF": Sensor(noise=0.2), "pitch": Sensor()},
+        )
+        write_recording(folder / f"run_{number}.csv", rig.run(1.5, laboratory.generator).recording)
+
+
+def _steady_with(gusts: Signal, mean: float, time: Array) -> Array:
+    """A mean and gusts over time [N]."""
+    return np.asarray(mean + gusts(time))
 
 
 def _columns(path: Path, time: Array, loads: Mapping[str, Array]) -> None:

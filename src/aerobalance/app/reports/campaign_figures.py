@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from aerobalance.app.campaign.quality import SETTINGS, RepeatGroup
 from aerobalance.app.reports.page import PLACE_HOLDERS, STYLE, inline, legend
-from aerobalance.campaign.quality import SETTINGS, RepeatGroup
 from aerobalance.recording.components import COMPONENTS
 
 if TYPE_CHECKING:

@@ -9,6 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from aerobalance.app.campaign.campaign import Campaign
+from aerobalance.app.campaign.quality import Flag, quantities
 from aerobalance.app.options import as_options
 from aerobalance.app.reports.campaign_figures import (
     named,
@@ -18,8 +20,6 @@ from aerobalance.app.reports.campaign_figures import (
     zero_figure,
 )
 from aerobalance.app.reports.page import write_page
-from aerobalance.campaign.campaign import Campaign
-from aerobalance.campaign.quality import Flag, quantities
 from aerobalance.io.artefacts import provenance
 from aerobalance.recording.version import VERSION
 

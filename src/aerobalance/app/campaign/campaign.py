@@ -9,15 +9,15 @@ from pathlib import Path
 from time import time
 from typing import TYPE_CHECKING, Any
 
-from aerobalance.campaign.assignment import Run, assigned, definition_of_folder
-from aerobalance.campaign.definition import Definition, load_definition
-from aerobalance.campaign.engine import Engine
-from aerobalance.campaign.places import exists, fetched, fingerprint, folder_of, is_address, name_of
-from aerobalance.campaign.quality import Quality, quality_of
-from aerobalance.campaign.reduction import RunSettings
-from aerobalance.campaign.results import HISTORIES, KIND, MANIFEST, SUMMARY, Results, import_needed
-from aerobalance.campaign.rows import ASIDE, REDUCED, Row, head_of, set_aside
-from aerobalance.campaign.work import Report, RunWork
+from aerobalance.app.campaign.assignment import Run, assigned, definition_of_folder
+from aerobalance.app.campaign.definition import Definition, load_definition
+from aerobalance.app.campaign.engine import Engine
+from aerobalance.app.campaign.places import exists, fetched, fingerprint, folder_of, is_address, name_of
+from aerobalance.app.campaign.quality import Quality, quality_of
+from aerobalance.app.campaign.reduction import RunSettings
+from aerobalance.app.campaign.results import HISTORIES, KIND, MANIFEST, SUMMARY, Results, import_needed
+from aerobalance.app.campaign.rows import ASIDE, REDUCED, Row, head_of, set_aside
+from aerobalance.app.campaign.work import Report, RunWork
 from aerobalance.io.artefacts import json_text
 from aerobalance.io.safe_write import OUTPUTS
 from aerobalance.recording.errors import ReadError, argument

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, Final, Generic, Literal, TypeVar
 
 import numpy as np
 
+from aerobalance.app.campaign.assignment import Run
+from aerobalance.app.campaign.places import fetched
+from aerobalance.app.campaign.reduction import ReducedRun, RunSettings, reduce_run
+from aerobalance.app.campaign.results import Results
+from aerobalance.app.campaign.rows import Row, row_of, set_aside
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.zeros import Zero
-from aerobalance.campaign.assignment import Run
-from aerobalance.campaign.places import fetched
-from aerobalance.campaign.reduction import ReducedRun, RunSettings, reduce_run
-from aerobalance.campaign.results import Results
-from aerobalance.campaign.rows import Row, row_of, set_aside
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
 from aerobalance.io import load_channel_map, read

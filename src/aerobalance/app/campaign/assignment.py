@@ -9,9 +9,9 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import Final
 
-from aerobalance.campaign.definition import FILE_COLUMNS, Axes, Cell, Definition, ModelOn, Names, SetUp
-from aerobalance.campaign.places import folder_of, is_address, joined, listed, matching, name_of
-from aerobalance.campaign.run_table import cell, read_rows
+from aerobalance.app.campaign.definition import FILE_COLUMNS, Axes, Cell, Definition, ModelOn, Names, SetUp
+from aerobalance.app.campaign.places import folder_of, is_address, joined, listed, matching, name_of
+from aerobalance.app.campaign.run_table import cell, read_rows
 from aerobalance.recording.errors import FitError, ReadError
 
 NO_RECORDINGS: Final = frozenset({".json", ".toml", ".html", ".md", ".pdf", ".py", ".png", ".jpg", ".svg", ".log"})

@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from aerobalance.campaign.definition import Repeats
-from aerobalance.campaign.rows import ASIDE, REDUCED
+from aerobalance.app.campaign.definition import Repeats
+from aerobalance.app.campaign.rows import ASIDE, REDUCED
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from aerobalance.campaign.places import MissingLibraryError, exists, is_address, joined, store_of
-from aerobalance.campaign.rows import Row, columns_of
+from aerobalance.app.campaign.places import MissingLibraryError, exists, is_address, joined, store_of
+from aerobalance.app.campaign.rows import Row, columns_of
 from aerobalance.io.artefacts import json_text
 from aerobalance.io.safe_write import OUTPUTS, reason_of
 from aerobalance.recording.errors import ReadError

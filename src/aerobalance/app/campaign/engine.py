@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Final
 
-from aerobalance.campaign.places import MissingLibraryError
-from aerobalance.campaign.results import Results
-from aerobalance.campaign.rows import Row, set_aside
-from aerobalance.campaign.work import Report, RunWork, work_on
+from aerobalance.app.campaign.places import MissingLibraryError
+from aerobalance.app.campaign.results import Results
+from aerobalance.app.campaign.rows import Row, set_aside
+from aerobalance.app.campaign.work import Report, RunWork, work_on
 from aerobalance.recording.errors import FitError
 
 if TYPE_CHECKING:

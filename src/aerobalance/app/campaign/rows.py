@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from aerobalance.campaign.assignment import Run
-from aerobalance.campaign.reduction import ReducedRun
-from aerobalance.campaign.resolved import Resolved
+from aerobalance.app.campaign.assignment import Run
+from aerobalance.app.campaign.reduction import ReducedRun
+from aerobalance.app.campaign.resolved import Resolved
 from aerobalance.recording.components import si_unit
 
 REDUCED: Final = "reduced"

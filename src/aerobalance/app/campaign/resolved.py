@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.campaign.definition import Axes, Placed, Pressure, Reference
-from aerobalance.campaign.mean_loads import Errors, MeanLoads
+from aerobalance.app.campaign.definition import Axes, Placed, Pressure, Reference
+from aerobalance.app.campaign.mean_loads import Errors, MeanLoads
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.frames import WIND_NAMES, Frame, ResolvedLoads, coefficients, rotation, wind_loads

@@ -7,8 +7,8 @@ import io
 import re
 from typing import Final
 
-from aerobalance.campaign.definition import Cell
-from aerobalance.campaign.places import fetched
+from aerobalance.app.campaign.definition import Cell
+from aerobalance.app.campaign.places import fetched
 from aerobalance.io.text_table import guess_encoding
 from aerobalance.recording.errors import ReadError
 

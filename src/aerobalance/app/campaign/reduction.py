@@ -8,15 +8,15 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.app.campaign.definition import Axes, Definition, ForceOptions, Pressure, Reference, Spectrum
+from aerobalance.app.campaign.mean_loads import MeanLoads, mean_loads
+from aerobalance.app.campaign.resolved import Flow, Resolved, angles_of_attitude, pressure_of, resolved
+from aerobalance.app.campaign.resonance import Resonance, resonances
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.zeros import Zero
-from aerobalance.campaign.definition import Axes, Definition, ForceOptions, Pressure, Reference, Spectrum
-from aerobalance.campaign.mean_loads import MeanLoads, mean_loads
-from aerobalance.campaign.resolved import Flow, Resolved, angles_of_attitude, pressure_of, resolved
-from aerobalance.campaign.resonance import Resonance, resonances
 from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.force import ForceWork

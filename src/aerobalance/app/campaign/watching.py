@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from aerobalance.campaign.assignment import Run
-from aerobalance.campaign.campaign import Campaign, Prepared
-from aerobalance.campaign.places import is_address
-from aerobalance.campaign.rows import REDUCED
+from aerobalance.app.campaign.assignment import Run
+from aerobalance.app.campaign.campaign import Campaign, Prepared
+from aerobalance.app.campaign.places import is_address
+from aerobalance.app.campaign.rows import REDUCED
 from aerobalance.io.locked_file import is_locked
 from aerobalance.recording.errors import ReadError
 
