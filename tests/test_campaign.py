@@ -245,6 +245,15 @@ def test_any_scheduler_does_the_same_and_may_lose_workers_and_be_started_anew(tm
     assert len(serial.rows) == 5
 
 
+@pytest.fixture
+def interruptible():
+    """Ctrl-C reaches what is started: a shell that runs tests in the background has it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_runs_join_the_results_as_they_come_in(tmp_path, rng):
     runs, dynamics = axial_folder(tmp_path, rng, count=2)
     out = tmp_path / "out"
@@ -262,11 +271,16 @@ def test_runs_join_the_results_as_they_come_in(tmp_path, rng):
         time.sleep(1.0)
         (runs / "run_2.h5").write_bytes(whole)
         wait_for(out, 2, process)
+        limit = time.monotonic() + 60
         while "2 of 2 runs reduced" not in (out / "summary.html").read_text(encoding="utf-8"):
             assert process.poll() is None
+            assert time.monotonic() < limit
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=60)
+        try:
+            _, said = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert process.returncode == 130
     assert 'http-equiv="refresh"' in (out / "summary.html").read_text(encoding="utf-8")
     assert "run_2: " in said

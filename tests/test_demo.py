@@ -117,7 +117,8 @@ def test_step_picture_fits_a_readme(demo, tmp_path):
     assert len(head) < 150_000
 
 
-def test_figures_leave_pyplot_alone(demo, tmp_path):
+def test_figures_leave_pyplot_alone(demo, tmp_path, monkeypatch):
+    monkeypatch.delitem(sys.modules, "matplotlib.pyplot", raising=False)  # a library of another test may load it
     step_figure(tmp_path / "step.png", step_data(demo.folder, "10N", release=1.0003))
     assert "matplotlib.pyplot" not in sys.modules, demo.seed
 

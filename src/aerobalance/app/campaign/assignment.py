@@ -30,7 +30,7 @@ class Run:
     name
         What it is called: the name of its file without the ending.
     place
-        Its number in the order of the test, from 0.
+        Its number in the order of the test, from 1.
     file
         Its recording.
     columns
@@ -111,7 +111,7 @@ def assigned(definition: Definition, folder: str) -> tuple[Run, ...]:
     names = _names([one.file for one in marked])
     return tuple(
         _with_all(definition, folder, name=name, place=place, marked=one, zeros=zeros, tares=tares)
-        for place, (name, one) in enumerate(zip(names, marked, strict=True))
+        for place, (name, one) in enumerate(zip(names, marked, strict=True), start=1)
     )
 
 

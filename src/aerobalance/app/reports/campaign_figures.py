@@ -140,6 +140,7 @@ def repeat_figure(rows: Sequence[Row], repeats: Sequence[RepeatGroup], quantitie
     low, high = ax.get_ylim()
     ax.set_ylim(min(low, -3), max(high, 3))
     ax.set(xlabel="number of the run in the test", ylabel="deviation / stated")
+    ax.locator_params(axis="x", integer=True)
     legend(ax, colours, "best", columns=6)
     return inline(figure, "repeats", "Deviation of runs from the mean of their repeats over what is stated")
 
@@ -212,6 +213,7 @@ def resonance_figure(rows: Sequence[Row]) -> str | None:
             )
         ax.axhline(0, color=colours.ink, linewidth=0.8)
         ax.set_xlabel("number of the run in the test")
+        ax.locator_params(axis="x", integer=True)
         ax.set_title(title, fontsize=10, loc="left")
         legend(ax, colours, "best", columns=2)
     return inline(figure, "resonances", "Changes of stiffness and damping along the test")
