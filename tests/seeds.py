@@ -113,6 +113,25 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.hypothesis_seed = given
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Of a test marked ``soak(first=n)`` take the first n parameters alone, unless a seed is given."""
+    if config.stash[SEED] != DEFAULT:
+        return
+    taken: dict[str, int] = {}
+    left = []
+    for item in items:
+        mark = item.get_closest_marker("soak")
+        if mark is not None:
+            name = item.nodeid.split("[")[0]
+            taken[name] = taken.get(name, 0) + 1
+            if taken[name] > mark.kwargs["first"]:
+                left.append(item)
+    if left:
+        config.hook.pytest_deselected(items=left)
+        dropped = set(left)
+        items[:] = [item for item in items if item not in dropped]
+
+
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     with running(item.nodeid):

@@ -38,6 +38,7 @@ def tried(name: str, seed: int, *, align: bool) -> tuple[Force, dict[str, float]
         "accelerometer gain 10 %, 0-60 Hz",
     ],
 )
+@pytest.mark.soak(first=2)
 def test_a_fault_that_the_load_shows_clearly_leaves_nothing(name):
     _, before = tried(name, 0, align=False)
     force, after = tried(name, 0, align=True)
@@ -53,6 +54,7 @@ def test_a_fault_that_the_load_shows_clearly_leaves_nothing(name):
 
 
 @pytest.mark.parametrize("name", ["pitch 20 ms late, 0-60 Hz", "pitch 20 ms late, step", "step, pitching"])
+@pytest.mark.soak(first=1)
 def test_what_is_not_known_of_an_alignment_counts(name):
     whole = []
     count = trials(2, 12)

@@ -253,6 +253,7 @@ def cover_of_errors(model: str, rng: np.random.Generator, *, count: int) -> Arra
     ("model", "fixed", "soak"),
     [("linear", 40, 100), ("abs", 40, 100), pytest.param("96", 20, 40, marks=pytest.mark.slow)],
 )
+@pytest.mark.soak(first=2)
 def test_covariance_of_loads_against_monte_carlo(model: str, fixed: int, soak: int, rng) -> None:
     count = trials(fixed, soak)
     ratio = cover_of_errors(model, rng, count=count)
@@ -351,6 +352,7 @@ def covers(truth: str, model: str, rng: np.random.Generator, *, count: int) -> l
         ("96", "auto", 0.91, 0.98),
     ],
 )
+@pytest.mark.soak(first=1)
 def test_cover_of_confirmation_points(truth: str, model: str, low: float, high: float, rng) -> None:
     shares = covers(truth, model, rng, count=trials(6, 12))
     assert low <= np.mean(shares) <= high, shares

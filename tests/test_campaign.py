@@ -216,6 +216,7 @@ SCHEDULER = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--no-dash
 WORKER = ("distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard", "--death-timeout", "60")
 
 
+@pytest.mark.soak(first=0)
 def test_any_scheduler_does_the_same_and_may_lose_workers_and_be_started_anew(tmp_path, rng):
     runs, dynamics = axial_folder(tmp_path, rng, count=5, samples=1600)
     serial = reduce_runs(runs, tmp_path / "serial", dynamics=dynamics, engine=HERE)

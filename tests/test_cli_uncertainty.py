@@ -82,6 +82,7 @@ def test_monte_carlo_is_printed_and_repeats_itself(here, capsys):
 
 
 @pytest.mark.parametrize("option", ["", "--method paper", "--bandwidth 60"])
+@pytest.mark.soak(first=1)
 def test_page_stands_alone(option, here, capsys):
     code, _, _ = call(capsys, f"--report page.html --monte-carlo 10 {option}")
     assert code == 0

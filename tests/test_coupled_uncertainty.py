@@ -21,6 +21,7 @@ from helpers.coupled_pair import COUNT, NOISE, RATE, SIZE, band, colored, pair, 
 
 @pytest.mark.filterwarnings("ignore:.* shows turning")  # the pair is pitched for its weight alone
 @pytest.mark.parametrize("options", [{}, {"bandwidth": 300.0}, {"method": "paper"}])
+@pytest.mark.soak(first=1)
 def test_monte_carlo_agrees_with_the_first_order(options: dict[str, object], rng, seed) -> None:
     dynamics = pair()
     _, felt, pitch = shaken(rng, dynamics)

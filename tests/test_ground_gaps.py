@@ -85,6 +85,7 @@ def test_what_does_not_move_is_predicted(values):
 
 
 @pytest.mark.parametrize("name", ["0-60 Hz", "step", "0-20 Hz"])
+@pytest.mark.soak(first=1)
 def test_a_gap_in_the_accelerometer_is_told_by_the_load_and_counted(name):
     case = CASES[f"accelerometer with a gap of 60 ms, {name}"]
     inside, outside, errors = [], [], []

@@ -124,6 +124,7 @@ def test_accelerometers_of_the_paper_leave_what_the_bound_says(drive: str, rng):
 
 
 @pytest.mark.parametrize("noise", [(0.32, 5.0), (0.05, 0.05)])
+@pytest.mark.soak(first=1)
 def test_scatter_reaches_the_bound_and_is_stated(noise: tuple[float, float], rng):
     draws = 40
     drive = Sweep(550.0, 850.0, 1.0)
@@ -332,6 +333,7 @@ def misfit(found: Dynamics, truth: Dynamics) -> tuple[np.ndarray, float]:
 
 @pytest.mark.parametrize("mass", [LARGE.mass, None])
 @pytest.mark.parametrize("modes", ["auto", 2])
+@pytest.mark.soak(first=2)
 def test_second_mode_is_found_within_its_uncertainty(mass: float | None, modes: str | int, rng):
     second = some_mode(rng, 165.0)
     sweep = Sweep(10.0, 400.0, 10.0, amplitude=1.0).signal(rng)
@@ -356,6 +358,7 @@ def test_three_modes_are_found(rng):
 
 
 @pytest.mark.slow
+@pytest.mark.soak(first=0)
 def test_scatter_of_the_second_mode_is_stated(rng):
     draws, second = trials(6, 30), Mode(165.0, 0.008, -0.05)
     scores, totals = [], []
@@ -404,6 +407,7 @@ def test_strongest_mode_leads(rng):
     assert other.share == pytest.approx(0.3, abs=6 * fit.dynamics.uncertainty("share_2"))
 
 
+@pytest.mark.soak(first=0)
 def test_uncertain_gain_leaves_the_shares_alone(rng):
     recording = several(rng, Mode(165.0, 0.008, 0.05))
     doubtful = with_channel(recording, "ground_acceleration", relative_uncertainty=0.02)
@@ -451,6 +455,7 @@ def treadmill(name: str) -> Recording:
 
 
 @pytest.mark.parametrize(("name", "most"), [("RandomSlowSpeed1.txt", 1.23), ("RandomFastSpeed1.txt", 1.60)])
+@pytest.mark.soak(first=1)
 def test_moment_of_a_treadmill_that_is_shaken(name: str, most: float):
     # A static gain leaves 1.27 and 1.70 N m; gain, natural frequency, damping and delay 1.20 and 1.49.
     recording = treadmill(name)

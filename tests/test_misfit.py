@@ -69,6 +69,7 @@ def averaged(values: Array) -> Averaged:
 
 
 @pytest.mark.parametrize("share", [0.05, -0.05])
+@pytest.mark.soak(first=1)
 def test_a_missing_mode_is_named_after_a_release(share, rng):
     frequency = rng.uniform(140, 260)
     truth = BARE.with_modes(Mode(frequency, 0.008, share))

@@ -43,6 +43,7 @@ def _scores(force: Force, truth: Array) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("exact", [True, False], ids=["known exactly", "from six releases"])
+@pytest.mark.soak(first=1)
 def test_short_records_of_broad_loads_are_covered(exact: bool, rng) -> None:
     """Half a second under loads up to 1.2 times the highest of six modes, simulated without straight lines."""
     scores = []
@@ -71,6 +72,7 @@ def test_short_records_of_broad_loads_are_covered(exact: bool, rng) -> None:
     ],
     ids=["ends amid the modes", "soft", "narrow beside a mode", "tones"],
 )
+@pytest.mark.soak(first=2)
 def test_sound_records_are_not_doubted(maker, rng) -> None:
     values, _ = _record(SixScene([maker] * 6), rng)
     kinds = {doubt.kind for doubt in _force(values, drawn(rng)).doubts}
@@ -78,6 +80,7 @@ def test_sound_records_are_not_doubted(maker, rng) -> None:
 
 
 @pytest.mark.parametrize("component", COMPONENTS)
+@pytest.mark.soak(first=2)
 def test_a_sign_is_named_and_counted(component: str, rng) -> None:
     values, truth = _record(SixScene(), rng)
     sign = np.where(np.array(COMPONENTS) == component, -1.0, 1.0)
@@ -102,6 +105,7 @@ def test_exchanged_channels_are_named(rng) -> None:
 
 
 @pytest.mark.parametrize("factor", [1.1, 0.8])
+@pytest.mark.soak(first=1)
 def test_modes_of_another_balance_are_named_and_counted(factor: float, rng) -> None:
     values, truth = _record(SixScene(), rng)
     force = _force(values, moved(drawn(rng), factor=factor))

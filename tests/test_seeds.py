@@ -29,6 +29,11 @@ def test_two(shared, rng):
 @given(strategies.integers(0, 10**9))
 def test_three(number):
     print("three", number)
+
+@pytest.mark.soak(first=1)
+@pytest.mark.parametrize("number", [7, 8])
+def test_four(number):
+    print("four", number)
 """
 
 
@@ -51,7 +56,7 @@ def drawn(suite):
         assert result.ret == 0, result.outlines
         found: dict[str, list[str]] = {}
         for line in result.outlines:
-            if said := re.search(r"(one|two|three) (\d.*)", line):
+            if said := re.search(r"(one|two|three|four) (\d.*)", line):
                 found.setdefault(said[1], []).append(said[2])
         return found
 
@@ -60,8 +65,8 @@ def drawn(suite):
 
 def test_numbers_are_the_same_at_every_run_and_in_any_order(drawn) -> None:
     whole = drawn()
-    turned = drawn("test_draws.py::test_three", "test_draws.py::test_two", "test_draws.py::test_one")
-    assert list(turned) == ["three", "two", "one"]
+    turned = drawn(*(f"test_draws.py::test_{name}" for name in ("four", "three", "two", "one")))
+    assert list(turned) == ["four", "three", "two", "one"]
     assert turned == whole
     first, second, shared, trials = whole["one"][0].split()
     assert len({first, second, shared, *whole["two"][0].split()}) == 4  # that of the fixture is the same in both
@@ -73,6 +78,7 @@ def test_a_seed_from_outside_gives_others_and_brings_them_back(drawn, monkeypatc
     for name in ("one", "two", "three"):
         assert other[name] != fixed[name]
     assert other["one"][0].endswith(" 20")
+    assert (fixed["four"], other["four"]) == (["7"], ["7", "8"])
     monkeypatch.setenv("AEROBALANCE_SEED", "123")
     assert drawn() == other
     assert drawn("--seed", "fresh") != other

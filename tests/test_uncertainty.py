@@ -296,6 +296,7 @@ def test_simulated_readings_are_those_of_the_model(rng):
 
 
 @pytest.mark.parametrize("options", [{}, {"method": "paper"}, {"bandwidth": 100.0}], ids=["smoother", "paper", "band"])
+@pytest.mark.soak(first=1)
 def test_monte_carlo_agrees_with_first_order(options, rng, seed):
     given = run(rng)
     force = estimate_force(given, UNSURE, **options)

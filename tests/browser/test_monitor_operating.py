@@ -66,6 +66,7 @@ def test_the_record_button_answers_at_once(opened, operator) -> None:
 
 
 @pytest.mark.parametrize("text", ["abc", "nan", "-1", "0", "1e99", "Infinity", "1,2,3"])
+@pytest.mark.soak(first=3)
 def test_a_length_that_is_none_is_not_sent(operator, text) -> None:
     view = operator.view
     asked = len(operator.asked)

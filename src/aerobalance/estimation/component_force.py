@@ -34,7 +34,7 @@ from aerobalance.estimation.force_smoother import (
     fit_signal_model,
 )
 from aerobalance.estimation.ground_gaps import has_hidden_motion, with_hidden_motion
-from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
 from aerobalance.estimation.record import ComponentRecord, SingleRecord
 from aerobalance.estimation.result import ComponentForce, with_errors
 from aerobalance.estimation.spectra.line_noise import Hum, Line
@@ -42,6 +42,7 @@ from aerobalance.estimation.spectra.noise_floor import departure_of
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.estimation.step_search import RINGS, StepSearch
+from aerobalance.estimation.steps import columns_of
 from aerobalance.motion.platform import SystematicParameter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
@@ -87,8 +88,10 @@ def estimated(record: ComponentRecord, *, method: Method, bandwidth: float | Non
         raise ValueError(f"only the smoother without a bandwidth can take {what}")
     _check(record)
     found = central_differences(record) if bandwidth is None else band_limited(record, bandwidth)
-    # what lies beyond the band, as the optimal estimate shows it
-    error, lasts = missed(record, found.values, Fitted.of(record, hum="keep").smoothed.force, bandwidth)
+    # what lies beyond the band, as an optimal estimate shows it; without a search for steps, which takes longer
+    reading, _ = _with_noise(record)
+    smoothed = SmootherResult.of(reading, learned=fit_prior(reading, columns=columns_of([], reading)), steps=())
+    error, lasts = missed(record, found.values, smoothed.force, bandwidth)
     return with_errors(found, as_noise(error, name=BEYOND_THE_BAND, period=lasts, interval=record.interval))
 
 

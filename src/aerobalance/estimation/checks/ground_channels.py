@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
@@ -59,11 +60,11 @@ class GroundChannelSettings:
         What is left of delay and gain over their standard uncertainties, from which on an alignment is at its end.
     rounds
         Most times that delay and gain are looked for.
-    apart, reach, most_delays
-        Distance of the delays that are tried, in periods of the motion (its rms frequency); largest of them over the
-        length of the record; how many are tried either side, at most.
-    beyond_slopes
-        Delay from which on slopes do not tell it any more, over the distance of those tried.
+    reach
+        Largest delay that is tried, over the length of the record.
+    apart, beyond_slopes
+        Part of a period of the motion (its rms frequency), and so many of them from which on slopes do not tell a
+        delay any more.
     promising, decisive
         Gain in log-likelihood of a delay of these from which on the force's spectrum is learned again without it, and
         that it must have then.
@@ -80,9 +81,8 @@ class GroundChannelSettings:
     most: float = 64.0
     settled: float = 0.1
     rounds: int = 5
-    apart: float = 0.05
     reach: float = 0.125
-    most_delays: int = 40
+    apart: float = 0.05
     beyond_slopes: float = 2.0
     promising: float = 3.0
     decisive: float = 12.0
@@ -248,22 +248,22 @@ def _far(record: SingleRecord, fit: SmootherResult, name: str, measured: _Measur
     motion = measured.slopes[:, 1]
     pace = float(np.std(np.diff(motion))) / (2 * np.pi * h * float(np.std(motion)))
     apart = SETTINGS.apart / pace
-    each_side = min(SETTINGS.most_delays, int(SETTINGS.reach * motion.size * h / apart))
 
     def felt(delay: float) -> Array:
         moved = fractional_delay(motion, delay=-delay, interval=h)
         return np.asarray(record.felt_under(SystematicParameter("", "", moved, 0.0)))
 
-    delays = apart * np.arange(-each_side, each_side + 1)
+    # what is white stays so when it is moved: one pass of the filter tells all delays
     known = instant_columns(reading, fit.steps, heights=[step.height for step in fit.steps])[0]
-    shown = np.column_stack([felt(delay) for delay in delays])
-    shapes = np.column_stack([known, shown])
-    white = whitened(fit.filter, reading.filled + felt(0.0), shapes)
-    basis, _ = np.linalg.qr(white[:, 1 : 1 + known.shape[1]])
-    rest = white - basis @ (basis.T @ white)
-    told = (rest[:, 0] @ rest[:, -delays.size :]) ** 2 / np.sum(rest[:, -delays.size :] ** 2, axis=0)
-    best = float(delays[np.argmax(told)])
-    gained = float(np.max(told) - told[each_side]) / 2
+    white = whitened(fit.filter, reading.filled + felt(0.0), np.column_stack([known, felt(0.0)]))
+    basis, _ = np.linalg.qr(white[:, 1:-1])
+    shown, expected = (white[:, place] - basis @ (basis.T @ white[:, place]) for place in (0, -1))
+    most = int(SETTINGS.reach * motion.size)
+    length = next_fast_len(2 * motion.size, real=True)
+    both = np.fft.irfft(np.fft.rfft(expected, length) * np.conj(np.fft.rfft(shown, length)), length)
+    told = np.concatenate([both[-most:], both[: most + 1]]) ** 2 / float(expected @ expected)
+    best = h * float(np.argmax(told) - most)
+    gained = float(np.max(told) - told[most]) / 2
     if abs(best) <= SETTINGS.beyond_slopes * apart or gained < SETTINGS.promising:
         return None
     size = SETTINGS.probe * h
