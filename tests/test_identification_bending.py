@@ -10,18 +10,18 @@ from scipy.stats import chi2, norm
 
 from aerobalance.app.commands.identify_coupled import identify_decays
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.identification.coupled_modes import ModeTable
-from aerobalance.identification.force_error import force_weights, true_force_error
-from aerobalance.identification.step_relaxation import model_order as further_coupled
-from aerobalance.identification.step_relaxation.fit import whitener_of
-from aerobalance.identification.step_relaxation.free_response import FreeMotion
-from aerobalance.identification.step_relaxation.internal_coordinates import (
+from aerobalance.identification.coupled.free_response import FreeMotion
+from aerobalance.identification.coupled.internal_coordinates import (
     held_states,
     invariances,
     quasi_static,
     renewed,
     static_contributions,
 )
+from aerobalance.identification.coupled.modes import ModeTable
+from aerobalance.identification.force_error import force_weights, true_force_error
+from aerobalance.identification.step_relaxation import model_order as further_coupled
+from aerobalance.identification.step_relaxation.fit import whitener_of
 from aerobalance.identification.step_relaxation.model import Segment, linearise
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import read_coupled

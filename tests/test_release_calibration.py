@@ -10,10 +10,10 @@ import pytest
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.matrix_errors import MatrixErrors, coefficient_covariance
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.identification.coupled_modes import ModeTable
+from aerobalance.identification.coupled.internal_coordinates import slow_matrices
+from aerobalance.identification.coupled.modes import ModeTable
 from aerobalance.identification.step_relaxation.calibration_errors import coefficient_slopes
 from aerobalance.identification.step_relaxation.fit import ReleaseFit, settle
-from aerobalance.identification.step_relaxation.internal_coordinates import slow_matrices
 from aerobalance.identification.step_relaxation.record import ReleaseRecord, release_record
 from aerobalance.identification.step_relaxation.stages import Units, fit_releases
 from aerobalance.recording.channel import Array

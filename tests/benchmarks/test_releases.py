@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from aerobalance.identification.coupled.result import CoupledIdentification
 from aerobalance.identification.force_error import true_force_error
-from aerobalance.identification.result import CoupledIdentification
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning, FitError

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.identification.step_relaxation.free_response import generator_of
+from aerobalance.identification.coupled.free_response import generator_of
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import si_unit

@@ -11,7 +11,7 @@ import numpy as np
 from aerobalance.app.commands.coupled_tables import mass_text, matrix_table, test_details, tests_text
 from aerobalance.app.commands.shared import Result, check_out, collected_warnings, table_text
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.identification.coupled_modes import ModeTable
+from aerobalance.identification.coupled.modes import ModeTable
 from aerobalance.identification.from_stiffness import (
     ElementDifference,
     agreement,

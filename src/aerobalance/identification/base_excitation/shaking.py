@@ -37,9 +37,10 @@ from aerobalance.identification.base_excitation.shaking_result import (
     shaking_warnings,
     visibility,
 )
-from aerobalance.identification.coupled_modes import ModeTable
+from aerobalance.identification.coupled.free_response import FreeMotion
+from aerobalance.identification.coupled.modes import ModeTable
+from aerobalance.identification.coupled.result import APPLIED
 from aerobalance.identification.force_error import error_of, force_weights, highest_of
-from aerobalance.identification.result import APPLIED
 from aerobalance.identification.rigid_body import LEVER
 from aerobalance.identification.step_relaxation.experiment_design import (
     STILL,
@@ -48,7 +49,6 @@ from aerobalance.identification.step_relaxation.experiment_design import (
     first_release_for,
     plainest,
 )
-from aerobalance.identification.step_relaxation.free_response import FreeMotion
 from aerobalance.identification.step_relaxation.record import ROUNDING
 from aerobalance.motion.sensors import motion_name
 from aerobalance.recording.channel import Array

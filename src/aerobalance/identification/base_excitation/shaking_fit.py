@@ -21,8 +21,8 @@ import numpy as np
 
 from aerobalance.dynamics.inertial_parameters import NUMBERS, inertial_loads, mass_basis
 from aerobalance.identification.base_excitation.shaking_record import ShakeRecord
+from aerobalance.identification.coupled.free_response import Complex
 from aerobalance.identification.levenberg_marquardt import DampedStep, Settings, levenberg_marquardt
-from aerobalance.identification.step_relaxation.free_response import Complex
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 

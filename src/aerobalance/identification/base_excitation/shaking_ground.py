@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.identification.base_excitation.shaking_window import Window
-from aerobalance.identification.step_relaxation.free_response import Complex
+from aerobalance.identification.coupled.free_response import Complex
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.platform import PlatformMotion
 from aerobalance.motion.rotation import centripetal

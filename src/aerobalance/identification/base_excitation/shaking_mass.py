@@ -23,8 +23,8 @@ from aerobalance.identification.base_excitation.shaking_fit import (
     rows_of,
 )
 from aerobalance.identification.base_excitation.shaking_record import ShakeRecord
+from aerobalance.identification.coupled.free_response import generator_of
 from aerobalance.identification.rigid_body import LEVER, Departure, adjusted, lever_scale, symmetry_equations
-from aerobalance.identification.step_relaxation.free_response import generator_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 

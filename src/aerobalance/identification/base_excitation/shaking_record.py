@@ -12,7 +12,7 @@ from aerobalance.dynamics.inertial_parameters import NUMBERS, inertial_loads, tu
 from aerobalance.identification.base_excitation.shaking_ground import EXACT, GroundReadings
 from aerobalance.identification.base_excitation.shaking_window import Window
 from aerobalance.identification.base_excitation.spectra import longest_whole
-from aerobalance.identification.step_relaxation.free_response import Complex
+from aerobalance.identification.coupled.free_response import Complex
 from aerobalance.motion.platform import PlatformMotion
 from aerobalance.motion.sensors import ground_channels
 from aerobalance.recording.channel import Array

@@ -20,13 +20,13 @@ from aerobalance.identification.base_excitation.shaking_fit import (
 )
 from aerobalance.identification.base_excitation.shaking_mass import Joint, ShakenMass
 from aerobalance.identification.base_excitation.shaking_record import ShakeRecord
-from aerobalance.identification.force_error import error_of, force_weights, highest_of
-from aerobalance.identification.result import (
+from aerobalance.identification.coupled.free_response import Complex
+from aerobalance.identification.coupled.result import (
     CoupledResult,
     colour_warnings,
     force_error_warnings,
 )
-from aerobalance.identification.step_relaxation.free_response import Complex
+from aerobalance.identification.force_error import error_of, force_weights, highest_of
 from aerobalance.motion.sensors import motion_name
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft, rfftfreq
 
-from aerobalance.identification.step_relaxation.free_response import Complex
+from aerobalance.identification.coupled.free_response import Complex
 from aerobalance.recording.channel import Array
 
 TAPER: Final = 0.05

@@ -9,6 +9,8 @@ from typing import Final
 import numpy as np
 from scipy.linalg import qr
 
+from aerobalance.identification.coupled.free_response import FreeMotion
+from aerobalance.identification.coupled.internal_coordinates import coordinates_of, invariances, pinned
 from aerobalance.identification.impact.tap_model import COMMON, Common, Point, Tap, TapLinear, linearise_tap
 from aerobalance.identification.levenberg_marquardt import DampedStep, Settings, levenberg_marquardt
 from aerobalance.identification.step_relaxation.fit import (
@@ -18,8 +20,6 @@ from aerobalance.identification.step_relaxation.fit import (
     motion_of,
     whitener_of,
 )
-from aerobalance.identification.step_relaxation.free_response import FreeMotion
-from aerobalance.identification.step_relaxation.internal_coordinates import coordinates_of, invariances, pinned
 from aerobalance.identification.step_relaxation.model import damped
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError

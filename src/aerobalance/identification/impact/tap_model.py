@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import qr
 
-from aerobalance.identification.step_relaxation.free_response import Complex, ExponentialSums, FreeMotion
+from aerobalance.identification.coupled.free_response import Complex, ExponentialSums, FreeMotion
 from aerobalance.identification.step_relaxation.model import compressed, joined, weighted
 from aerobalance.recording.channel import Array
 

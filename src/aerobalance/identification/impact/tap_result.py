@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.identification.coupled.result import CoupledResult
 from aerobalance.identification.impact.response import PointResponse
-from aerobalance.identification.result import CoupledResult
 from aerobalance.identification.rigid_body import RigidMassFit
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Doubt, Size, Verdict, verdict_of

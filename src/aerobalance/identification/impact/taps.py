@@ -14,7 +14,8 @@ from typing import Final, Literal
 import numpy as np
 
 from aerobalance.balance.matrix_errors import MatrixErrors
-from aerobalance.identification.coupled_modes import ModeTable
+from aerobalance.identification.coupled.modes import ModeTable
+from aerobalance.identification.coupled.result import APPLIED, colour_warnings, force_error_warnings
 from aerobalance.identification.force_error import error_of, force_weights, highest_of
 from aerobalance.identification.impact.shaker import identify_shaker, is_shaken
 from aerobalance.identification.impact.tap_account import account_of, excitation_of_taps
@@ -39,7 +40,6 @@ from aerobalance.identification.impact.tap_stages import (
     taps_apart,
 )
 from aerobalance.identification.one_component import one_component
-from aerobalance.identification.result import APPLIED, colour_warnings, force_error_warnings
 from aerobalance.identification.step_relaxation.calibration_errors import covariance_of_calibration
 from aerobalance.identification.step_relaxation.experiment_design import (
     STILL,

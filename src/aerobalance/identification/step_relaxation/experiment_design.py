@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.identification.coupled.free_response import Complex, FreeMotion
+from aerobalance.identification.coupled.internal_coordinates import coordinates_of
 from aerobalance.identification.force_error import error_of, force_weights
 from aerobalance.identification.step_relaxation.fit import ReleaseFit, whitener_of
-from aerobalance.identification.step_relaxation.free_response import Complex, FreeMotion
-from aerobalance.identification.step_relaxation.internal_coordinates import coordinates_of
 from aerobalance.identification.step_relaxation.model import Segment, linearise, of_matrices, state_at_the_edge
 from aerobalance.identification.step_relaxation.record import ReleaseRecord
 from aerobalance.identification.step_relaxation.stages import Units

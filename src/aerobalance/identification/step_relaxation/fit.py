@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cho_factor, solve_triangular
 
+from aerobalance.identification.coupled.free_response import FreeMotion
+from aerobalance.identification.coupled.internal_coordinates import coordinates_of, invariances, pinned
 from aerobalance.identification.levenberg_marquardt import DampedStep, Settings, levenberg_marquardt
-from aerobalance.identification.step_relaxation.free_response import FreeMotion
-from aerobalance.identification.step_relaxation.internal_coordinates import coordinates_of, invariances, pinned
 from aerobalance.identification.step_relaxation.model import Linear, Segment, damped, linearise, of_matrices
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError

@@ -14,14 +14,16 @@ import numpy as np
 
 from aerobalance.balance.matrix_errors import MatrixErrors
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.identification.coupled_modes import ModeTable
-from aerobalance.identification.force_error import error_of, force_weights, highest_of
-from aerobalance.identification.result import (
+from aerobalance.identification.coupled.free_response import FreeMotion
+from aerobalance.identification.coupled.internal_coordinates import coordinates_of, quasi_static
+from aerobalance.identification.coupled.modes import ModeTable
+from aerobalance.identification.coupled.result import (
     APPLIED,
     CoupledIdentification,
     ReleaseFound,
     release_warnings,
 )
+from aerobalance.identification.force_error import error_of, force_weights, highest_of
 from aerobalance.identification.rigid_body import RigidMassFit, rigid_mass_of
 from aerobalance.identification.step_relaxation.calibration_errors import covariance_of_calibration
 from aerobalance.identification.step_relaxation.experiment_design import (
@@ -36,8 +38,6 @@ from aerobalance.identification.step_relaxation.experiment_design import (
     unmoved,
 )
 from aerobalance.identification.step_relaxation.fit import ReleaseFit, reweighed
-from aerobalance.identification.step_relaxation.free_response import FreeMotion
-from aerobalance.identification.step_relaxation.internal_coordinates import coordinates_of, quasi_static
 from aerobalance.identification.step_relaxation.model_order import MOST, ChosenFit, fit_modes
 from aerobalance.identification.step_relaxation.record import ReleaseRecord, release_record
 from aerobalance.identification.step_relaxation.stages import Units

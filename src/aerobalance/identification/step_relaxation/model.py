@@ -13,7 +13,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy.linalg import lapack, qr, solve_triangular
 
-from aerobalance.identification.step_relaxation.free_response import Complex, ExponentialSums, FreeMotion
+from aerobalance.identification.coupled.free_response import Complex, ExponentialSums, FreeMotion
 from aerobalance.recording.channel import Array
 
 Kind = Literal["release", "ramp", "free"]

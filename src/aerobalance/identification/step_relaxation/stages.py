@@ -8,7 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.identification.step_relaxation.era import Guess, first_guess, fit_state
+from aerobalance.identification.coupled.era import Guess, first_guess, fit_state
+from aerobalance.identification.coupled.free_response import FreeMotion
+from aerobalance.identification.coupled.internal_coordinates import renewed
 from aerobalance.identification.step_relaxation.fit import (
     ReleaseFit,
     motion_of,
@@ -19,8 +21,6 @@ from aerobalance.identification.step_relaxation.fit import (
     total_squares,
     whitener_of,
 )
-from aerobalance.identification.step_relaxation.free_response import FreeMotion
-from aerobalance.identification.step_relaxation.internal_coordinates import renewed
 from aerobalance.identification.step_relaxation.model import Kind, Linear, Segment, state_at_the_edge
 from aerobalance.identification.step_relaxation.record import ROUNDING, ReleaseRecord
 from aerobalance.recording.channel import Array

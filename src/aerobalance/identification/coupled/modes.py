@@ -8,7 +8,7 @@ import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import Mode
-from aerobalance.identification.step_relaxation.free_response import Complex
+from aerobalance.identification.coupled.free_response import Complex
 from aerobalance.recording.channel import Array
 
 

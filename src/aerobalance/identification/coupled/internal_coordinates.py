@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics, ModalForm
-from aerobalance.identification.step_relaxation.free_response import generator_of
+from aerobalance.identification.coupled.free_response import generator_of
 from aerobalance.recording.channel import Array
 
 SAME: Final = 1e-8

@@ -9,10 +9,10 @@ import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import Mode
+from aerobalance.identification.coupled.free_response import Complex
+from aerobalance.identification.coupled.internal_coordinates import static_contributions
 from aerobalance.identification.rigid_body import RigidMassFit
 from aerobalance.identification.step_relaxation.experiment_design import ReleaseAdvice, combination_text
-from aerobalance.identification.step_relaxation.free_response import Complex
-from aerobalance.identification.step_relaxation.internal_coordinates import static_contributions
 from aerobalance.identification.step_relaxation.model import Kind
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.identification.step_relaxation.free_response import Complex, FreeMotion
+from aerobalance.identification.coupled.free_response import Complex, FreeMotion
 from aerobalance.recording.channel import Array
 
 
