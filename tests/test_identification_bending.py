@@ -18,10 +18,10 @@ from aerobalance.identification.coupled.internal_coordinates import (
     renewed,
     static_contributions,
 )
+from aerobalance.identification.coupled.least_squares import whitener_of
 from aerobalance.identification.coupled.modes import ModeTable
 from aerobalance.identification.force_error import force_weights, true_force_error
 from aerobalance.identification.step_relaxation import model_order as further_coupled
-from aerobalance.identification.step_relaxation.fit import whitener_of
 from aerobalance.identification.step_relaxation.model import Segment, linearise
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import read_coupled

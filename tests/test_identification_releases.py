@@ -10,11 +10,11 @@ from aerobalance.app.commands.identify_coupled import identify_decays
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.coupled.free_response import FreeMotion
+from aerobalance.identification.coupled.least_squares import whitener_of
 from aerobalance.identification.force_error import error_of, force_weights, true_force_error
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.identification.from_stiffness import compare_coupled, coupled_from_stiffness
 from aerobalance.identification.rigid_body import centre_agreement, rigid_mass_of
-from aerobalance.identification.step_relaxation.fit import whitener_of
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.identification.step_relaxation.model import Segment, linearise
 from aerobalance.identification.step_relaxation.record import ROUNDING

@@ -12,8 +12,8 @@ import aerobalance as ab
 from aerobalance.dynamics.coupled import CoupledDynamics, ModalForm
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.identification.coupled.least_squares import motion_of
 from aerobalance.identification.impact.tap_model import Common, Point, Tap, linearise_tap
-from aerobalance.identification.step_relaxation.fit import motion_of
 from aerobalance.recording.errors import FitError
 from aerobalance.simulation.drives import band_noise
 from aerobalance.simulation.hammer import Blow, Hammer, Tapping

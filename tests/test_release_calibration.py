@@ -12,10 +12,11 @@ from aerobalance.balance.matrix_errors import MatrixErrors, coefficient_covarian
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.identification.coupled.internal_coordinates import slow_matrices
 from aerobalance.identification.coupled.modes import ModeTable
+from aerobalance.identification.coupled.units import Units
 from aerobalance.identification.step_relaxation.calibration_errors import coefficient_slopes
 from aerobalance.identification.step_relaxation.fit import ReleaseFit, settle
 from aerobalance.identification.step_relaxation.record import ReleaseRecord, release_record
-from aerobalance.identification.step_relaxation.stages import Units, fit_releases
+from aerobalance.identification.step_relaxation.stages import fit_releases
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.simulation.six_balance import random_balance

@@ -17,9 +17,9 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.identification.coupled.internal_coordinates import static_contributions
-from aerobalance.identification.coupled.result import CoupledIdentification
 from aerobalance.identification.force_error import error_of, force_weights, true_force_error
 from aerobalance.identification.step_relaxation.identify import identify_releases
+from aerobalance.identification.step_relaxation.release_result import CoupledIdentification
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from aerobalance.identification.coupled.result import CoupledIdentification
 from aerobalance.identification.force_error import true_force_error
 from aerobalance.identification.step_relaxation.identify import identify_releases
+from aerobalance.identification.step_relaxation.release_result import CoupledIdentification
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording

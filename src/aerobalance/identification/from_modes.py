@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.identification.coupled.conclusions import rigid_of
 from aerobalance.identification.coupled.era import from_modes
 from aerobalance.identification.rigid_body import RigidMassFit
-from aerobalance.identification.step_relaxation.identify import rigid_of
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError, warn_quality
 

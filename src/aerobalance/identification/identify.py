@@ -13,13 +13,13 @@ from aerobalance.balance.zeros import Zero
 from aerobalance.identification.base_excitation.rig import RigFit, identify_rig
 from aerobalance.identification.base_excitation.shaking import identify_shaking
 from aerobalance.identification.base_excitation.shaking_result import ShakingIdentification
-from aerobalance.identification.coupled.result import CoupledIdentification
 from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
 from aerobalance.identification.from_outputs import identification_loads, with_sensitivity_error
 from aerobalance.identification.impact.tap_point import TapPoint
 from aerobalance.identification.impact.tap_result import ImpactFit, ImpactIdentification
 from aerobalance.identification.impact.taps import identify_taps
 from aerobalance.identification.step_relaxation.identify import identify_releases
+from aerobalance.identification.step_relaxation.release_result import CoupledIdentification
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording

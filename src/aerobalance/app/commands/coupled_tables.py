@@ -9,10 +9,10 @@ import numpy as np
 from aerobalance.app.commands.shared import Result, table_text
 from aerobalance.balance.weighing.result import Weighing
 from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.identification.coupled.combinations import combination_text
 from aerobalance.identification.coupled.internal_coordinates import slow_matrices
 from aerobalance.identification.coupled.result import CoupledResult
 from aerobalance.identification.rigid_body import Departure, centre_agreement
-from aerobalance.identification.step_relaxation.experiment_design import combination_text
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, si_unit
 

@@ -25,8 +25,9 @@ from aerobalance.app.commands.identify import number_of_modes
 from aerobalance.app.commands.shared import Result, amounts, check_out, collected_warnings, recording_of, table_text
 from aerobalance.app.commands.weighing import mass_file, mass_number
 from aerobalance.balance.weighing.result import Weighing
-from aerobalance.identification.coupled.result import CoupledIdentification, CoupledResult
+from aerobalance.identification.coupled.result import CoupledResult
 from aerobalance.identification.identify import identify
+from aerobalance.identification.step_relaxation.release_result import CoupledIdentification
 from aerobalance.io.artefacts import digest
 from aerobalance.io.coupled_part import coupled_payload
 from aerobalance.io.dynamics_file import write_dynamics

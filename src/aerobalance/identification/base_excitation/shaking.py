@@ -37,18 +37,18 @@ from aerobalance.identification.base_excitation.shaking_result import (
     shaking_warnings,
     visibility,
 )
-from aerobalance.identification.coupled.free_response import FreeMotion
-from aerobalance.identification.coupled.modes import ModeTable
-from aerobalance.identification.coupled.result import APPLIED
-from aerobalance.identification.force_error import error_of, force_weights, highest_of
-from aerobalance.identification.rigid_body import LEVER
-from aerobalance.identification.step_relaxation.experiment_design import (
+from aerobalance.identification.coupled.combinations import (
     STILL,
     combination_of,
     combination_text,
     first_release_for,
     plainest,
 )
+from aerobalance.identification.coupled.free_response import FreeMotion
+from aerobalance.identification.coupled.modes import ModeTable
+from aerobalance.identification.coupled.result import APPLIED
+from aerobalance.identification.force_error import error_of, force_weights, highest_of
+from aerobalance.identification.rigid_body import LEVER
 from aerobalance.identification.step_relaxation.record import ROUNDING
 from aerobalance.motion.sensors import motion_name
 from aerobalance.recording.channel import Array

@@ -9,11 +9,9 @@ import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import Mode
+from aerobalance.identification.coupled.combinations import combination_text
 from aerobalance.identification.coupled.free_response import Complex
 from aerobalance.identification.coupled.internal_coordinates import static_contributions
-from aerobalance.identification.rigid_body import RigidMassFit
-from aerobalance.identification.step_relaxation.experiment_design import ReleaseAdvice, combination_text
-from aerobalance.identification.step_relaxation.model import Kind
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.wording import percent_text
@@ -26,44 +24,6 @@ APPLIED: Final = 0.1
 
 TOO_LARGE: Final = 1e-3
 """Predicted force error over half of range above which a further release is asked for."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ReleaseFound:
-    """What was found of one release.
-
-    Attributes
-    ----------
-    name
-        The recording.
-    kind
-        ``"release"``: held and let go at once. ``"ramp"``: let go over a duration. ``"free"``: no clean release from
-        rest (a tap, or a recording that begins later); only the free decay was used.
-    instant, u_instant
-        Instant of the release, or of the first reading used, on the recording's clock, and its standard uncertainty
-        [s]; zero where the decay is free.
-    duration
-        Time over which the load was let go [s].
-    step
-        Loads held before less loads after, shape (n,) [N, N*m]; NaN where the decay is free.
-    shares
-        Amplitude of every mode over the sum of all, each load over half of range, shape (modes,).
-    visibility
-        Root of the energy of every mode over the noise of one reading, shape (modes,).
-    time, residuals
-        Readings less fit, shape (m,) on the recording's clock [s] and (m, n) [N, N*m].
-    """
-
-    name: str
-    kind: Kind
-    instant: float
-    u_instant: float
-    duration: float
-    step: Array
-    shares: Array
-    visibility: Array
-    time: Array
-    residuals: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,25 +89,6 @@ class CoupledResult:
         return tuple(sorted(int(place) for place in np.argsort(self.static_contributions)[: self.dynamics.internal]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CoupledIdentification(CoupledResult):
-    """What a set of releases tells about coupled components.
-
-    Attributes
-    ----------
-    releases
-        What was found of every release.
-    advice
-        What one further release would bring.
-    rigid
-        The rigid mass behind A, and its tests; None where no mass was given or none was found.
-    """
-
-    releases: tuple[ReleaseFound, ...]
-    advice: ReleaseAdvice
-    rigid: RigidMassFit | None
-
-
 def force_error_warnings(found: CoupledResult, *, left_by: str, energy: Array, remedy: str, after: float) -> list[str]:
     """Return the note that the force error that the recordings leave is large, and what would bring it down.
 
@@ -193,23 +134,3 @@ def colour_warnings(found: CoupledResult) -> list[str]:
         "something else moves too, and the uncertainties are enlarged accordingly"
     )
     return [text]
-
-
-def release_warnings(found: CoupledIdentification) -> list[str]:
-    """What is doubtful about the identification from releases."""
-    names = found.dynamics.components
-    best = names.index(found.advice.best)
-    notes = force_error_warnings(
-        found,
-        left_by="releases",
-        energy=np.sum([release.visibility**2 for release in found.releases], axis=0),
-        remedy=f"a release along {names[best]} of {found.advice.sizes[best]:.3g} {si_unit(names[best])}",
-        after=float((found.advice.errors[best] / found.half_range).max()),
-    )
-    notes += colour_warnings(found)
-    free = [release.name for release in found.releases if release.kind == "free"]
-    if free:
-        notes.append(
-            f"the ringing of {', '.join(free)} is not that of a clean release from rest; only its free decay is used"
-        )
-    return notes

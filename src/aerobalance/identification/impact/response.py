@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft, ifft, next_fast_len
 
+from aerobalance.identification.coupled.units import Units
 from aerobalance.identification.impact.tap_fit import TapFit
 from aerobalance.identification.impact.tap_model import Tap, force_of
-from aerobalance.identification.step_relaxation.stages import Units
 from aerobalance.recording.channel import Array
 
 LINES: Final = 2000

@@ -7,6 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.identification.coupled.combinations import pairs
+from aerobalance.identification.coupled.least_squares import whitener_of
+from aerobalance.identification.coupled.units import Units
 from aerobalance.identification.impact.response import responses_of
 from aerobalance.identification.impact.tap_doubts import late_force
 from aerobalance.identification.impact.tap_fit import TapFit
@@ -15,9 +18,6 @@ from aerobalance.identification.impact.tap_point import TapPoint, fit_point
 from aerobalance.identification.impact.tap_record import FoundTap, TapRecord
 from aerobalance.identification.impact.tap_result import TapFound, Taps
 from aerobalance.identification.impact.tap_stages import PlacedTap
-from aerobalance.identification.step_relaxation.experiment_design import pairs
-from aerobalance.identification.step_relaxation.fit import whitener_of
-from aerobalance.identification.step_relaxation.stages import Units
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Doubt
 

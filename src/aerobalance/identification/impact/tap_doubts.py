@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtrc
 
+from aerobalance.identification.coupled.combinations import pairs
+from aerobalance.identification.coupled.least_squares import whitener_of
 from aerobalance.identification.impact.tap_fit import TapFit
 from aerobalance.identification.impact.tap_model import Point, after_contact
 from aerobalance.identification.impact.tap_record import TapRecord
 from aerobalance.identification.impact.tap_stages import BY_CHANCE, LoadsFound, PlacedTap, departure
-from aerobalance.identification.step_relaxation.experiment_design import pairs
-from aerobalance.identification.step_relaxation.fit import whitener_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, FROM_VECTORS
 from aerobalance.recording.doubts import Doubt

@@ -11,16 +11,16 @@ from scipy.linalg import qr
 
 from aerobalance.identification.coupled.free_response import FreeMotion
 from aerobalance.identification.coupled.internal_coordinates import coordinates_of, invariances, pinned
-from aerobalance.identification.impact.tap_model import COMMON, Common, Point, Tap, TapLinear, linearise_tap
-from aerobalance.identification.levenberg_marquardt import DampedStep, Settings, levenberg_marquardt
-from aerobalance.identification.step_relaxation.fit import (
+from aerobalance.identification.coupled.least_squares import (
     FIRM,
     LARGEST_GROWTH,
     LEAST_INDEPENDENCE,
+    damped,
     motion_of,
     whitener_of,
 )
-from aerobalance.identification.step_relaxation.model import damped
+from aerobalance.identification.impact.tap_model import COMMON, Common, Point, Tap, TapLinear, linearise_tap
+from aerobalance.identification.levenberg_marquardt import DampedStep, Settings, levenberg_marquardt
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 

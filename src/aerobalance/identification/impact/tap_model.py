@@ -18,7 +18,8 @@ import numpy as np
 from scipy.linalg import qr
 
 from aerobalance.identification.coupled.free_response import Complex, ExponentialSums, FreeMotion
-from aerobalance.identification.step_relaxation.model import compressed, joined, weighted
+from aerobalance.identification.coupled.least_squares import compressed, weighted
+from aerobalance.identification.step_relaxation.model import joined
 from aerobalance.recording.channel import Array
 
 COMMON = 2

@@ -12,13 +12,14 @@ from scipy.special import chdtrc
 from aerobalance.identification.coupled.era import fit_state
 from aerobalance.identification.coupled.free_response import generator_of
 from aerobalance.identification.coupled.internal_coordinates import renewed
+from aerobalance.identification.coupled.least_squares import motion_of, whitener_of
+from aerobalance.identification.coupled.units import Units
 from aerobalance.identification.impact.tap_fit import TapFit, linears_of, noise_of_residuals, of_common, settle_taps
 from aerobalance.identification.impact.tap_model import Common, Point, Tap
 from aerobalance.identification.impact.tap_record import FoundTap, TapRecord
-from aerobalance.identification.step_relaxation.fit import ReleaseFit, motion_of, whitener_of
+from aerobalance.identification.step_relaxation.fit import ReleaseFit
 from aerobalance.identification.step_relaxation.model_order import decays_with, free_decays, missed
 from aerobalance.identification.step_relaxation.record import ROUNDING, ReleaseRecord
-from aerobalance.identification.step_relaxation.stages import Units
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 

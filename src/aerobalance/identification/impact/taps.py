@@ -14,8 +14,17 @@ from typing import Final, Literal
 import numpy as np
 
 from aerobalance.balance.matrix_errors import MatrixErrors
+from aerobalance.identification.coupled.combinations import (
+    STILL,
+    combination_of,
+    combination_text,
+    first_release_for,
+    pairs,
+)
+from aerobalance.identification.coupled.conclusions import colour_of, rigid_of
 from aerobalance.identification.coupled.modes import ModeTable
 from aerobalance.identification.coupled.result import APPLIED, colour_warnings, force_error_warnings
+from aerobalance.identification.coupled.units import Units, dynamics_of
 from aerobalance.identification.force_error import error_of, force_weights, highest_of
 from aerobalance.identification.impact.shaker import identify_shaker, is_shaken
 from aerobalance.identification.impact.tap_account import account_of, excitation_of_taps
@@ -41,17 +50,9 @@ from aerobalance.identification.impact.tap_stages import (
 )
 from aerobalance.identification.one_component import one_component
 from aerobalance.identification.step_relaxation.calibration_errors import covariance_of_calibration
-from aerobalance.identification.step_relaxation.experiment_design import (
-    STILL,
-    combination_of,
-    combination_text,
-    first_release_for,
-    pairs,
-    unmoved,
-)
+from aerobalance.identification.step_relaxation.experiment_design import unmoved
 from aerobalance.identification.step_relaxation.fit import ReleaseFit
-from aerobalance.identification.step_relaxation.identify import colour_of, dynamics_of, rigid_of, sizes_of
-from aerobalance.identification.step_relaxation.stages import Units
+from aerobalance.identification.step_relaxation.identify import sizes_of
 from aerobalance.recording.channel import IMPACT_FORCE, Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.doubts import Doubt

@@ -13,11 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from aerobalance.balance.matrix_errors import MatrixErrors, coefficient_covariance
-from aerobalance.identification.step_relaxation.experiment_design import physical_slopes
-from aerobalance.identification.step_relaxation.fit import ReleaseFit, whitener_of
+from aerobalance.identification.coupled.least_squares import whitener_of
+from aerobalance.identification.coupled.units import Units, physical_slopes
+from aerobalance.identification.step_relaxation.fit import ReleaseFit
 from aerobalance.identification.step_relaxation.model import reading_slopes
 from aerobalance.identification.step_relaxation.record import ReleaseRecord
-from aerobalance.identification.step_relaxation.stages import Units
 from aerobalance.recording.channel import Array
 
 

@@ -7,12 +7,20 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.linalg import cho_factor, solve_triangular
 
 from aerobalance.identification.coupled.free_response import FreeMotion
 from aerobalance.identification.coupled.internal_coordinates import coordinates_of, invariances, pinned
+from aerobalance.identification.coupled.least_squares import (
+    FIRM,
+    LARGEST_GROWTH,
+    LEAST_INDEPENDENCE,
+    damped,
+    motion_of,
+    of_matrices,
+    whitener_of,
+)
 from aerobalance.identification.levenberg_marquardt import DampedStep, Settings, levenberg_marquardt
-from aerobalance.identification.step_relaxation.model import Linear, Segment, damped, linearise, of_matrices
+from aerobalance.identification.step_relaxation.model import Linear, Segment, linearise
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 
@@ -34,15 +42,6 @@ SETTINGS: Final = Settings(
     valley=VALLEY,
 )
 """How the fit is damped, and when it has settled."""
-
-LARGEST_GROWTH: Final = 20.0
-"""Logarithm of the growth of a trial motion over a record beyond which it is not tried."""
-
-FIRM: Final = 1e4
-"""Weight with which directions that change nothing are held in the information, over that of a single parameter."""
-
-LEAST_INDEPENDENCE: Final = 1e-3
-"""Least eigenvalue of the correlation matrix of the noise that is believed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,12 +114,6 @@ class ReleaseFit:
         ]
 
 
-def motion_of(matrices: Array, n: int) -> FreeMotion:
-    """Free motion of A^-1 and A^-1 D given row by row, of n balance loads and internal coordinates behind them."""
-    size = coordinates_of(matrices)
-    return FreeMotion.of(*matrices.reshape(2, size, size), components=n)
-
-
 def loads_let_go(segments: Sequence[Segment], own: Sequence[Array]) -> Array:
     """Loads let go from rest, one a column, shape (n, r)."""
     n = segments[0].values.shape[1]
@@ -130,12 +123,6 @@ def loads_let_go(segments: Sequence[Segment], own: Sequence[Array]) -> Array:
         if segment.kind != "free" and not segment.anywhere
     ]
     return np.array(found).reshape(-1, n).T
-
-
-def whitener_of(noise: Array) -> Array:
-    """What turns noise of this covariance into independent unit noise."""
-    factor = cho_factor(noise, lower=True)[0]
-    return solve_triangular(np.tril(factor), np.eye(noise.shape[0]), lower=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,33 +14,28 @@ import numpy as np
 
 from aerobalance.balance.matrix_errors import MatrixErrors
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.identification.coupled.free_response import FreeMotion
-from aerobalance.identification.coupled.internal_coordinates import coordinates_of, quasi_static
+from aerobalance.identification.coupled.combinations import (
+    STILL,
+    combination_of,
+    combination_text,
+    first_release_for,
+    pairs,
+)
+from aerobalance.identification.coupled.conclusions import colour_of, rigid_of
 from aerobalance.identification.coupled.modes import ModeTable
-from aerobalance.identification.coupled.result import (
-    APPLIED,
+from aerobalance.identification.coupled.result import APPLIED
+from aerobalance.identification.coupled.units import Units, dynamics_of
+from aerobalance.identification.force_error import error_of, force_weights, highest_of
+from aerobalance.identification.step_relaxation.calibration_errors import covariance_of_calibration
+from aerobalance.identification.step_relaxation.experiment_design import advice, excitation, unmoved
+from aerobalance.identification.step_relaxation.fit import ReleaseFit, reweighed
+from aerobalance.identification.step_relaxation.model_order import MOST, ChosenFit, fit_modes
+from aerobalance.identification.step_relaxation.record import ReleaseRecord, release_record
+from aerobalance.identification.step_relaxation.release_result import (
     CoupledIdentification,
     ReleaseFound,
     release_warnings,
 )
-from aerobalance.identification.force_error import error_of, force_weights, highest_of
-from aerobalance.identification.rigid_body import RigidMassFit, rigid_mass_of
-from aerobalance.identification.step_relaxation.calibration_errors import covariance_of_calibration
-from aerobalance.identification.step_relaxation.experiment_design import (
-    STILL,
-    advice,
-    combination_of,
-    combination_text,
-    excitation,
-    first_release_for,
-    pairs,
-    physical_covariance,
-    unmoved,
-)
-from aerobalance.identification.step_relaxation.fit import ReleaseFit, reweighed
-from aerobalance.identification.step_relaxation.model_order import MOST, ChosenFit, fit_modes
-from aerobalance.identification.step_relaxation.record import ReleaseRecord, release_record
-from aerobalance.identification.step_relaxation.stages import Units
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError, warn_quality
@@ -211,34 +206,6 @@ def _colour(fit: ReleaseFit) -> Array:
     return colour_of(parts, fit.motion, fit.noise)
 
 
-def colour_of(parts: Sequence[tuple[Array, float]], motion: FreeMotion, noise: Array) -> Array:
-    """Power of the residuals within an eighth of the modes' frequencies over that of white noise, shape (n,).
-
-    Parameters
-    ----------
-    parts
-        Residuals while the balance rings, shape (m, n), and the time between their rows.
-    motion
-        The motion fitted.
-    noise
-        Covariance of the noise of a row, shape (n, n).
-    """
-    n = motion.components
-    _, rates = pairs(motion)
-    near, whole, ordinates = np.zeros(n), np.zeros(n), 0
-    for left, interval in parts:
-        power = np.abs(np.fft.rfft(left, axis=0)[1:]) ** 2
-        rate = 2 * np.pi * np.arange(1, power.shape[0] + 1) / (left.shape[0] * interval)
-        band = (np.abs(rate[:, None] / rates - 1) < 1 / 8).any(axis=1)
-        near += power[band].sum(axis=0)
-        whole += power.mean(axis=0) * np.count_nonzero(band)
-        ordinates += int(np.count_nonzero(band))
-    if ordinates < 12 or (whole == 0).any() or (np.sqrt(np.diag(noise)) < 1e-9).any():
-        return np.ones(n)
-    level = near / whole
-    return np.where(level > 1 + 4 / np.sqrt(ordinates), level, 1.0)
-
-
 def _result(
     fit: ReleaseFit,
     units: Units,
@@ -305,55 +272,6 @@ def _notes_on_modes(found: CoupledIdentification, chosen: ChosenFit) -> list[str
     text = (
         f"the decays ring{where} as the {len(found.modes)} modes found do not, as where the model or the sting bends"
         f"{other}{reason}; the dynamics leave it out, and the force is wrong there by what it carries"
-    )
-    return [text]
-
-
-def dynamics_of(matrices: Array, information: Array, units: Units, names: tuple[str, ...]) -> CoupledDynamics:
-    """Return A and D with their covariance, of A^-1 and A^-1 D in the units of the fit and the information on them."""
-    size = coordinates_of(matrices)
-    spring, brake = matrices.reshape(2, size, size)
-    A = np.linalg.inv(spring)
-    ratio = units.ratio(size)
-    covariance = physical_covariance(information, matrices, units)
-    return CoupledDynamics(names, A * ratio / units.rate**2, A @ brake * ratio / units.rate, covariance)
-
-
-def rigid_of(
-    dynamics: CoupledDynamics, mass: float | tuple[float, float] | None
-) -> tuple[RigidMassFit | None, list[str]]:
-    """Return the rigid mass, where a weighed mass is given, and what is doubtful about it."""
-    if mass is None:
-        return None, []
-    value, uncertainty = mass if isinstance(mass, tuple) else (mass, 0.0)
-    try:
-        rigid = rigid_mass_of(quasi_static(dynamics), value, u_mass=uncertainty)
-    except (FitError, ValueError) as problem:
-        return None, [f"no mass matrix: {problem}; gravity and ground motion cannot be taken out of the loads"]
-    if dynamics.internal:
-        return replace(rigid, reciprocity=None), _note_on_bending(rigid)
-    notes = []
-    if rigid.rigidity is not None and not rigid.rigidity.chance:
-        notes.append(
-            f"the inertia matrix is not that of a rigid mass on a symmetric stiffness (chi2 {rigid.rigidity.chi2:.3g} "
-            "for 6 degrees of freedom); the mass matrix found from it is only nearly right"
-        )
-    if rigid.reciprocity is not None and not rigid.reciprocity.chance:
-        notes.append(
-            f"the damping is not symmetric (chi2 {rigid.reciprocity.chi2:.3g} for 15 degrees of freedom), as it is "
-            "not in a flow or with friction; the constrained dynamics do not hold"
-        )
-    return rigid, notes
-
-
-def _note_on_bending(rigid: RigidMassFit) -> list[str]:
-    """What is doubtful about a mass matrix from slow motion, below modes of the model or sting."""
-    if rigid.rigidity is None or rigid.rigidity.chance:
-        return []
-    text = (
-        "the mass matrix is taken from slow motion, below the modes of the model or sting, and is not that of a rigid "
-        f"mass on a symmetric stiffness (chi2 {rigid.rigidity.chi2:.3g} for 6 degrees of freedom), as where the model "
-        "bends under the load; the mass matrix found from it is only nearly right"
     )
     return [text]
 

@@ -11,18 +11,16 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from scipy.linalg import lapack, qr, solve_triangular
+from scipy.linalg import qr
 
 from aerobalance.identification.coupled.free_response import Complex, ExponentialSums, FreeMotion
+from aerobalance.identification.coupled.least_squares import compressed, weighted
 from aerobalance.recording.channel import Array
 
 Kind = Literal["release", "ramp", "free"]
 
 NODES: Final = np.polynomial.legendre.leggauss(16)
 """Nodes and weights of the mean over the duration of a release."""
-
-WELL_CONDITIONED: Final = 1e-4
-"""Least part of a column, over its size, that the others leave, above which products of the columns serve for them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,23 +168,6 @@ def _slopes(segment: Segment, motion: FreeMotion, own: Array) -> tuple[Array, Ex
     return slopes, model
 
 
-def compressed(columns: Array, left: Array) -> tuple[Array, Array]:
-    """Return the triangular factor R of the columns Q R, and Q' times the residuals."""
-    size = np.linalg.norm(columns, axis=0)
-    if size.all() and columns.shape[0] > columns.shape[1]:
-        scaled = (columns.T @ columns) / np.outer(size, size)
-        lower, failed = lapack.dpotrf(scaled, lower=1, clean=1)
-        if not failed and np.diag(lower).min() > WELL_CONDITIONED:
-            return lower.T * size, solve_triangular(lower, (columns.T @ left) / size[:, None], lower=True)
-    basis, factor = qr(columns, mode="economic", check_finite=False)
-    return np.asarray(factor), np.asarray(basis.T @ left)
-
-
-def weighted(whitener: Array, table: Array) -> Array:
-    """Weigh a table of shape (rows, n, k) and lay it out as (rows n, k)."""
-    return np.asarray(np.einsum("dc,bck->bdk", whitener, table).reshape(-1, table.shape[2]))
-
-
 def _parts(segment: Segment, own: Array) -> tuple[slice, slice, float]:
     """Rows before and after the edge, and the instant from which the decay counts its time."""
     n = segment.values.shape[1]
@@ -264,17 +245,3 @@ def joined(parts: list[ExponentialSums]) -> ExponentialSums:
         np.concatenate([part.late for part in parts], axis=2),
         np.concatenate([part.constant for part in parts], axis=1),
     )
-
-
-def of_matrices(block: Array, own: int) -> Array:
-    """What a record tells about the matrices alone: rows of [spring, brake, residual], its own eliminated."""
-    return block[own:, own:]
-
-
-def damped(block: Array, own: int, damping: float) -> Array:
-    """The factor with its own parameters held back by a part of their information."""
-    if damping == 0:
-        return block
-    hold = np.zeros((own, block.shape[1]))
-    hold[:, :own] = damping * np.diag(np.linalg.norm(block[:, :own], axis=0))
-    return np.asarray(qr(np.vstack([block, hold]), mode="r", check_finite=False)[0][: block.shape[1]])

@@ -13,17 +13,19 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtrc, gammaincinv
 
 from aerobalance.dynamics.coupled import ModalForm
+from aerobalance.identification.coupled.combinations import pairs
 from aerobalance.identification.coupled.era import Guess, from_modes, quick_guess
 from aerobalance.identification.coupled.free_response import FreeMotion
 from aerobalance.identification.coupled.internal_coordinates import static_contributions
+from aerobalance.identification.coupled.least_squares import whitener_of
+from aerobalance.identification.coupled.units import Units
 from aerobalance.identification.free_decay.waveform import HEAVIEST
-from aerobalance.identification.step_relaxation.experiment_design import excitation, pairs
-from aerobalance.identification.step_relaxation.fit import ReleaseFit, whitener_of
+from aerobalance.identification.step_relaxation.experiment_design import excitation
+from aerobalance.identification.step_relaxation.fit import ReleaseFit
 from aerobalance.identification.step_relaxation.record import ROUNDING, ReleaseRecord
 from aerobalance.identification.step_relaxation.stages import (
     POOR,
     Start,
-    Units,
     decays_of,
     fit_decays,
     guess_of,

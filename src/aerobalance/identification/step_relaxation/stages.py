@@ -11,15 +11,15 @@ import numpy as np
 from aerobalance.identification.coupled.era import Guess, first_guess, fit_state
 from aerobalance.identification.coupled.free_response import FreeMotion
 from aerobalance.identification.coupled.internal_coordinates import renewed
+from aerobalance.identification.coupled.least_squares import motion_of, whitener_of
+from aerobalance.identification.coupled.units import Units, with_hidden
 from aerobalance.identification.step_relaxation.fit import (
     ReleaseFit,
-    motion_of,
     others_than,
     replaced,
     residual_noise,
     settle,
     total_squares,
-    whitener_of,
 )
 from aerobalance.identification.step_relaxation.model import Kind, Linear, Segment, state_at_the_edge
 from aerobalance.identification.step_relaxation.record import ROUNDING, ReleaseRecord
@@ -67,34 +67,6 @@ SETTINGS: Final = StageSettings()
 
 POOR: Final = 3.0
 """Squares over the noise variance and a reading, above which a first guess is tried further from the edge."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Units:
-    """Units of the fit: loads over `sizes` [N, N*m], shape (n,), and times `rate` [1/s]."""
-
-    sizes: Array
-    rate: float
-
-    def matrices(self, spring: Array, brake: Array) -> Array:
-        """A^-1 [1/s^2] and A^-1 D [1/s] in these units, row by row."""
-        ratio = 1 / self.ratio(len(spring))
-        return np.concatenate([(spring * ratio / self.rate**2).ravel(), (brake * ratio / self.rate).ravel()])
-
-    def bare(self, spring: Array, brake: Array) -> tuple[Array, Array]:
-        """A^-1 [1/s^2] and A^-1 D [1/s] from these units."""
-        ratio = self.ratio(len(spring))
-        return spring * ratio * self.rate**2, brake * ratio * self.rate
-
-    def ratio(self, size: int) -> Array:
-        """Unit of row over that of column in N coordinates, shape (N, N)."""
-        sizes = with_hidden(self.sizes, size)
-        return sizes[:, None] / sizes[None, :]
-
-
-def with_hidden(sizes: Array, size: int) -> Array:
-    """Sizes of the loads, and the largest of them for each internal coordinate, shape (N,)."""
-    return np.concatenate([sizes, np.full(size - sizes.size, sizes.max())])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,85 @@
+"""What follows from fitted matrices: the color of the residuals and the rigid mass behind A."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.identification.coupled.combinations import (
+    pairs,
+)
+from aerobalance.identification.coupled.free_response import FreeMotion
+from aerobalance.identification.coupled.internal_coordinates import quasi_static
+from aerobalance.identification.rigid_body import RigidMassFit, rigid_mass_of
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import FitError
+
+
+def colour_of(parts: Sequence[tuple[Array, float]], motion: FreeMotion, noise: Array) -> Array:
+    """Power of the residuals within an eighth of the modes' frequencies over that of white noise, shape (n,).
+
+    Parameters
+    ----------
+    parts
+        Residuals while the balance rings, shape (m, n), and the time between their rows.
+    motion
+        The motion fitted.
+    noise
+        Covariance of the noise of a row, shape (n, n).
+    """
+    n = motion.components
+    _, rates = pairs(motion)
+    near, whole, ordinates = np.zeros(n), np.zeros(n), 0
+    for left, interval in parts:
+        power = np.abs(np.fft.rfft(left, axis=0)[1:]) ** 2
+        rate = 2 * np.pi * np.arange(1, power.shape[0] + 1) / (left.shape[0] * interval)
+        band = (np.abs(rate[:, None] / rates - 1) < 1 / 8).any(axis=1)
+        near += power[band].sum(axis=0)
+        whole += power.mean(axis=0) * np.count_nonzero(band)
+        ordinates += int(np.count_nonzero(band))
+    if ordinates < 12 or (whole == 0).any() or (np.sqrt(np.diag(noise)) < 1e-9).any():
+        return np.ones(n)
+    level = near / whole
+    return np.where(level > 1 + 4 / np.sqrt(ordinates), level, 1.0)
+
+
+def rigid_of(
+    dynamics: CoupledDynamics, mass: float | tuple[float, float] | None
+) -> tuple[RigidMassFit | None, list[str]]:
+    """Return the rigid mass, where a weighed mass is given, and what is doubtful about it."""
+    if mass is None:
+        return None, []
+    value, uncertainty = mass if isinstance(mass, tuple) else (mass, 0.0)
+    try:
+        rigid = rigid_mass_of(quasi_static(dynamics), value, u_mass=uncertainty)
+    except (FitError, ValueError) as problem:
+        return None, [f"no mass matrix: {problem}; gravity and ground motion cannot be taken out of the loads"]
+    if dynamics.internal:
+        return replace(rigid, reciprocity=None), _note_on_bending(rigid)
+    notes = []
+    if rigid.rigidity is not None and not rigid.rigidity.chance:
+        notes.append(
+            f"the inertia matrix is not that of a rigid mass on a symmetric stiffness (chi2 {rigid.rigidity.chi2:.3g} "
+            "for 6 degrees of freedom); the mass matrix found from it is only nearly right"
+        )
+    if rigid.reciprocity is not None and not rigid.reciprocity.chance:
+        notes.append(
+            f"the damping is not symmetric (chi2 {rigid.reciprocity.chi2:.3g} for 15 degrees of freedom), as it is "
+            "not in a flow or with friction; the constrained dynamics do not hold"
+        )
+    return rigid, notes
+
+
+def _note_on_bending(rigid: RigidMassFit) -> list[str]:
+    """What is doubtful about a mass matrix from slow motion, below modes of the model or sting."""
+    if rigid.rigidity is None or rigid.rigidity.chance:
+        return []
+    text = (
+        "the mass matrix is taken from slow motion, below the modes of the model or sting, and is not that of a rigid "
+        f"mass on a symmetric stiffness (chi2 {rigid.rigidity.chi2:.3g} for 6 degrees of freedom), as where the model "
+        "bends under the load; the mass matrix found from it is only nearly right"
+    )
+    return [text]
