@@ -45,9 +45,7 @@ from aerobalance.identification.coupled.combinations import (
     plainest,
 )
 from aerobalance.identification.coupled.free_response import FreeMotion
-from aerobalance.identification.coupled.modes import ModeTable
-from aerobalance.identification.coupled.result import APPLIED
-from aerobalance.identification.force_error import error_of, force_weights, highest_of
+from aerobalance.identification.coupled.result import APPLIED, common_parts
 from aerobalance.identification.rigid_body import LEVER
 from aerobalance.identification.step_relaxation.record import ROUNDING
 from aerobalance.motion.sensors import motion_name
@@ -194,7 +192,7 @@ def _check_seen(records: Sequence[ShakeRecord], fit: ShakeParameters, sizes: Arr
     energy = np.sum([visibility(record, fit, dynamics) ** 2 for record in records], axis=0)
     if energy.min() < STILL:
         mode = int(np.argmin(energy))
-        weights = _combinations(dynamics, sizes)[mode]
+        weights = combination_of(_motion(dynamics, sizes), mode)
         best = COMPONENTS.index(first_release_for(weights[None], COMPONENTS))
         raise FitError(
             f"{_called(records)}: a mode is not excited above the noise, the one of the combination "
@@ -203,12 +201,11 @@ def _check_seen(records: Sequence[ShakeRecord], fit: ShakeParameters, sizes: Arr
         )
 
 
-def _combinations(dynamics: CoupledDynamics, sizes: Array) -> Array:
-    """Combination of loads over half of range that sets off each mode alone, rows, shape (6, 6)."""
+def _motion(dynamics: CoupledDynamics, sizes: Array) -> FreeMotion:
+    """Free motion of the dynamics, loads over their sizes."""
     ratio = sizes[None, :] / sizes[:, None]
     spring = np.asarray(np.linalg.inv(dynamics.inertia * ratio), dtype=np.float64)
-    motion = FreeMotion.of(spring, spring @ (dynamics.damping * ratio))
-    return np.array([combination_of(motion, mode) for mode in range(6)])
+    return FreeMotion.of(spring, spring @ (dynamics.damping * ratio))
 
 
 def _colour(records: Sequence[ShakeRecord], fit: ShakeParameters) -> Array:
@@ -242,30 +239,24 @@ def _result(
     about = weighed[0] if weighed is not None else abs(float(fit.numbers[0])) or 1.0
     joint, rigid = mass_behind(Joint.of(fit, rows, about=about), mass=weighed, rigidity=rigidity_test(rows, count))
     dynamics = joint.dynamics(rigid.mass)
-    table = ModeTable.of(dynamics, sizes=sizes)
-    applied = APPLIED * sizes
     heavy = np.diag(_UNKNOWN_MASS) if rigid.mass is None else rigid.mass.matrix
     noise = np.sqrt(np.mean([record.noise**2 for record in records], axis=0))
     deviation = np.sqrt(np.diag(fit.noise) / colour)
-    found = ShakingIdentification(
-        dynamics=dynamics,
-        modes=table.modes,
-        u_natural_frequency=table.u_natural_frequency,
-        u_damping_ratio=table.u_damping_ratio,
-        mode_shapes=table.shapes,
-        combinations=_combinations(dynamics, sizes),
+    common = common_parts(
+        dynamics,
+        _motion(dynamics, sizes),
         half_range=sizes,
         half_range_given=given,
         residual_deviation=deviation,
         reduced_chi2=(deviation / noise) ** 2,
         colour=colour,
         degrees_of_freedom=12 * sum(record.frequency.size for record in records) - fit.values.size,
-        applied=applied,
-        band=(0.0, highest_of(dynamics)),
-        force_error=error_of(dynamics.covariance, force_weights(dynamics, sizes=applied)),
+    )
+    found = ShakingIdentification(
+        **common,
         notes=(),
         shakes=tuple(_shake(record, fit, dynamics) for record in records),
-        advice=shake_advice(joint, fit, records, mass=heavy, applied=applied, sizes=sizes),
+        advice=shake_advice(joint, fit, records, mass=heavy, applied=APPLIED * sizes, sizes=sizes),
         rigid=rigid,
         delay=(delay + float(fit.values[DELAY]), joint.u_delay),
     )

@@ -1,4 +1,4 @@
-"""What follows from fitted matrices: the color of the residuals and the rigid mass behind A."""
+"""What follows from fitted matrices: what excited the modes, what the fit leaves, and the rigid mass behind A."""
 
 from __future__ import annotations
 
@@ -11,11 +11,66 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.identification.coupled.combinations import (
     pairs,
 )
-from aerobalance.identification.coupled.free_response import FreeMotion
+from aerobalance.identification.coupled.free_response import Complex, FreeMotion
 from aerobalance.identification.coupled.internal_coordinates import quasi_static
+from aerobalance.identification.coupled.least_squares import whitener_of
 from aerobalance.identification.rigid_body import RigidMassFit, rigid_mass_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
+
+
+def excitation_of(parts: Sequence[tuple[Complex, Array]], motion: FreeMotion, noise: Array) -> tuple[Array, Array]:
+    """How strongly the records excite the modes.
+
+    Parameters
+    ----------
+    parts
+        For every record the size of every mode where its free motion begins, shape (2 N,), and the times since then of
+        the readings used.
+    motion
+        The motion fitted.
+    noise
+        Covariance of the noise of a row, shape (n, n).
+
+    Returns
+    -------
+    shares
+        Amplitude of each mode at the beginning over the sum of all, in loads over their sizes; shape (records, modes).
+    visibility
+        Root of the energy of each mode over the noise of one reading, shape (records, modes).
+    """
+    whitener, (up, _) = whitener_of(noise), pairs(motion)
+    amplitude, energy = [], []
+    for sizes, since in parts:
+        waves = 2 * motion.felt[:, up] * sizes[up]
+        amplitude.append(np.linalg.norm(waves, axis=0))
+        # the mean over a cycle: half the square of the amplitude
+        fall = np.sum(np.exp(2 * since[:, None] * motion.poles[up].real), axis=0)
+        energy.append(np.linalg.norm(whitener @ waves, axis=0) ** 2 / 2 * fall)
+    table = np.array(amplitude)
+    return table / table.sum(axis=1, keepdims=True), np.sqrt(np.array(energy))
+
+
+def residual_size(
+    residuals: Array, *, degrees_of_freedom: int, sizes: Array, noises: Sequence[Array]
+) -> tuple[Array, Array]:
+    """Standard deviation of the residuals, shape (n,) [N, N*m], and their variance over that of the noise.
+
+    Parameters
+    ----------
+    residuals
+        Readings less fit, over the sizes, shape (m, n).
+    degrees_of_freedom
+        Readings used less parameters.
+    sizes
+        Unit of the residuals, shape (n,) [N, N*m].
+    noises
+        Noise of every record as given or judged, shape (n,) each [N, N*m].
+    """
+    squares = np.sum(residuals**2, axis=0)
+    deviation = np.sqrt(squares * sizes.size / max(degrees_of_freedom, 1)) * sizes
+    noise = np.sqrt(np.mean([one**2 for one in noises], axis=0))
+    return deviation, (deviation / noise) ** 2
 
 
 def colour_of(parts: Sequence[tuple[Array, float]], motion: FreeMotion, noise: Array) -> Array:

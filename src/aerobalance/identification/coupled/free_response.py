@@ -10,6 +10,7 @@ Where the model or the sting bends, N coordinates move of which the n components
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -44,6 +45,31 @@ class ExponentialSums:
         """Sum of the functions at earlier instants: by_plain = sum of exp(-p s), by_late = sum of -s exp(-p s)."""
         plain, late = by_plain[:, None, None], by_late[:, None, None]
         return ExponentialSums(self.plain * plain + self.late * late, self.late * plain, self.constant)
+
+    def picked(self, which: slice) -> ExponentialSums:
+        """Some of the functions."""
+        return ExponentialSums(self.plain[:, :, which], self.late[:, :, which], self.constant[:, which])
+
+    def scaled(self, factor: float) -> ExponentialSums:
+        """The functions times a number."""
+        return ExponentialSums(self.plain * factor, self.late * factor, self.constant * factor)
+
+    def combined(self, weights: Array) -> ExponentialSums:
+        """Combinations of the functions, by columns of weights."""
+        return ExponentialSums(self.plain @ weights, self.late @ weights, self.constant @ weights)
+
+    def __add__(self, other: ExponentialSums) -> ExponentialSums:
+        """Sum of every function and its partner."""
+        return ExponentialSums(self.plain + other.plain, self.late + other.late, self.constant + other.constant)
+
+    @classmethod
+    def joined(cls, parts: Sequence[ExponentialSums]) -> ExponentialSums:
+        """All functions of several sets as one set."""
+        return cls(
+            np.concatenate([part.plain for part in parts], axis=2),
+            np.concatenate([part.late for part in parts], axis=2),
+            np.concatenate([part.constant for part in parts], axis=1),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -58,6 +58,28 @@ LEAST_INDEPENDENCE: Final = 1e-3
 """Least eigenvalue of the correlation matrix of the noise that is believed."""
 
 
+def noise_of_residuals(residuals: Array, *, degrees_of_freedom: int, least: Array) -> Array:
+    """Covariance of the noise of a row, from what a fit leaves, shape (n, n).
+
+    Parameters
+    ----------
+    residuals
+        Shape (m, n).
+    degrees_of_freedom
+        Readings used less parameters.
+    least
+        Standard deviation below which none is taken to be, shape (n,).
+    """
+    n = residuals.shape[1]
+    covariance = residuals.T @ residuals * (n / max(degrees_of_freedom, 1))
+    deviation = np.maximum(np.sqrt(np.diag(covariance)), least)
+    correlation = covariance / np.outer(deviation, deviation)
+    np.fill_diagonal(correlation, 1.0)
+    if (deviation <= least).any() or np.linalg.eigvalsh(correlation)[0] < LEAST_INDEPENDENCE:
+        correlation = np.eye(n)  # not noise but rounding, or a misfit that all components share
+    return np.asarray(correlation * np.outer(deviation, deviation))
+
+
 def motion_of(matrices: Array, n: int) -> FreeMotion:
     """Free motion of A^-1 and A^-1 D given row by row, of n balance loads and internal coordinates behind them."""
     size = coordinates_of(matrices)

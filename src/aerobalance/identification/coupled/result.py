@@ -1,17 +1,19 @@
-"""What a set of releases tells about coupled components, and what is doubtful about it."""
+"""What recordings tell about coupled components, however they were excited, and what is doubtful about it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypedDict
 
 import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import Mode
-from aerobalance.identification.coupled.combinations import combination_text
-from aerobalance.identification.coupled.free_response import Complex
+from aerobalance.identification.coupled.combinations import combination_of, combination_text, pairs
+from aerobalance.identification.coupled.free_response import Complex, FreeMotion
 from aerobalance.identification.coupled.internal_coordinates import static_contributions
+from aerobalance.identification.coupled.modes import ModeTable
+from aerobalance.identification.force_error import error_of, force_weights, highest_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.wording import percent_text
@@ -87,6 +89,69 @@ class CoupledResult:
     def further(self) -> tuple[int, ...]:
         """Places of the modes of the model or sting: of least static contribution, one per internal coordinate."""
         return tuple(sorted(int(place) for place in np.argsort(self.static_contributions)[: self.dynamics.internal]))
+
+
+class CommonParts(TypedDict):
+    """The fields of `CoupledResult` but its notes, for the results of releases, taps and shaking to be made of."""
+
+    dynamics: CoupledDynamics
+    modes: tuple[Mode, ...]
+    u_natural_frequency: Array
+    u_damping_ratio: Array
+    mode_shapes: Complex
+    combinations: Array
+    half_range: Array
+    half_range_given: bool
+    residual_deviation: Array
+    reduced_chi2: Array
+    colour: Array
+    degrees_of_freedom: int
+    applied: Array
+    band: tuple[float, float]
+    force_error: Array
+
+
+def common_parts(
+    dynamics: CoupledDynamics,
+    motion: FreeMotion,
+    *,
+    half_range: Array,
+    half_range_given: bool,
+    residual_deviation: Array,
+    reduced_chi2: Array,
+    colour: Array,
+    degrees_of_freedom: int,
+) -> CommonParts:
+    """What every result holds, with modes, their combinations and the force error of the dynamics.
+
+    Parameters
+    ----------
+    dynamics
+        What was found.
+    motion
+        Its free motion, loads over half of range.
+    half_range, half_range_given, residual_deviation, reduced_chi2, colour, degrees_of_freedom
+        As `CoupledResult` has them.
+    """
+    table = ModeTable.of(dynamics, sizes=half_range)
+    applied = APPLIED * half_range
+    return CommonParts(
+        dynamics=dynamics,
+        modes=table.modes,
+        u_natural_frequency=table.u_natural_frequency,
+        u_damping_ratio=table.u_damping_ratio,
+        mode_shapes=table.shapes,
+        combinations=np.array([combination_of(motion, mode) for mode in range(len(pairs(motion)[0]))]),
+        half_range=half_range,
+        half_range_given=half_range_given,
+        residual_deviation=residual_deviation,
+        reduced_chi2=reduced_chi2,
+        colour=colour,
+        degrees_of_freedom=degrees_of_freedom,
+        applied=applied,
+        band=(0.0, highest_of(dynamics)),
+        force_error=error_of(dynamics.covariance, force_weights(dynamics, sizes=applied)),
+    )
 
 
 def force_error_warnings(found: CoupledResult, *, left_by: str, energy: Array, remedy: str, after: float) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.identification.coupled.combinations import pairs
-from aerobalance.identification.coupled.least_squares import whitener_of
+from aerobalance.identification.coupled.conclusions import excitation_of, residual_size
 from aerobalance.identification.coupled.units import Units
 from aerobalance.identification.impact.response import responses_of
 from aerobalance.identification.impact.tap_doubts import late_force
@@ -26,19 +26,16 @@ BANDWIDTH: Final = 0.1
 
 
 def excitation_of_taps(fit: TapFit) -> tuple[Array, Array]:
-    """Return each mode's share in the ringing after each tap, and its size over the noise, (taps, modes) each."""
-    motion, whitener = fit.motion, whitener_of(fit.noise)
-    up, _ = pairs(motion)
-    amplitude, energy = [], []
-    for tap, own in zip(fit.taps, fit.own, strict=True):
-        sizes = after_contact(tap, motion, fit.common, own=own, point=fit.points[tap.point], off=fit.off[tap.point])
-        waves = 2 * motion.felt[:, up] * sizes[up]
-        amplitude.append(np.linalg.norm(waves, axis=0))
-        time = tap.time[tap.before :]
-        fall = np.sum(np.exp(2 * time[:, None] * motion.poles[up].real), axis=0)
-        energy.append(np.linalg.norm(whitener @ waves, axis=0) ** 2 / 2 * fall)
-    table = np.array(amplitude)
-    return table / table.sum(axis=1, keepdims=True), np.sqrt(np.array(energy))
+    """How strongly every tap excites every mode, as `excitation_of` has it, (taps, modes) each."""
+    motion = fit.motion
+    parts = [
+        (
+            after_contact(tap, motion, fit.common, own=own, point=fit.points[tap.point], off=fit.off[tap.point]),
+            tap.time[tap.before :],
+        )
+        for tap, own in zip(fit.taps, fit.own, strict=True)
+    ]
+    return excitation_of(parts, motion, fit.noise)
 
 
 def account_of(
@@ -92,7 +89,12 @@ def account_of(
         delay = fit.common.delay * unit, float(u[1]) * unit
         rate = records[0].rate
         doubts = doubts + late_force(fit, rate=rate, u_delay=delay[1], delay=delay[0], component=component)
-    deviation, reduced = _residual_size(fit, units, records)
+    deviation, reduced = residual_size(
+        fit.residuals,
+        degrees_of_freedom=fit.degrees_of_freedom,
+        sizes=units.sizes,
+        noises=[record.noise for record in records],
+    )
     return Taps(
         taps=tuple(found),
         points=tuple(fit_point(place, ("AF",), np.ones(1)).name if place is None else str(place) for place in places),
@@ -132,11 +134,3 @@ def _tap_found(
         used=used,
         shares=np.full(pairs(fit.motion)[0].size, np.nan) if shares is None else shares,
     )
-
-
-def _residual_size(fit: TapFit, units: Units, records: Sequence[TapRecord]) -> tuple[Array, Array]:
-    """Standard deviation of the residuals [N, N*m], and their variance over that of the noise given or judged."""
-    squares = sum(np.sum(linear.after**2, axis=0) + np.sum(linear.before**2, axis=0) for linear in fit.linears)
-    deviation = np.sqrt(squares * fit.size / max(fit.degrees_of_freedom, 1)) * units.sizes
-    noise = np.sqrt(np.mean([record.noise**2 for record in records], axis=0))
-    return deviation, (deviation / noise) ** 2

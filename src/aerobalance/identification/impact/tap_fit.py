@@ -14,7 +14,6 @@ from aerobalance.identification.coupled.internal_coordinates import coordinates_
 from aerobalance.identification.coupled.least_squares import (
     FIRM,
     LARGEST_GROWTH,
-    LEAST_INDEPENDENCE,
     damped,
     motion_of,
     whitener_of,
@@ -75,6 +74,11 @@ class TapFit:
     def squares(self) -> float:
         """Sum of the squares, of all that is known."""
         return _squares(self.linears, self.off, self.common)
+
+    @property
+    def residuals(self) -> Array:
+        """Readings less fit, before and after the contacts, tap after tap, shape (m, n)."""
+        return np.vstack([part for linear in self.linears for part in (linear.before, linear.after)])
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -247,15 +251,3 @@ def _step(here: TapFit, damping: float, *, unseen: Array) -> tuple[Array, list[A
         moves.append(np.linalg.lstsq(block[:k, :k], wanted, rcond=1e-14)[0])
         promised += float(block[:k, -1] @ block[:k, -1])
     return move, offs, moves, promised
-
-
-def noise_of_residuals(fit: TapFit, *, least: Array) -> Array:
-    """Covariance of the residuals, shape (n, n); no deviation is taken to be below the least one, shape (n,)."""
-    table = np.vstack([part for linear in fit.linears for part in (linear.before, linear.after)])
-    covariance = table.T @ table * (fit.size / max(fit.degrees_of_freedom, 1))
-    deviation = np.maximum(np.sqrt(np.diag(covariance)), least)
-    correlation = covariance / np.outer(deviation, deviation)
-    np.fill_diagonal(correlation, 1.0)
-    if (deviation <= least).any() or np.linalg.eigvalsh(correlation)[0] < LEAST_INDEPENDENCE:
-        correlation = np.eye(fit.size)
-    return np.asarray(correlation * np.outer(deviation, deviation))

@@ -19,7 +19,6 @@ from scipy.linalg import qr
 
 from aerobalance.identification.coupled.free_response import Complex, ExponentialSums, FreeMotion
 from aerobalance.identification.coupled.least_squares import compressed, weighted
-from aerobalance.identification.step_relaxation.model import joined
 from aerobalance.recording.channel import Array
 
 COMMON = 2
@@ -210,7 +209,7 @@ def linearise_tap(
     rest, state = own[:n], own[n : n + 2 * motion.size]
     sizes = motion.sizes(state[: motion.size], state[motion.size :])
     free = motion.motion(sizes)
-    by_free = joined([motion.by_state(), motion.by_matrices(sizes)]) if derivatives else None
+    by_free = ExponentialSums.joined([motion.by_state(), motion.by_matrices(sizes)]) if derivatives else None
     if not tap.linked:
         return _free_tap(tap, motion, free, by_free, rest, point=point, whitener=whitener)
     begun = float(tap.time[0]) if tap.before else float(tap.instants[0])
@@ -224,7 +223,7 @@ def linearise_tap(
     loads = gain * (point.loads + point.root @ off)
     blow, blown = _blow(motion, loads, spring)
     parts = (slice(0, tap.before), slice(tap.before, None))
-    models = (free, _sum(free.weighted(*early), blow.weighted(*spread)))
+    models = (free, free.weighted(*early) + blow.weighted(*spread))
     starts = (begun, 0.0)
     slopes: tuple[ExponentialSums | None, ...] = (None, None)
     if by_free is not None:
@@ -332,7 +331,7 @@ def _after_slopes(
 ) -> ExponentialSums:
     """Derivatives of the readings after the contact by state, force, point, gain, delay and matrices."""
     n, size = motion.components, motion.size
-    state = _picked(free, slice(2 * size))
+    state = free.picked(slice(2 * size))
     felt = blow.weighted(*spread)
     growth = np.exp(-motion.poles[:, None] * instants) * (tap.force_noise * whole)
     by_force = ExponentialSums(
@@ -340,19 +339,19 @@ def _after_slopes(
         np.zeros((2 * size, n, instants.size), dtype=np.complex128),
         np.zeros((n, instants.size)),
     )
-    by_whole = _scaled(felt, tap.sampling / whole)
-    by_rates = _picked(motion.by_state(), slice(size, 2 * size)).weighted(*spread)
+    by_whole = felt.scaled(tap.sampling / whole)
+    by_rates = motion.by_state().picked(slice(size, 2 * size)).weighted(*spread)
     gain = 1 + common.gain * common.u_gain
-    by_point = _combined(by_rates, gain * spring[:, :n] @ point.root)
-    by_gain = _scaled(felt, common.u_gain / gain)
-    by_delay = _scaled(motion.by_time(blow).weighted(*spread), -common.u_delay)
+    by_point = by_rates.combined(gain * spring[:, :n] @ point.root)
+    by_gain = felt.scaled(common.u_gain / gain)
+    by_delay = motion.by_time(blow).weighted(*spread).scaled(-common.u_delay)
     by_matrices = motion.by_matrices(blown).weighted(*spread)
     direct = np.zeros((size, 2, size, size))  # X'' by the drive: spring times the loads
     for row in range(size):
         direct[row, 0, row, :n] = loads
-    driven = _combined(by_rates, direct.reshape(size, -1))
-    matrices = _sum(_sum(_picked(free, slice(2 * size, None)), by_matrices), driven)
-    return joined([state, by_force, by_whole, by_point, by_gain, by_delay, matrices])
+    driven = by_rates.combined(direct.reshape(size, -1))
+    matrices = free.picked(slice(2 * size, None)) + by_matrices + driven
+    return ExponentialSums.joined([state, by_force, by_whole, by_point, by_gain, by_delay, matrices])
 
 
 def _filled(functions: ExponentialSums, place: int, count: int) -> ExponentialSums:
@@ -360,24 +359,7 @@ def _filled(functions: ExponentialSums, place: int, count: int) -> ExponentialSu
     poles, n, _ = functions.plain.shape
     nothing = np.zeros((poles, n, count), dtype=np.complex128)
     zero = ExponentialSums(nothing, nothing, np.zeros((n, count)))
-    return joined([_picked(functions, slice(place)), zero, _picked(functions, slice(place, None))])
-
-
-def _picked(functions: ExponentialSums, which: slice) -> ExponentialSums:
-    return ExponentialSums(functions.plain[:, :, which], functions.late[:, :, which], functions.constant[:, which])
-
-
-def _sum(one: ExponentialSums, other: ExponentialSums) -> ExponentialSums:
-    return ExponentialSums(one.plain + other.plain, one.late + other.late, one.constant + other.constant)
-
-
-def _scaled(functions: ExponentialSums, factor: float) -> ExponentialSums:
-    return ExponentialSums(functions.plain * factor, functions.late * factor, functions.constant * factor)
-
-
-def _combined(functions: ExponentialSums, weights: Array) -> ExponentialSums:
-    """Combinations of functions, by columns of weights."""
-    return ExponentialSums(functions.plain @ weights, functions.late @ weights, functions.constant @ weights)
+    return ExponentialSums.joined([functions.picked(slice(place)), zero, functions.picked(slice(place, None))])
 
 
 def _triangle(rows: list[Array]) -> Array:

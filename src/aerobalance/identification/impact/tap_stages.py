@@ -12,9 +12,9 @@ from scipy.special import chdtrc
 from aerobalance.identification.coupled.era import fit_state
 from aerobalance.identification.coupled.free_response import generator_of
 from aerobalance.identification.coupled.internal_coordinates import renewed
-from aerobalance.identification.coupled.least_squares import motion_of, whitener_of
+from aerobalance.identification.coupled.least_squares import motion_of, noise_of_residuals, whitener_of
 from aerobalance.identification.coupled.units import Units
-from aerobalance.identification.impact.tap_fit import TapFit, linears_of, noise_of_residuals, of_common, settle_taps
+from aerobalance.identification.impact.tap_fit import TapFit, linears_of, of_common, settle_taps
 from aerobalance.identification.impact.tap_model import Common, Point, Tap
 from aerobalance.identification.impact.tap_record import FoundTap, TapRecord
 from aerobalance.identification.step_relaxation.fit import ReleaseFit
@@ -172,7 +172,7 @@ def linked_taps(
     u_delay = U_DELAY * units.rate / taps[0].record.rate
     common = Common(matrices, 0.0, 0.0, u_gain, u_delay)
     fit = settle_taps(made, points, common, start, noise=free.noise)
-    noise = noise_of_residuals(fit, least=np.full(n, ROUNDING))
+    noise = noise_of_residuals(fit.residuals, degrees_of_freedom=fit.degrees_of_freedom, least=np.full(n, ROUNDING))
     return settle_taps(made, points, fit.common, fit.own, noise=noise, off=fit.off)
 
 

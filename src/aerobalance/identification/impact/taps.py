@@ -16,16 +16,13 @@ import numpy as np
 from aerobalance.balance.matrix_errors import MatrixErrors
 from aerobalance.identification.coupled.combinations import (
     STILL,
-    combination_of,
     combination_text,
     first_release_for,
-    pairs,
 )
 from aerobalance.identification.coupled.conclusions import colour_of, rigid_of
 from aerobalance.identification.coupled.modes import ModeTable
-from aerobalance.identification.coupled.result import APPLIED, colour_warnings, force_error_warnings
+from aerobalance.identification.coupled.result import colour_warnings, common_parts, force_error_warnings
 from aerobalance.identification.coupled.units import Units, dynamics_of
-from aerobalance.identification.force_error import error_of, force_weights, highest_of
 from aerobalance.identification.impact.shaker import identify_shaker, is_shaken
 from aerobalance.identification.impact.tap_account import account_of, excitation_of_taps
 from aerobalance.identification.impact.tap_doubts import (
@@ -368,39 +365,26 @@ def _coupled(
     dynamics = dynamics_of(fit.common.matrices, fit.information, units, names)
     if left is not None:
         dynamics = replace(dynamics, covariance_of_calibration=left)
-    applied = APPLIED * units.sizes
-    error = error_of(dynamics.covariance, force_weights(dynamics, sizes=applied))
     rigid, notes = rigid_of(dynamics, mass)
     if rigid is not None:
         dynamics = replace(dynamics, mass=rigid.mass)
-    up, _ = pairs(fit.motion)
-    table = ModeTable.of(dynamics, sizes=units.sizes)
-    result = ImpactIdentification(
-        dynamics=dynamics,
-        modes=table.modes,
-        u_natural_frequency=table.u_natural_frequency,
-        u_damping_ratio=table.u_damping_ratio,
-        mode_shapes=table.shapes,
-        combinations=np.array([combination_of(fit.motion, mode) for mode in range(len(up))]),
+    common = common_parts(
+        dynamics,
+        fit.motion,
         half_range=units.sizes,
         half_range_given=given,
         residual_deviation=found.taps.residual_deviation,
         reduced_chi2=found.taps.reduced_chi2,
         colour=found.colour,
         degrees_of_freedom=fit.degrees_of_freedom,
-        applied=applied,
-        band=(0.0, highest_of(dynamics)),
-        force_error=error,
-        notes=(),
-        taps=found.taps,
-        rigid=rigid,
     )
+    result = ImpactIdentification(**common, notes=(), taps=found.taps, rigid=rigid)
     said = force_error_warnings(
         result,
         left_by="taps",
         energy=np.sum(excitation_of_taps(fit)[1] ** 2, axis=0),
         remedy="four times as many taps",
-        after=float(np.max(error / units.sizes)) / 2,
+        after=float(np.max(result.force_error / units.sizes)) / 2,
     )
     told = [*map(str, found.taps.doubts), *said, *colour_warnings(result), *notes]
     for note in told:

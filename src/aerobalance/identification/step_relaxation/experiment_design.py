@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.identification.coupled.combinations import STILL, pairs, plainest
+from aerobalance.identification.coupled.combinations import STILL, plainest
+from aerobalance.identification.coupled.conclusions import excitation_of
 from aerobalance.identification.coupled.least_squares import of_matrices, whitener_of
 from aerobalance.identification.coupled.units import Units, physical_covariance
 from aerobalance.identification.force_error import error_of, force_weights
@@ -38,30 +39,13 @@ def unmoved(records: Sequence[ReleaseRecord], sizes: Array) -> Array:
 
 
 def excitation(fit: ReleaseFit) -> tuple[Array, Array]:
-    """How strongly every release sets off every mode.
-
-    Returns
-    -------
-    shares
-        Amplitude of each mode at the beginning of the decay over the sum of all, in loads over their sizes; shape
-        (releases, modes).
-    visibility
-        Root of the energy of each mode over the noise of one reading, shape (releases, modes).
-    """
-    motion, whitener, n = fit.motion, whitener_of(fit.noise), fit.size
-    up, _ = pairs(motion)
-    amplitude, energy = [], []
+    """How strongly every release excites every mode, as `excitation_of` has it, (releases, modes) each."""
+    motion, n, parts = fit.motion, fit.size, []
     for segment, own, linear in zip(fit.segments, fit.own, fit.linears, strict=True):
-        sizes = motion.sizes(*state_at_the_edge(segment, own))
         begin = segment.edge[1] if segment.kind == "free" else float(own[2 * n])
-        waves = 2 * motion.felt[:, up] * sizes[up]
-        amplitude.append(np.linalg.norm(waves, axis=0))
-        time = segment.time[-linear.ringing.shape[0] :] - begin
-        # the mean over a cycle: half the square of the amplitude
-        fall = np.sum(np.exp(2 * time[:, None] * motion.poles[up].real), axis=0)
-        energy.append(np.linalg.norm(whitener @ waves, axis=0) ** 2 / 2 * fall)
-    table = np.array(amplitude)
-    return table / table.sum(axis=1, keepdims=True), np.sqrt(np.array(energy))
+        since = segment.time[-linear.ringing.shape[0] :] - begin
+        parts.append((motion.sizes(*state_at_the_edge(segment, own)), since))
+    return excitation_of(parts, motion, fit.noise)
 
 
 def advice(

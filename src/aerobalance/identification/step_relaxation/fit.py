@@ -13,7 +13,6 @@ from aerobalance.identification.coupled.internal_coordinates import coordinates_
 from aerobalance.identification.coupled.least_squares import (
     FIRM,
     LARGEST_GROWTH,
-    LEAST_INDEPENDENCE,
     damped,
     motion_of,
     of_matrices,
@@ -87,6 +86,11 @@ class ReleaseFit:
     def internal(self) -> int:
         """Number of internal coordinates e."""
         return coordinates_of(self.matrices) - self.size
+
+    @property
+    def residuals(self) -> Array:
+        """Readings less fit, before and after the edges, record after record, shape (m, n)."""
+        return np.vstack([part for linear in self.linears for part in (linear.held, linear.ringing)])
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -313,18 +317,6 @@ def _bounded(segments: tuple[Segment, ...], motion: FreeMotion, own: tuple[Array
             duration = float(mine[2 * n + 1])
             inside &= duration >= 0 and segment.edge[0] <= instant and instant + duration <= segment.edge[1]
     return bool(inside and float(motion.poles.real.max()) * longest < LARGEST_GROWTH)
-
-
-def residual_noise(fit: ReleaseFit, *, least: Array) -> Array:
-    """Covariance of the residuals, shape (n, n); no deviation is taken to be below the least one, shape (n,)."""
-    table = np.vstack([part for linear in fit.linears for part in (linear.held, linear.ringing)])
-    covariance = table.T @ table * (fit.size / max(fit.degrees_of_freedom, 1))
-    deviation = np.maximum(np.sqrt(np.diag(covariance)), least)
-    correlation = covariance / np.outer(deviation, deviation)
-    np.fill_diagonal(correlation, 1.0)
-    if (deviation <= least).any() or np.linalg.eigvalsh(correlation)[0] < LEAST_INDEPENDENCE:
-        correlation = np.eye(fit.size)  # not noise but rounding, or a misfit that all components share
-    return np.asarray(correlation * np.outer(deviation, deviation))
 
 
 def replaced(fit: ReleaseFit, number: int, *, segment: Segment, own: Array) -> ReleaseFit:

@@ -19,13 +19,10 @@ from aerobalance.identification.coupled.combinations import (
     combination_of,
     combination_text,
     first_release_for,
-    pairs,
 )
-from aerobalance.identification.coupled.conclusions import colour_of, rigid_of
-from aerobalance.identification.coupled.modes import ModeTable
-from aerobalance.identification.coupled.result import APPLIED
+from aerobalance.identification.coupled.conclusions import colour_of, residual_size, rigid_of
+from aerobalance.identification.coupled.result import APPLIED, common_parts
 from aerobalance.identification.coupled.units import Units, dynamics_of
-from aerobalance.identification.force_error import error_of, force_weights, highest_of
 from aerobalance.identification.step_relaxation.calibration_errors import covariance_of_calibration
 from aerobalance.identification.step_relaxation.experiment_design import advice, excitation, unmoved
 from aerobalance.identification.step_relaxation.fit import ReleaseFit, reweighed
@@ -217,44 +214,37 @@ def _result(
     given: bool,
     share: float,
 ) -> CoupledIdentification:
-    applied = APPLIED * units.sizes
-    error = error_of(dynamics.covariance, force_weights(dynamics, sizes=applied))
     duration = float(np.median([record.time[-1] - record.time[0] for record in records]))
     further = advice(
         fit,
         units,
         dynamics,
         step=share * units.sizes,
-        applied=applied,
+        applied=APPLIED * units.sizes,
         duration=duration,
         rate=records[0].rate,
     )
     rigid, notes = rigid_of(dynamics, mass)
     if rigid is not None:
         dynamics = replace(dynamics, mass=rigid.mass)
-    deviation, reduced = _residual_size(fit, units, records)
-    up, _ = pairs(fit.motion)
-    table = ModeTable.of(dynamics, sizes=units.sizes)
-    found = CoupledIdentification(
-        dynamics=dynamics,
-        modes=table.modes,
-        u_natural_frequency=table.u_natural_frequency,
-        u_damping_ratio=table.u_damping_ratio,
-        mode_shapes=table.shapes,
-        combinations=np.array([combination_of(fit.motion, mode) for mode in range(len(up))]),
-        releases=_releases(fit, units, records),
+    deviation, reduced = residual_size(
+        fit.residuals,
+        degrees_of_freedom=fit.degrees_of_freedom,
+        sizes=units.sizes,
+        noises=[record.noise for record in records],
+    )
+    common = common_parts(
+        dynamics,
+        fit.motion,
         half_range=units.sizes,
         half_range_given=given,
         residual_deviation=deviation,
         reduced_chi2=reduced,
         colour=colour,
         degrees_of_freedom=fit.degrees_of_freedom,
-        applied=applied,
-        band=(0.0, highest_of(dynamics)),
-        force_error=error,
-        advice=further,
-        rigid=rigid,
-        notes=(),
+    )
+    found = CoupledIdentification(
+        **common, notes=(), releases=_releases(fit, units, records), advice=further, rigid=rigid
     )
     return replace(found, notes=(*release_warnings(found), *notes))
 
@@ -274,14 +264,6 @@ def _notes_on_modes(found: CoupledIdentification, chosen: ChosenFit) -> list[str
         f"{other}{reason}; the dynamics leave it out, and the force is wrong there by what it carries"
     )
     return [text]
-
-
-def _residual_size(fit: ReleaseFit, units: Units, records: list[ReleaseRecord]) -> tuple[Array, Array]:
-    """Standard deviation of the residuals [N, N*m], and their variance over that of the noise given or judged."""
-    squares = sum(np.sum(linear.ringing**2, axis=0) + np.sum(linear.held**2, axis=0) for linear in fit.linears)
-    deviation = np.sqrt(squares * fit.size / max(fit.degrees_of_freedom, 1)) * units.sizes
-    noise = np.sqrt(np.mean([record.noise**2 for record in records], axis=0))
-    return deviation, (deviation / noise) ** 2
 
 
 def _releases(fit: ReleaseFit, units: Units, records: list[ReleaseRecord]) -> tuple[ReleaseFound, ...]:

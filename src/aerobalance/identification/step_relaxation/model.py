@@ -219,29 +219,16 @@ def _functions(segment: Segment, motion: FreeMotion, own: Array) -> tuple[Expone
     state, matrices = motion.by_state(), motion.by_matrices(sizes)
     if segment.kind == "free":
         nothing = np.zeros((2 * size, n, n), dtype=np.complex128)
-        return joined([ExponentialSums(nothing, nothing, np.zeros((n, n))), state, matrices]), whole
-    loads = _picked(state, slice(n))
+        return ExponentialSums.joined([ExponentialSums(nothing, nothing, np.zeros((n, n))), state, matrices]), whole
+    loads = state.picked(slice(n))
     away = ExponentialSums(-loads.plain, -loads.late, -loads.constant)
     parts = [away, loads, motion.by_time(whole)]
     if segment.anywhere:
-        parts += [_picked(state, slice(n, size)), _picked(state, slice(size + n, 2 * size))]
+        parts += [state.picked(slice(n, size)), state.picked(slice(size + n, 2 * size))]
     parts.append(matrices)
     if segment.kind == "release":
-        return joined(parts), whole
+        return ExponentialSums.joined(parts), whole
     plain, late, steeper = _means(motion, float(own[2 * n + 1]))
     parts = [part.weighted(plain, late) for part in parts]
     parts.insert(3, whole.weighted(steeper, np.zeros_like(steeper)))
-    return joined(parts), whole.weighted(plain, late)
-
-
-def _picked(functions: ExponentialSums, which: slice) -> ExponentialSums:
-    return ExponentialSums(functions.plain[:, :, which], functions.late[:, :, which], functions.constant[:, which])
-
-
-def joined(parts: list[ExponentialSums]) -> ExponentialSums:
-    """Return all functions of several sets as one set."""
-    return ExponentialSums(
-        np.concatenate([part.plain for part in parts], axis=2),
-        np.concatenate([part.late for part in parts], axis=2),
-        np.concatenate([part.constant for part in parts], axis=1),
-    )
+    return ExponentialSums.joined(parts), whole.weighted(plain, late)

@@ -11,13 +11,12 @@ import numpy as np
 from aerobalance.identification.coupled.era import Guess, first_guess, fit_state
 from aerobalance.identification.coupled.free_response import FreeMotion
 from aerobalance.identification.coupled.internal_coordinates import renewed
-from aerobalance.identification.coupled.least_squares import motion_of, whitener_of
+from aerobalance.identification.coupled.least_squares import motion_of, noise_of_residuals, whitener_of
 from aerobalance.identification.coupled.units import Units, with_hidden
 from aerobalance.identification.step_relaxation.fit import (
     ReleaseFit,
     others_than,
     replaced,
-    residual_noise,
     settle,
     total_squares,
 )
@@ -138,7 +137,12 @@ def with_edges(free: ReleaseFit, records: Sequence[ReleaseRecord], units: Units)
 
 
 def _with_noise(fit: ReleaseFit, least: Array) -> ReleaseFit:
-    return settle(fit.segments, fit.matrices, fit.own, noise=residual_noise(fit, least=least))
+    return settle(
+        fit.segments,
+        fit.matrices,
+        fit.own,
+        noise=noise_of_residuals(fit.residuals, degrees_of_freedom=fit.degrees_of_freedom, least=least),
+    )
 
 
 def _check_let_go(fit: ReleaseFit) -> None:
