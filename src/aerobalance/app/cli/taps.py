@@ -143,10 +143,8 @@ def identify_modes(
     replace: Replace = False,
 ) -> None:
     """Take poles and shapes that a modal program has found of the response functions of taps."""
-    from aerobalance.app.commands import identify_impact
-
     show(
-        lambda: identify_impact.identify_modes(modes, out, component=component, mass=mass, take=take or ()),
+        lambda: command.identify_modes(modes, out, component=component, mass=mass, take=take or ()),
         Manner(as_json, verbose, replace),
         doing="taking the modes",
     )

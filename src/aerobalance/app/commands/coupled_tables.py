@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
 from aerobalance.identification.coupled.combinations import combination_text
 from aerobalance.identification.coupled.internal_coordinates import slow_matrices
 from aerobalance.identification.coupled.result import CoupledResult
-from aerobalance.identification.rigid_body import Departure, centre_agreement
+from aerobalance.identification.rigid_body import Departure, RigidMassFit, centre_agreement
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, si_unit
 
@@ -56,14 +57,44 @@ def common_details(found: CoupledResult) -> Result:
     }
 
 
-def test_details(test: Departure) -> Result:
-    """A test as plain data."""
+RIGID_TESTS: Final = {
+    "rigidity": "rigid mass on a symmetric stiffness",
+    "reciprocity": "symmetric damping",
+    "centre_of_gravity": "centre of gravity as weighed",
+}
+"""Tests of the rigid mass behind A, in words."""
+
+
+def rigid_tests(rigid: RigidMassFit | None, weighing: Weighing | None) -> dict[str, Departure | None]:
+    """Tests of the rigid mass, by the names of `RIGID_TESTS`; none where no mass was found."""
+    if rigid is None:
+        return {}
     return {
-        "chi2": test.chi2,
-        "degrees_of_freedom": test.degrees_of_freedom,
-        "p_value": test.p_value,
-        "holds": test.chance,
+        "rigidity": rigid.rigidity,
+        "reciprocity": rigid.reciprocity,
+        "centre_of_gravity": centre_test(rigid.mass, weighing),
     }
+
+
+def tests_details(tests: Mapping[str, Departure | None]) -> Result:
+    """The tests that could be made, as plain data."""
+    return {
+        name: {
+            "chi2": test.chi2,
+            "degrees_of_freedom": test.degrees_of_freedom,
+            "p_value": test.p_value,
+            "holds": test.chance,
+        }
+        for name, test in tests.items()
+        if test is not None
+    }
+
+
+def rigid_text(rigid: RigidMassFit | None, weighing: Weighing | None) -> list[str]:
+    """The rigid mass and its tests in words, one part; none where no mass was found."""
+    if rigid is None:
+        return []
+    return ["\n".join([mass_text(rigid.mass), *tests_text(rigid_tests(rigid, weighing), RIGID_TESTS)])]
 
 
 def by_component(values: Array, names: Sequence[str]) -> Result:
@@ -95,7 +126,12 @@ def modes_table(found: CoupledResult) -> str:
     return table_text("Modes; shapes and loads over half of range", heads, rows)
 
 
-def matrix_table(dynamics: CoupledDynamics, kind: str, half_range: Array) -> str:
+def matrices_text(dynamics: CoupledDynamics, half_range: Array) -> list[str]:
+    """A and D with their uncertainties, a table each."""
+    return [_matrix_table(dynamics, kind, half_range) for kind in ("inertia", "damping")]
+
+
+def _matrix_table(dynamics: CoupledDynamics, kind: str, half_range: Array) -> str:
     """One matrix with its uncertainties; loads over half of range, so that all elements have one unit."""
     names, n = dynamics.components, len(dynamics.components)
     ratio = half_range[None, :] / half_range[:, None]
@@ -148,11 +184,11 @@ def mass_text(mass: RigidMass) -> str:
     return f"Rigid mass {mass.mass:.6g} kg, centre of gravity {centre}"
 
 
-def tests_text(tests: Mapping[str, Departure | None]) -> list[str]:
-    """Lines that say which tests hold."""
+def tests_text(tests: Mapping[str, Departure | None], words: Mapping[str, str]) -> list[str]:
+    """Lines that say which tests hold; `words` say what each is."""
     return [
-        f"{name}: {'holds' if test.chance else 'does not hold'} (chi2 {test.chi2:.3g} for {test.degrees_of_freedom} "
-        "degrees of freedom)"
+        f"{words[name]}: {'holds' if test.chance else 'does not hold'} (chi2 {test.chi2:.3g} for "
+        f"{test.degrees_of_freedom} degrees of freedom)"
         for name, test in tests.items()
         if test is not None
     ]

@@ -12,14 +12,13 @@ import numpy as np
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.coupled_tables import (
     by_component,
-    centre_test,
     common_details,
     error_table,
-    mass_text,
-    matrix_table,
+    matrices_text,
     modes_table,
-    test_details,
-    tests_text,
+    rigid_tests,
+    rigid_text,
+    tests_details,
 )
 from aerobalance.app.commands.identify import number_of_modes
 from aerobalance.app.commands.shared import Result, amounts, check_out, collected_warnings, recording_of, table_text
@@ -201,12 +200,7 @@ def _details(found: CoupledIdentification, weighing: Weighing | None) -> Result:
         },
     }
     if found.rigid is not None:
-        tests = {
-            "rigidity": found.rigid.rigidity,
-            "reciprocity": found.rigid.reciprocity,
-            "centre_of_gravity": centre_test(found.rigid.mass, weighing),
-        }
-        details["tests"] = {name: test_details(test) for name, test in tests.items() if test is not None}
+        details["tests"] = tests_details(rigid_tests(found.rigid, weighing))
     return details
 
 
@@ -215,8 +209,7 @@ def summary(found: CoupledIdentification, weighing: Weighing | None = None) -> s
     names = found.dynamics.components
     parts = [
         modes_table(found) + _further_text(found),
-        matrix_table(found.dynamics, "inertia", found.half_range),
-        matrix_table(found.dynamics, "damping", found.half_range),
+        *matrices_text(found.dynamics, found.half_range),
         _releases_table(found),
         error_table(found),
     ]
@@ -230,14 +223,7 @@ def summary(found: CoupledIdentification, weighing: Weighing | None = None) -> s
             "The uncertainties contain what the calibration of the balance leaves. The force error does not: force "
             "counts the\nbalance matrix on its own."
         )
-    if found.rigid is not None:
-        tests = {
-            "rigid mass on a symmetric stiffness": found.rigid.rigidity,
-            "symmetric damping": found.rigid.reciprocity,
-            "centre of gravity as weighed": centre_test(found.rigid.mass, weighing),
-        }
-        parts.append("\n".join([mass_text(found.rigid.mass), *tests_text(tests)]))
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join([*parts, *rigid_text(found.rigid, weighing)]) + "\n"
 
 
 def _further_text(found: CoupledIdentification) -> str:

@@ -1,4 +1,4 @@
-"""Commands that identify dynamics from taps with an instrumented hammer, and from modes that another program found."""
+"""Command that identifies dynamics from taps with an instrumented hammer, or from a shaker."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ import numpy as np
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.coupled_tables import (
     by_component,
-    centre_test,
     common_details,
     error_table,
-    mass_text,
-    matrix_table,
+    matrices_text,
     modes_table,
-    test_details,
-    tests_text,
+    rigid_tests,
+    rigid_text,
+    tests_details,
 )
 from aerobalance.app.commands.doubts import doubt_result
 from aerobalance.app.commands.identify import CALIBRATION_DROPS_OUT, identified, number_of_modes
@@ -34,14 +33,11 @@ from aerobalance.app.commands.shared import (
 )
 from aerobalance.app.commands.weighing import mass_file, parse_mass
 from aerobalance.balance.weighing.result import Weighing
-from aerobalance.identification.from_modes import dynamics_of_modes, one_of_pole
 from aerobalance.identification.identify import identify
 from aerobalance.identification.impact.tap_point import U_DIRECTION, U_PLACE, TapPoint, point_of
 from aerobalance.identification.impact.tap_result import ImpactFit, ImpactIdentification, Taps
 from aerobalance.io.artefacts import digest
-from aerobalance.io.coupled_part import coupled_payload
-from aerobalance.io.dynamics_file import write_dynamics
-from aerobalance.io.modal_uff import ReadModes, WrittenResponse, read_modes, write_responses
+from aerobalance.io.modal_uff import WrittenResponse, write_responses
 from aerobalance.recording.components import AXIS_VECTORS, COMPONENTS, DIRECTIONS, MOMENTS
 from aerobalance.recording.errors import FitError
 
@@ -307,12 +303,7 @@ def _coupled_details(found: ImpactIdentification, weighing: Weighing | None) -> 
         **_taps_details(found.taps, found.dynamics.components),
     }
     if found.rigid is not None:
-        tests = {
-            "rigidity": found.rigid.rigidity,
-            "reciprocity": found.rigid.reciprocity,
-            "centre_of_gravity": centre_test(found.rigid.mass, weighing),
-        }
-        details["tests"] = {name: test_details(test) for name, test in tests.items() if test is not None}
+        details["tests"] = tests_details(rigid_tests(found.rigid, weighing))
     return details
 
 
@@ -320,82 +311,8 @@ def _summary(found: ImpactIdentification, weighing: Weighing | None) -> str:
     """Tables for people: modes, matrices, taps and what they leave."""
     parts = [
         modes_table(found),
-        matrix_table(found.dynamics, "inertia", found.half_range),
-        matrix_table(found.dynamics, "damping", found.half_range),
+        *matrices_text(found.dynamics, found.half_range),
         _taps_table(found.taps),
         error_table(found),
     ]
-    if found.rigid is not None:
-        tests = {
-            "rigid mass on a symmetric stiffness": found.rigid.rigidity,
-            "symmetric damping": found.rigid.reciprocity,
-            "centre of gravity as weighed": centre_test(found.rigid.mass, weighing),
-        }
-        parts.append("\n".join([mass_text(found.rigid.mass), *tests_text(tests)]))
-    return "\n\n".join(parts) + "\n"
-
-
-def identify_modes(
-    path: Path,
-    out: Path | None,
-    *,
-    component: str = "AF",
-    mass: str | None = None,
-    take: Sequence[int] = (),
-) -> Result:
-    """Dynamics from the poles and shapes that a modal program found.
-
-    Parameters
-    ----------
-    path
-        Universal file with datasets 55.
-    out
-        dynamics.json to write, or None.
-    component
-        The component, or all.
-    mass
-        Moving mass: a number [kg] or mass.json; None leaves the mass matrix of all components out.
-    take
-        Numbers of the modes that are taken, the slowest 1; all where left out.
-    """
-    check_out(out, path, mass_file(mass), kind="dynamics")
-    if component != "all":
-        known_component(component)
-        if mass is None:
-            raise ValueError("Missing option '--mass': a pole tells mass over stiffness only")
-    modes = _taken(read_modes(path), take)
-    listed = ", ".join(f"{abs(pole) / (2 * np.pi):.4g}" for pole in modes.poles)
-    with collected_warnings() as collected:
-        if component != "all":
-            if modes.poles.size != 1:
-                raise ValueError(
-                    f"one component has one mode here; {path} has {modes.poles.size} ({listed} Hz): choose one with "
-                    "--mode 1 (the slowest) and so on"
-                )
-            weighed = parse_mass(mass or "", component)
-            single = one_of_pole(complex(modes.poles[0]), component, mass=weighed or 0.0)
-            details = {"method": "pole of a modal program"}
-            return identified(path, out, single, details, mass=mass, collected=collected)
-        weighed, _ = weighed_mass(mass)
-        dynamics, rigid = dynamics_of_modes(modes.poles, modes.shapes, mass=weighed)
-    if rigid is not None:
-        dynamics = replace(dynamics, mass=rigid.mass)
-    details = {"method": "poles and shapes of a modal program"}
-    if out is not None:
-        inputs = [path, *(file for file in (mass_file(mass),) if file is not None)]
-        settings = {"mass": mass if mass_file(mass) is None else Path(str(mass)).name, "components": list(COMPONENTS)}
-        write_dynamics(out, dynamics, details=details, inputs=inputs, settings=settings, warnings=collected)
-    rows = [[f"{mode.natural_frequency:.4f}", f"{100 * mode.damping_ratio:.4f}"] for mode in dynamics.modes]
-    text = table_text(f"{path.name}: six components of its modes", ["f0 [Hz]", "damping [%]"], rows)
-    return {**coupled_payload(dynamics), "fit": details, "summary": text + "\n", "warnings": collected}
-
-
-def _taken(modes: ReadModes, take: Sequence[int]) -> ReadModes:
-    """The modes that are wanted."""
-    if not take:
-        return modes
-    wrong = [number for number in take if not 1 <= number <= modes.poles.size]
-    if wrong or len(set(take)) < len(take):
-        raise ValueError(f"--mode must be numbers from 1 to {modes.poles.size}, each once, not {list(take)}")
-    places = [number - 1 for number in take]
-    return ReadModes(modes.poles[places], modes.shapes[places])
+    return "\n\n".join([*parts, *rigid_text(found.rigid, weighing)]) + "\n"

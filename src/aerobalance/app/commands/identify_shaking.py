@@ -14,9 +14,9 @@ from aerobalance.app.commands.coupled_tables import (
     common_details,
     error_table,
     mass_text,
-    matrix_table,
+    matrices_text,
     modes_table,
-    test_details,
+    tests_details,
     tests_text,
 )
 from aerobalance.app.commands.identify_coupled import weighed_mass, written_result
@@ -108,7 +108,7 @@ def _details(found: ShakingIdentification, weighing: Weighing | None) -> Result:
                 name: by_component(errors, names) for name, errors in zip(names, found.advice.errors, strict=True)
             },
         },
-        "tests": {name: test_details(test) for name, test in _tests(found, weighing).items() if test is not None},
+        "tests": tests_details(_tests(found, weighing)),
     }
 
 
@@ -135,9 +135,8 @@ _WORDS = {
 def _summary(found: ShakingIdentification, weighing: Weighing | None) -> str:
     """Tables for people: modes, matrices, records, what they leave, and what would help."""
     place = COMPONENTS.index(found.advice.best)
-    tests = {_WORDS[name]: test for name, test in _tests(found, weighing).items()}
     lines = [] if found.rigid.mass is None else [mass_text(found.rigid.mass)]
-    lines += tests_text(tests)
+    lines += tests_text(_tests(found, weighing), _WORDS)
     lines.append(f"loads behind the ground's motion: {1e6 * found.delay[0]:.3g} us (u = {1e6 * found.delay[1]:.2g})")
     help_text = (
         f"One shake more would help most in the ground's {motion_name(place)} ({found.advice.sizes[place]:.3g} "
@@ -145,8 +144,7 @@ def _summary(found: ShakingIdentification, weighing: Weighing | None) -> str:
     )
     parts = [
         modes_table(found),
-        matrix_table(found.dynamics, "inertia", found.half_range),
-        matrix_table(found.dynamics, "damping", found.half_range),
+        *matrices_text(found.dynamics, found.half_range),
         _shakes_table(found),
         error_table(found),
         help_text,

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.app.commands.coupled_tables import mass_text, matrix_table, test_details, tests_text
+from aerobalance.app.commands.coupled_tables import mass_text, matrices_text, tests_details, tests_text
 from aerobalance.app.commands.shared import Result, check_out, collected_warnings, table_text
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.identification.coupled.modes import ModeTable
@@ -131,7 +131,7 @@ def _comparison(
 ) -> Result:
     ours, theirs = (ModeTable.of(one, sizes=ONE) for one in (found, identified))
     return {
-        "agreement": None if test is None else test_details(test),
+        "agreement": tests_details({"agreement": test}).get("agreement"),
         "elements": [
             {
                 "name": item.name,
@@ -165,8 +165,7 @@ def _summary(
     """Tables for people."""
     parts = [
         _modes_text(found, identified),
-        matrix_table(found, "inertia", ONE),
-        matrix_table(found, "damping", ONE),
+        *matrices_text(found, ONE),
     ]
     if found.mass is not None:
         parts.append(mass_text(found.mass))
@@ -180,7 +179,7 @@ def _summary(
         heads = ["element", "from stiffness", "identified", "u of difference", "over u"]
         parts.append(table_text("Elements that depart most", heads, rows))
         word = "A and D as identified" if damping else "A as identified"
-        parts.append("\n".join(tests_text({word: test})))
+        parts.append("\n".join(tests_text({"agreement": test}, {"agreement": word})))
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
