@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from aerobalance.app.cli.options import Json, Replace, Verbose, example
+from aerobalance.app.cli.options import Json, Verbose, bundled, example
 from aerobalance.app.cli.result import Manner, show
 
 app = typer.Typer()
@@ -28,6 +28,7 @@ Workers = Annotated[
 
 
 @app.command(epilog=example("campaign runs --dynamics dynamics.json -o results"))
+@bundled
 def campaign(
     test: Test,
     out: OutFolder,
@@ -35,9 +36,8 @@ def campaign(
     balance: FolderBalance = None,
     scheduler: Scheduler = None,
     workers: Workers = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    *,
+    manner: Manner,
 ) -> None:
     """Reduce many runs to one row each: loads, forces, coefficients with uncertainty; only what is not done yet."""
     from aerobalance.app.campaign.engine import Engine
@@ -51,8 +51,8 @@ def campaign(
 
     engine = Engine(scheduler=scheduler, workers=workers, told=say)
     show(
-        lambda: command.campaign(test, out, dynamics=dynamics, balance=balance, engine=engine, replace=replace),
-        Manner(as_json, verbose, replace),
+        lambda: command.campaign(test, out, dynamics=dynamics, balance=balance, engine=engine, replace=manner.replace),
+        manner,
         doing="reducing runs",
     )
 

@@ -10,8 +10,8 @@ import typer
 from aerobalance.app.cli.options import (
     PROGRAM,
     Component,
+    Gauges,
     Gravity,
-    Json,
     Map,
     Mass,
     MaybeBalance,
@@ -19,13 +19,10 @@ from aerobalance.app.cli.options import (
     Modes,
     OnZero,
     Out,
-    Replace,
-    Tare,
     TermModel,
-    Verbose,
     Way,
     Zero,
-    ZeroAfter,
+    bundled,
     capital,
     example,
     gauge_files,
@@ -49,6 +46,7 @@ app.add_typer(identify, name="identify")
 
 
 @app.command(epilog=example("calibrate schedule.csv --model auto -o balance.json --report calibration.html"))
+@bundled
 def calibrate(
     schedule: Annotated[
         Path,
@@ -96,9 +94,8 @@ def calibrate(
         typer.Option("--map", help="Channel map (TOML) that says what the columns of a table or spreadsheet are."),
     ] = None,
     report: Annotated[Path | None, typer.Option("--report", help="Write a page with figures and tables.")] = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    *,
+    manner: Manner,
 ) -> None:
     """Make a balance matrix from a load schedule, with its statistics."""
     from aerobalance.app.commands import calibration
@@ -117,12 +114,13 @@ def calibrate(
             channel_map=channel_map,
             report=report,
         ),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="fitting the matrix",
     )
 
 
 @app.command("compare-calibrations", epilog=example("compare-calibrations schedule_2022.csv schedule.csv"))
+@bundled
 def compare_calibrations(
     before: Annotated[Path, typer.Argument(metavar="BEFORE", help="balance.json, or a load schedule.")],
     after: Annotated[Path, typer.Argument(metavar="AFTER", help="The later one of the same balance.")],
@@ -130,21 +128,21 @@ def compare_calibrations(
     model: Annotated[
         TermModel, typer.Option("--model", help="Terms offered where a schedule is given.")
     ] = TermModel.AUTO,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    *,
+    manner: Manner,
 ) -> None:
     """Show what has changed between two calibrations of one balance, and whether it is more than chance."""
     from aerobalance.app.commands import calibration
 
     show(
         lambda: calibration.compare(before, after, out, model=model.value),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="comparing",
     )
 
 
 @app.command(epilog=example("weigh points.csv -o mass.json"))
+@bundled
 def weigh(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", callback=given_all, help="Static points, or recordings.")
@@ -161,9 +159,8 @@ def weigh(
     zero: Zero = None,
     model_on_zero: OnZero = ModelOnZero.AUTO,
     channel_map: Map = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    *,
+    manner: Manner,
 ) -> None:
     """Find mass and centre of gravity from readings at several pitch (and roll) angles."""
     from aerobalance.app.commands import weighing
@@ -177,12 +174,13 @@ def weigh(
             files=gauge_files(balance, zero, model_on_zero, None, None),
             channel_map=channel_map,
         ),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="weighing",
     )
 
 
 @identify.command("decay", epilog=example("identify decay cut.csv --component AF --mass 177.87 -o dynamics.json"))
+@bundled
 def identify_decay(
     recs: Annotated[
         list[Path],
@@ -213,25 +211,13 @@ def identify_decay(
         ),
     ] = None,
     half_range: HalfRange = None,
-    balance: Annotated[
-        Path | None,
-        typer.Option(
-            "--balance",
-            help="balance.json, for gauge outputs (rAF ...) instead of loads; with all, what its calibration leaves "
-            "in A and D is then known.",
-        ),
-    ] = None,
-    zero: Zero = None,
-    model_on_zero: OnZero = ModelOnZero.AUTO,
-    zero_after: ZeroAfter = None,
-    tare: Tare = None,
+    *,
+    gauges: Gauges,
     channel_map: Map = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    manner: Manner,
 ) -> None:
     """Identify from a free decay: a load that is held and released."""
-    files = gauge_files(balance, zero, model_on_zero, zero_after, tare)
+    files = gauges.files
     if component == "all":
         from aerobalance.app.commands import identify_coupled
 
@@ -246,7 +232,7 @@ def identify_decay(
                 files=files,
                 channel_map=channel_map,
             ),
-            Manner(as_json, verbose, replace),
+            manner,
             doing="fitting the releases",
         )
         return
@@ -259,12 +245,13 @@ def identify_decay(
         lambda: identify.identify_decay(
             rec, out, component=component, mass=mass, modes=modes or "1", files=files, channel_map=channel_map
         ),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="fitting the decay",
     )
 
 
 @identify.command("rig", epilog=example("identify rig sweep.csv --component AF --mass 0.68 -o dynamics_rig.json"))
+@bundled
 def identify_rig(
     recs: Annotated[
         list[Path],
@@ -281,18 +268,13 @@ def identify_rig(
     ] = "AF",
     modes: Modes = "1",
     half_range: HalfRange = None,
-    balance: MaybeBalance = None,
-    zero: Zero = None,
-    model_on_zero: OnZero = ModelOnZero.AUTO,
-    zero_after: ZeroAfter = None,
-    tare: Tare = None,
+    *,
+    gauges: Gauges,
     channel_map: Map = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    manner: Manner,
 ) -> None:
     """Identify from a shaken ground end: stepped sine, sweep or random."""
-    files = gauge_files(balance, zero, model_on_zero, zero_after, tare)
+    files = gauges.files
     if component == "all":
         from aerobalance.app.commands import identify_coupled, identify_shaking
 
@@ -306,7 +288,7 @@ def identify_rig(
         ranges = identify_coupled.half_ranges(half_range or ())
         show(
             lambda: identify_shaking.identify_shaken(recs, out, mass=mass, half_range=ranges, channel_map=channel_map),
-            Manner(as_json, verbose, replace),
+            manner,
             doing="fitting the shaken records",
         )
         return
@@ -317,7 +299,7 @@ def identify_rig(
         lambda: identify.identify_rig(
             rec, out, component=component, mass=mass, modes=modes, files=files, channel_map=channel_map
         ),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="fitting the response",
     )
 
@@ -340,6 +322,7 @@ def _only(recs: list[Path], half_range: list[str] | None) -> Path:
 
 
 @identify.command("frf", epilog=example("identify frf response.csv --component AF --mass 0.68 -o dynamics_frf.json"))
+@bundled
 def identify_frf(
     table: Annotated[
         Path,
@@ -348,16 +331,15 @@ def identify_frf(
     mass: Mass,
     out: Out = None,
     component: Component = "AF",
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    *,
+    manner: Manner,
 ) -> None:
     """Identify from a published sine calibration: the response AF/F at some frequencies."""
     from aerobalance.app.commands import identify
 
     show(
         lambda: identify.identify_frf(table, out, component=component, mass=mass),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="fitting the table",
     )
 
@@ -366,6 +348,7 @@ def identify_frf(
     "stiffness",
     epilog=example("identify stiffness stiffness.csv --mass rigid_mass.toml --ratios 0.01 -o dynamics_six.json"),
 )
+@bundled
 def identify_stiffness(
     table: Annotated[
         Path,
@@ -386,15 +369,14 @@ def identify_stiffness(
         typer.Option("--compare", help="dynamics.json of releases or shaking to compare with; gives missing ratios."),
     ] = None,
     out: Out = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    *,
+    manner: Manner,
 ) -> None:
     """Work out six components from weighed mass, inertia and a stiffness, and compare with those identified."""
     from aerobalance.app.commands import identify_stiffness
 
     show(
         lambda: identify_stiffness.from_stiffness(table, out, mass=mass, ratios=ratios, compare=compare),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="working out the dynamics",
     )

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, cast, get_type_hints
 
 import typer
 
@@ -111,6 +114,53 @@ Tare = Annotated[
         help="Wind-off recording, its loads taken off at the same pitch (may be given again).",
     ),
 ]
+
+
+class Gauges(NamedTuple):
+    """What gauge outputs are reduced with; a bundle of options."""
+
+    balance: MaybeBalance = None
+    zero: Zero = None
+    model_on_zero: OnZero = ModelOnZero.AUTO
+    zero_after: ZeroAfter = None
+    tare: Tare = None
+
+    @property
+    def files(self) -> BalanceFiles | None:
+        """The files, checked; None for a recording of loads."""
+        return gauge_files(*self)
+
+
+def bundled(command: Callable[..., None]) -> Callable[..., None]:
+    """Return the command with the options of a bundle in the place of each parameter that is one.
+
+    A bundle is a named tuple of annotated options. So options that many commands have are declared once, and arrive
+    together.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    bundles: dict[str, type[tuple[Any, ...]]] = {}
+    parameters: list[Parameter] = []
+    for name, parameter in signature(command).parameters.items():
+        kind = hints[name]
+        if isinstance(kind, type) and issubclass(kind, tuple):
+            bundles[name] = kind
+            own, defaults = get_type_hints(kind, include_extras=True), cast("Any", kind)._field_defaults
+            parameters += [
+                Parameter(field, Parameter.KEYWORD_ONLY, default=defaults[field], annotation=own[field])
+                for field in defaults
+            ]
+        else:
+            parameters.append(parameter.replace(kind=Parameter.KEYWORD_ONLY, annotation=kind))
+
+    @wraps(command)
+    def run(**given: Any) -> None:
+        for name, kind in bundles.items():
+            given[name] = kind(*[given.pop(field) for field in cast("Any", kind)._fields])
+        command(**given)
+
+    run.__annotations__ = {one.name: one.annotation for one in parameters} | {"return": None}
+    cast("Any", run).__signature__ = Signature(parameters)
+    return run
 
 
 class TermModel(StrEnum):

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from aerobalance.app.cli import campaigns, recordings, runs, streams, taps
-from aerobalance.app.cli.options import PROGRAM, Json, Replace, Verbose, example
+from aerobalance.app.cli.options import PROGRAM, bundled, example
 from aerobalance.app.cli.result import Manner, show
 from aerobalance.app.options import as_options
 from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
@@ -50,6 +50,7 @@ def options(
 
 
 @app.command(epilog=example("demo --out build/demo"))
+@bundled
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder for the report and all files behind it.")] = Path("demo"),
     seed: Annotated[
@@ -61,14 +62,12 @@ def demo(
     six: Annotated[
         bool, typer.Option("--six", help="Six coupled components instead, from mV/V to forces (six.html).")
     ] = False,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    *,
+    manner: Manner,
 ) -> None:
     """Run both of the paper's experiments, simulated, end to end, and write report.html."""
     if tables and six:
         raise ValueError("--tables and --six are two demonstrations; give one of them")
-    manner = Manner(as_json, verbose, replace)
     if six:
         from aerobalance.app.demos.six_demo import run_six
 

@@ -16,9 +16,9 @@ from aerobalance.app.cli.options import (
     MapOut,
     Maps,
     NeededOut,
-    Replace,
     ToRead,
     Verbose,
+    bundled,
     example,
 )
 from aerobalance.app.cli.result import Manner, show
@@ -51,6 +51,7 @@ class Align(StrEnum):
 
 
 @app.command(epilog=example("convert run.txt --map map.toml -o run.h5"))
+@bundled
 def convert(
     files: Annotated[
         list[Path],
@@ -72,9 +73,8 @@ def convert(
     by: Annotated[
         str | None, typer.Option("--by", metavar="CHANNEL", help="The channel by which several files are aligned.")
     ] = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    *,
+    manner: Manner,
 ) -> None:
     """Convert a recording to the format of the output's ending; make one of several files of one event."""
     from aerobalance.app.commands import recordings
@@ -82,12 +82,13 @@ def convert(
     how = recordings.Alignment(None if align is None else align.value, by)
     show(
         lambda: recordings.convert(files, out, channel_maps=channel_map or (), how=how),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="converting",
     )
 
 
 @app.command("map", epilog=example("map run.txt -o new_map.toml"))
+@bundled
 def channel_map(
     file: ToRead,
     out: MapOut = None,
@@ -97,16 +98,15 @@ def channel_map(
             "--header-line", help="Line of a text file's header, where it is not found; 0 if there is none.", min=0
         ),
     ] = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    *,
+    manner: Manner,
 ) -> None:
     """Make a channel map, to be filled in, for a foreign file."""
     from aerobalance.app.commands import recordings
 
     show(
         lambda: recordings.channel_map_for(file, out, header_line=header_line),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="reading",
     )
 

@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 
 from aerobalance.app.cli import loading, streams
+from aerobalance.app.cli.options import Json, Replace, Verbose
 
 FOR_PEOPLE: Final = ("summary", "details")
 """Texts of a result: the short answer, and tables that go with all of it."""
@@ -28,7 +29,7 @@ _LISTED: Final = 4
 
 
 class Manner(NamedTuple):
-    """How a command answers, and whether it may put its result in the place of any file.
+    """How a command answers, and whether it may put its result in the place of any file; a bundle of options.
 
     Attributes
     ----------
@@ -40,9 +41,9 @@ class Manner(NamedTuple):
         Whether what exists may be replaced even where it is no result of the same kind.
     """
 
-    as_json: bool = False
-    verbose: bool = False
-    replace: bool = False
+    as_json: Json = False
+    verbose: Verbose = False
+    replace: Replace = False
 
 
 def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> None:

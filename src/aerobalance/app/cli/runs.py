@@ -9,25 +9,24 @@ import typer
 
 from aerobalance.app.cli.options import (
     Balance,
+    Gauges,
     Gravity,
     Json,
     LoadForm,
     Map,
-    MaybeBalance,
     Method,
     ModelOnZero,
     NeededOut,
     OnZero,
     PageOut,
     Rec,
-    Replace,
     Tare,
     Verbose,
     Zero,
     ZeroAfter,
+    bundled,
     capital,
     example,
-    gauge_files,
 )
 from aerobalance.app.cli.result import Manner, show
 from aerobalance.recording.components import STANDARD_GRAVITY
@@ -36,6 +35,7 @@ app = typer.Typer()
 
 
 @app.command(epilog=example("loads run.txt --map map.toml --balance balance.json --zero zero.txt -o loads.csv"))
+@bundled
 def loads(
     rec: Rec,
     balance: Balance,
@@ -52,9 +52,8 @@ def loads(
         typer.Option("--form", help="direct: NF PM SF YM RM AF; force: N1 N2 ...; moment: PM1 PM2 ..."),
     ] = None,
     channel_map: Map = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    *,
+    manner: Manner,
 ) -> None:
     """Turn gauge outputs into the loads that the balance feels, with their uncertainty."""
     from aerobalance.app.commands import loads as command
@@ -67,12 +66,13 @@ def loads(
         lambda: command.loads(
             rec, out, files=files, form=None if form is None else form.value, channel_map=channel_map
         ),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="solving for the loads",
     )
 
 
 @app.command(epilog=example("force run.csv --dynamics dynamics.json -o force.csv"))
+@bundled
 def force(
     rec: Rec,
     dynamics: Annotated[Path, typer.Option("--dynamics", help="The dynamics.json that identify wrote.")],
@@ -104,11 +104,8 @@ def force(
         Path | None,
         typer.Option("--noise-record", help="Record of noise alone (wind off, at rest), for noise that is not white."),
     ] = None,
-    balance: MaybeBalance = None,
-    zero: Zero = None,
-    model_on_zero: OnZero = ModelOnZero.AUTO,
-    zero_after: ZeroAfter = None,
-    tare: Tare = None,
+    *,
+    gauges: Gauges,
     channel_map: Map = None,
     monte_carlo: Annotated[
         int | None, typer.Option("--monte-carlo", help="Check the uncertainty by so many draws (JCGM 101).", min=10)
@@ -117,15 +114,13 @@ def force(
     report: Annotated[
         Path | None, typer.Option("--report", help="Page (HTML) with load, force, spectrum and budget.")
     ] = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    manner: Manner,
 ) -> None:
     """Work out the force that was applied, with the standard uncertainty of every sample, its budget and a check."""
     from aerobalance.app.commands import force as command
     from aerobalance.estimation.forces import ForceSettings
 
-    files = gauge_files(balance, zero, model_on_zero, zero_after, tare)
+    files = gauges.files
 
     show(
         lambda: command.force(
@@ -141,7 +136,7 @@ def force(
             check=None if monte_carlo is None else command.Check(monte_carlo, seed),
             report=report,
         ),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="estimating the force",
     )
 
@@ -197,6 +192,7 @@ def plan(
 
 
 @app.command(epilog=example("compare run.csv --dynamics dynamics.json --truth truth.csv -o compare.html"))
+@bundled
 def compare(
     rec: Rec,
     dynamics: Annotated[Path, typer.Option("--dynamics", help="The dynamics.json that identify wrote.")],
@@ -222,21 +218,16 @@ def compare(
     ] = None,
     out: PageOut = None,
     gravity: Gravity = STANDARD_GRAVITY,
-    balance: MaybeBalance = None,
-    zero: Zero = None,
-    model_on_zero: OnZero = ModelOnZero.AUTO,
-    zero_after: ZeroAfter = None,
-    tare: Tare = None,
+    *,
+    gauges: Gauges,
     channel_map: Map = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    manner: Manner,
 ) -> None:
     """Show this estimator and its rivals side by side on one record, with their errors where the truth is given."""
     from aerobalance.app.commands import compare as command
     from aerobalance.app.commands.shared import amounts
 
-    files = gauge_files(balance, zero, model_on_zero, zero_after, tare)
+    files = gauges.files
 
     ranges = amounts(half_range or (), "--half-range")
     show(
@@ -252,6 +243,6 @@ def compare(
             channel_map=channel_map,
             out=out,
         ),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="running the rivals",
     )

@@ -9,20 +9,12 @@ import typer
 
 from aerobalance.app.cli.lab import HalfRange, app, identify
 from aerobalance.app.cli.options import (
-    Json,
+    Gauges,
     Map,
-    MaybeBalance,
-    ModelOnZero,
-    OnZero,
     Out,
-    Replace,
-    Tare,
-    Verbose,
-    Zero,
-    ZeroAfter,
+    bundled,
     capital,
     example,
-    gauge_files,
 )
 from aerobalance.app.cli.result import Manner, show
 from aerobalance.app.cli.streams import given, given_all
@@ -40,6 +32,7 @@ MaybeMass = Annotated[
 
 
 @identify.command("impact", epilog=example("identify impact taps.csv --component AF --mass 177.87 -o dynamics.json"))
+@bundled
 def identify_impact(
     recs: Annotated[
         list[Path],
@@ -87,22 +80,17 @@ def identify_impact(
         Path | None,
         typer.Option("--responses", help="Write the response functions for modal programs (.uff, datasets 58)."),
     ] = None,
-    balance: MaybeBalance = None,
-    zero: Zero = None,
-    model_on_zero: OnZero = ModelOnZero.AUTO,
-    zero_after: ZeroAfter = None,
-    tare: Tare = None,
+    *,
+    gauges: Gauges,
     channel_map: Map = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    manner: Manner,
 ) -> None:
     """Identify from taps with an instrumented hammer, or a shaker: a measured force at known points and directions."""
     from aerobalance.app.commands import identify_coupled, identify_impact
 
     if half_range and component != "all":
         raise ValueError("--half-range goes with --component all")
-    files = gauge_files(balance, zero, model_on_zero, zero_after, tare)
+    files = gauges.files
     points = identify_impact.tap_points(at or (), direction or (), count=len(recs), u_at=u_at, u_direction=u_direction)
     ranges = identify_coupled.half_ranges(half_range or ())
     show(
@@ -118,12 +106,13 @@ def identify_impact(
             channel_map=channel_map,
             responses=responses,
         ),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="fitting the taps",
     )
 
 
 @identify.command("modes", epilog=example("identify modes modes.uff --component AF --mass 177.87 -o dynamics.json"))
+@bundled
 def identify_modes(
     modes: Annotated[
         Path,
@@ -138,13 +127,14 @@ def identify_modes(
         list[int] | None,
         typer.Option("--mode", help="Take these modes only, by number; the slowest is 1 (may be given again)."),
     ] = None,
-    as_json: Json = False,
-    verbose: Verbose = False,
-    replace: Replace = False,
+    *,
+    manner: Manner,
 ) -> None:
     """Take poles and shapes that a modal program has found of the response functions of taps."""
+    from aerobalance.app.commands import identify_modes as command
+
     show(
         lambda: command.identify_modes(modes, out, component=component, mass=mass, take=take or ()),
-        Manner(as_json, verbose, replace),
+        manner,
         doing="taking the modes",
     )
