@@ -41,6 +41,8 @@ def test_four(number):
 def suite(pytester, monkeypatch):
     """A folder for a small suite of tests, with the seeds of this one."""
     monkeypatch.delenv("AEROBALANCE_SEED", raising=False)
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # most plug-ins have no part in this and take seconds
+    monkeypatch.setenv("PYTEST_PLUGINS", "_hypothesis_pytestplugin,xdist.plugin")
     (pytester.path / "seeds.py").write_text((HERE / "seeds.py").read_text(encoding="utf-8"), encoding="utf-8")
     pytester.makeconftest('pytest_plugins = ["seeds"]')
     return pytester
