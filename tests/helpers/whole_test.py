@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from aerobalance.app.campaign.resolved import WIND_COEFFICIENTS
 from aerobalance.balance.calibration.fit import calibrate
 from aerobalance.io import write_recording
 from aerobalance.io.balance_file import write_balance
@@ -23,6 +22,7 @@ from aerobalance.simulation.calibration_stand import CalibrationStand
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import SixComponentRig
 from aerobalance.simulation.six_signals import Band, broadband
+from aerobalance.uncertainty.mean_in_axes import WIND_COEFFICIENTS
 
 PRESSURE, U_PRESSURE = 1500.0, 3.0
 CENTRE = (0.02, 0.0, -0.01)

@@ -201,6 +201,18 @@ class Frame:
         return np.stack(slopes, axis=2)
 
 
+def angles_of_attitude(pitch: float, roll: float) -> tuple[float, float]:
+    """Return angle of attack and sideslip of a body that is pitched up and then rolled, in a level wind [rad].
+
+    Parameters
+    ----------
+    pitch, roll
+        Attitude of the body, whose nose points into the wind but for these [rad].
+    """
+    aft, right, up = rotation(pitch, roll, 0.0)[0] @ np.array([1.0, 0.0, 0.0])
+    return float(np.arctan2(up, aft)), float(-np.arcsin(np.clip(right, -1.0, 1.0)))
+
+
 def wind_loads(
     body: ResolvedLoads,
     *,

@@ -13,7 +13,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -217,6 +217,60 @@ def spectrum(estimate: ComponentForce | ForceSummary, *, rate: float) -> ForceSp
     whole = density + noise if smoothed else np.maximum(density - noise, 0.0)
     frequency = np.asarray(np.arange(density.size) * (rate / length), dtype=np.float64)
     return ForceSpectrum(frequency, whole, whole / np.sqrt(count), np.asarray(np.sqrt(variance)))
+
+
+@dataclass(frozen=True, slots=True)
+class BandLevel:
+    """Rms of a force in a band of frequencies.
+
+    Attributes
+    ----------
+    low, high
+        The band [Hz].
+    rms, u
+        Rms [N, N*m] and its standard uncertainty as the force was in this record, errors of all frequencies taken as
+        one; None beyond half of the sampling rate.
+    """
+
+    low: float
+    high: float
+    rms: float | None
+    u: float | None
+
+
+def band_levels(part: ComponentForce, bands: Sequence[tuple[float, float]], *, rate: float) -> tuple[BandLevel, ...]:
+    """Return the rms of a force in bands of frequencies [N, N*m].
+
+    Parameters
+    ----------
+    part
+        The force.
+    bands
+        Lower and upper frequency of each [Hz].
+    rate
+        Sampling rate [Hz].
+    """
+    found = spectrum(part, rate=rate)
+    step = float(found.frequency[1]) if found.frequency.size > 1 else 0.0
+    levels = []
+    for low, high in bands:
+        if not step or low >= rate / 2:
+            levels.append(BandLevel(low, high, None, None))
+            continue
+        # each ordinate stands for the frequencies half a step about it
+        share = _overlap(found.frequency, step, low, high)
+        power = float(found.density @ share)
+        u_power = float(found.uncertainty @ share)
+        rms = float(np.sqrt(power))
+        u = u_power / (2 * max(rms, float(np.sqrt(u_power)) / 2)) if u_power else 0.0
+        levels.append(BandLevel(low, high, rms, u))
+    return tuple(levels)
+
+
+def _overlap(frequency: Array, step: float, low: float, high: float) -> Array:
+    """Widths of a band that belong to the ordinates [Hz], shape (m,)."""
+    upper, lower = np.minimum(frequency + step / 2, high), np.maximum(frequency - step / 2, max(low, 0.0))
+    return np.asarray(np.maximum(upper - lower, 0.0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -282,11 +282,11 @@ def write_summary(campaign: Campaign, results: Results) -> None:
             "quantity": one.quantity,
             **one.condition,
             "runs": list(one.runs),
-            "mean": one.mean,
-            "deviation": one.deviation,
-            "expected": one.expected,
-            "chi_square": one.chi_square,
-            "degrees_of_freedom": one.freedom,
+            "mean": one.scatter.mean,
+            "deviation": one.scatter.deviation,
+            "expected": one.scatter.expected,
+            "chi_square": one.scatter.chi_square,
+            "degrees_of_freedom": one.scatter.freedom,
         }
         for one in campaign.quality.repeats
     ]

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 from typing import Any, Final
 
 import numpy as np
 
 from aerobalance.app.campaign.definition import Repeats
-from aerobalance.app.campaign.rows import ASIDE, REDUCED
+from aerobalance.app.campaign.rows import ASIDE, REDUCED, with_unit
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.components import COMPONENTS, si_unit
+from aerobalance.uncertainty.repeats import Pooled, Scatter, pooled, trend
 
 COEFFICIENTS: Final = ("CL", "CD", "CPM", "CY", "CYM", "CRM")
 """Coefficients that are looked at, where there are any."""
@@ -85,46 +86,14 @@ class RepeatGroup:
         The columns that they agree in.
     runs
         Their names.
-    mean
-        Their mean.
-    deviation
-        Standard deviation about it.
-    expected
-        What their stated uncertainties make of it: by what is drawn anew in each, or with each zero or set-up.
+    scatter
+        Its scatter over what is drawn anew in each run by what is stated, or with each zero or set-up.
     """
 
     quantity: str
     condition: Mapping[str, Any]
     runs: tuple[str, ...]
-    mean: float
-    deviation: float
-    expected: float
-
-    @property
-    def chi_square(self) -> float:
-        """Variance over that expected, which is chi-square per degree of freedom [1]."""
-        return (self.deviation / self.expected) ** 2 if self.expected > 0 else float("nan")
-
-    @property
-    def freedom(self) -> int:
-        """Degrees of freedom."""
-        return len(self.runs) - 1
-
-
-@dataclass(frozen=True, slots=True)
-class Pooled:
-    """Scatter of all repeats of one result over what is stated.
-
-    Attributes
-    ----------
-    chi_square
-        Per degree of freedom [1].
-    freedom
-        Degrees of freedom.
-    """
-
-    chi_square: float
-    freedom: int
+    scatter: Scatter
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,16 +135,17 @@ def quality_of(rows: Sequence[Mapping[str, Any]], rules: Repeats) -> Quality:
         *_not_reduced(rows),
         *_set_up_changes(rows),
         *_zeros(good),
-        *(flag for name in names for _, group in groups for flag in _outliers(name, group)),
+        *_outliers(names, [group for _, group in groups]),
         *_resonances(good),
     ]
-    pooled = {name: found for name in names if (found := _pooled([one for one in repeats if one.quantity == name]))}
-    if pooled:
-        freedom = sum(one.freedom for one in pooled.values())
-        whole = sum(one.freedom * one.chi_square for one in pooled.values()) / freedom
-        flags += _scatter(pooled)
-        pooled["all"] = Pooled(whole, freedom)
-    return Quality(tuple(repeats), pooled, tuple(_joined(flags)))
+    by_name = {name: [one.scatter for one in repeats if one.quantity == name] for name in names}
+    together = {name: found for name, groups in by_name.items() if (found := pooled(groups))}
+    if together:
+        flags += _scatter(together)
+        freedom = sum(one.freedom for one in together.values())
+        whole = sum(one.freedom * one.chi_square for one in together.values()) / freedom
+        together["all"] = Pooled(whole, freedom)
+    return Quality(tuple(repeats), together, tuple(flags))
 
 
 def quantities(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -183,7 +153,7 @@ def quantities(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     found = [name for name in COEFFICIENTS if any(row.get(name) is not None for row in rows)]
     if found:
         return found
-    labels = [f"balance_{name}_{unit}" for name in COMPONENTS for unit in ("N", "Nm")]
+    labels = [f"balance_{with_unit(name)}" for name in COMPONENTS]
     return [label for label in labels if any(row.get(label) is not None for row in rows)]
 
 
@@ -221,15 +191,9 @@ def _repeat(name: str, key: dict[str, Any], group: Sequence[Mapping[str, Any]]) 
     there = [row for row in group if row.get(name) is not None]
     if len(there) < 2:
         return None
-    values = np.array([row[name] for row in there])
-    return RepeatGroup(
-        name,
-        key,
-        tuple(row["run_name"] for row in there),
-        float(values.mean()),
-        float(values.std(ddof=1)),
-        float(np.sqrt(np.mean([_difference(name, one, other) for one, other in combinations(there, 2)]) / 2)),
-    )
+    differences = [_difference(name, one, other) for one, other in combinations(there, 2)]
+    scatter = Scatter.of([row[name] for row in there], differences)
+    return RepeatGroup(name, key, tuple(row["run_name"] for row in there), scatter)
 
 
 def _difference(name: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> float:
@@ -244,27 +208,13 @@ def _difference(name: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> 
     return float(max(total, 0.0))
 
 
-def _pooled(repeats: Sequence[RepeatGroup]) -> Pooled | None:
-    """Sum of the squares over that expected: stated uncertainties are estimates, whose inverses would be biased."""
-    freedom = sum(one.freedom for one in repeats)
-    expected = sum(one.freedom * one.expected**2 for one in repeats)
-    if not freedom or not expected:
-        return None
-    return Pooled(sum(one.freedom * one.deviation**2 for one in repeats) / expected, freedom)
-
-
-def _scatter(pooled: Mapping[str, Pooled]) -> list[Flag]:
-    from scipy.special import chdtrc, chdtri  # noqa: PLC0415 - few commands need it
-
+def _scatter(found: Mapping[str, Pooled]) -> list[Flag]:
     flags = []
-    for name, one in pooled.items():
-        chance = float(chdtrc(one.freedom, one.chi_square * one.freedom))
-        low = float(chdtri(one.freedom, 1 - SETTINGS.scatter)) / one.freedom
-        if chance < SETTINGS.scatter:
-            text = f"repeats of {name} scatter {np.sqrt(one.chi_square):.2g} times as much as stated"
+    for name, one in found.items():
+        text = f"repeats of {name} scatter {np.sqrt(one.chi_square):.2g} times as much as stated"
+        if one.above(SETTINGS.scatter):
             flags.append(Flag("scatter", f"{text}: something changes from run to run that is not in the uncertainty"))
-        elif one.chi_square < low:
-            text = f"repeats of {name} scatter {np.sqrt(one.chi_square):.2g} times as much as stated"
+        elif one.below(SETTINGS.scatter):
             flags.append(Flag("scatter", f"{text}: the uncertainty is larger than it need be"))
     return flags
 
@@ -299,42 +249,40 @@ def _short(name: str) -> str:
     return name.replace("\\", "/").rpartition("/")[2] or "none"
 
 
+def zeros_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    """Return by balance the first row that counts from each zero, in the order of the test."""
+    found: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for row in rows:
+        if row.get("zero_from") and any(key.startswith("zero_drift_") for key in row):
+            found.setdefault(row["balance_file"], {}).setdefault(row["zero_from"], row)
+    return {balance: list(first.values()) for balance, first in found.items()}
+
+
 def _zeros(rows: Sequence[Mapping[str, Any]]) -> list[Flag]:
     """Zeros that lie apart from the others of their balance, and bridges that moved between two zeros of a run."""
-    flags: list[Flag] = []
-    for balance in dict.fromkeys(row["balance_file"] for row in rows):
-        own = [row for row in rows if row["balance_file"] == balance and row.get("zero_from")]
-        first = {row["zero_from"]: row for row in reversed(own)}
-        zeros = [first[name] for name in dict.fromkeys(row["zero_from"] for row in own)]
-        if not zeros:
-            continue
-        moved: dict[str, dict[str, list[str]]] = {}
+    moved: dict[tuple[str, str], dict[str, list[str]]] = {}
+    for balance, zeros in zeros_of(rows).items():
         for name in COMPONENTS:
-            for unit in ("N", "Nm"):
-                label = f"{name}_{unit}"
-                if any(row.get(f"zero_{label}") is None for row in zeros):
-                    continue
-                u = np.array([row[f"u_zero_{label}"] for row in zeros])
-                level = np.array([row[f"zero_{label}"] for row in zeros])
-                drift = np.array([row[f"zero_drift_{label}"] for row in zeros])
-                for place in _apart(level, u):
-                    text = f"{name} {level[place] - np.median(level):+.3g} {_told(unit)}"
-                    moved.setdefault(zeros[place]["zero_from"], {}).setdefault("apart from the others", []).append(
-                        text
-                    )
-                for place in _apart(drift, np.sqrt(2) * u, about=0.0):
-                    text = f"{name} {drift[place]:+.3g} {_told(unit)}"
-                    moved.setdefault(zeros[place]["zero_from"], {}).setdefault("from first to last", []).append(text)
-        for zero, found in moved.items():
-            runs = tuple(row["run_name"] for row in own if row["zero_from"] == zero)
-            names = ", ".join(_short(part) for part in zero.split(" "))
-            said = "; ".join(f"{how}: {', '.join(texts)}" for how, texts in found.items())
-            flags.append(Flag("zero drift", f"{names} ({len(runs)} runs) {said}", runs))
+            label, unit = with_unit(name), si_unit(name)
+            if any(row.get(f"zero_{label}") is None for row in zeros):
+                continue
+            u, level, drift = (
+                np.array([row[f"{what}_{label}"] for row in zeros]) for what in ("u_zero", "zero", "zero_drift")
+            )
+            for how, off, places in (
+                ("apart from the others", level - np.median(level), _apart(level, u)),
+                ("from first to last", drift, _apart(drift, np.sqrt(2) * u, about=0.0)),
+            ):
+                for place in places:
+                    said = moved.setdefault((balance, zeros[place]["zero_from"]), {}).setdefault(how, [])
+                    said.append(f"{name} {off[place]:+.3g} {unit}")
+    flags = []
+    for (balance, zero), found in moved.items():
+        runs = tuple(row["run_name"] for row in rows if (row["balance_file"], row["zero_from"]) == (balance, zero))
+        names = ", ".join(_short(part) for part in zero.split(" "))
+        drifts = "; ".join(f"{how}: {', '.join(texts)}" for how, texts in found.items())
+        flags.append(Flag("zero drift", f"{names} ({len(runs)} runs) {drifts}", runs))
     return flags
-
-
-def _told(unit: str) -> str:
-    return "N*m" if unit == "Nm" else unit
 
 
 def _apart(values: Array, u: Array, *, about: float | None = None) -> list[int]:
@@ -349,22 +297,21 @@ def _apart(values: Array, u: Array, *, about: float | None = None) -> list[int]:
     ]
 
 
-def _outliers(name: str, group: Sequence[Mapping[str, Any]]) -> list[Flag]:
-    """Runs that lie apart from their repeats."""
-    there = [row for row in group if row.get(name) is not None]
-    if len(there) < 3:
-        return []
-    flags = []
-    middle = float(np.median([row[name] for row in there]))
-    for row in there:
-        others = [one for one in there if one is not row]
-        # as far as two runs differ by what is stated, and the median of the others
-        usual = float(np.median([_difference(name, row, other) for other in others]))
-        off = abs(row[name] - middle) / np.sqrt(usual) if usual > 0 else 0.0
-        if off > SETTINGS.outlier:
-            text = f"{row['run_name']}: {name} is {row[name]:.4g}, its repeats {middle:.4g}"
-            flags.append(Flag("outlier", text, (row["run_name"],)))
-    return flags
+def _outliers(names: Sequence[str], groups: Iterable[Sequence[Mapping[str, Any]]]) -> list[Flag]:
+    """Runs that lie apart from their repeats, each with all results in which they do."""
+    found: dict[str, list[str]] = {}
+    for name, group in product(names, groups):
+        there = [row for row in group if row.get(name) is not None]
+        if len(there) < 3:
+            continue
+        middle = float(np.median([row[name] for row in there]))
+        for row in there:
+            # as far as two runs differ by what is stated, and the median of the others
+            usual = float(np.median([_difference(name, row, other) for other in there if other is not row]))
+            if usual > 0 and abs(row[name] - middle) > SETTINGS.outlier * np.sqrt(usual):
+                text = f"{name} is {row[name]:.4g}, its repeats {middle:.4g}"
+                found.setdefault(row["run_name"], []).append(text)
+    return [Flag("outlier", f"{run}: {'; '.join(texts)}", (run,)) for run, texts in found.items()]
 
 
 def _resonances(rows: Sequence[Mapping[str, Any]]) -> list[Flag]:
@@ -393,51 +340,3 @@ def _resonances(rows: Sequence[Mapping[str, Any]]) -> list[Flag]:
                     Flag(kind, f"{text} off that of {_short(dynamics)} in the mean of {len(told)} runs", runs)
                 )
     return flags
-
-
-@dataclass(frozen=True, slots=True)
-class Trend:
-    """How a quantity goes along a test.
-
-    Attributes
-    ----------
-    mean, u_mean
-        Weighted mean and its standard uncertainty, not less than the values scatter.
-    change, u_change
-        Change from the first to the last by a straight line, and the same of it.
-    """
-
-    mean: float
-    u_mean: float
-    change: float
-    u_change: float
-
-
-def trend(place: Sequence[float], values: Sequence[float], u: Sequence[float]) -> Trend:
-    """Return the weighted mean of values and the straight line through them."""
-    x, y, weight = np.asarray(place, dtype=float), np.asarray(values), 1 / np.asarray(u) ** 2
-    mean = float(np.average(y, weights=weight))
-    centre, length = float(np.average(x, weights=weight)), float(np.ptp(x)) or 1.0
-    position = (x - centre) / length
-    spread = float(np.sum(weight * position**2))
-    change = float(np.sum(weight * position * (y - mean)) / spread) if spread > 0 else 0.0
-    square = float(np.sum(weight * (y - mean - change * position) ** 2)) / max(y.size - 2, 1)
-    scale = float(np.sqrt(max(square, 1.0)))
-    u_change = scale / np.sqrt(spread) if spread > 0 else np.inf
-    return Trend(mean, scale / float(np.sqrt(weight.sum())), change, float(u_change))
-
-
-def _joined(flags: Sequence[Flag]) -> list[Flag]:
-    """Flags of one kind about the same runs as one."""
-    found: dict[tuple[str, tuple[str, ...]], list[str]] = {}
-    for flag in flags:
-        key = (flag.kind, flag.runs) if flag.kind == "outlier" else (flag.kind, (*flag.runs, flag.text))
-        found.setdefault(key, []).append(flag.text)
-    joined = []
-    for (kind, runs), texts in found.items():
-        if kind == "outlier":
-            first, *rest = texts
-            joined.append(Flag(kind, "; ".join([first, *(text.partition(": ")[2] for text in rest)]), runs))
-        else:
-            joined.append(Flag(kind, texts[0], runs[:-1]))
-    return joined

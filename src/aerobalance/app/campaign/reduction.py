@@ -4,28 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 
-from aerobalance.app.campaign.definition import Axes, Definition, ForceOptions, Pressure, Reference, Spectrum
-from aerobalance.app.campaign.mean_loads import MeanLoads, mean_loads
-from aerobalance.app.campaign.resolved import Flow, Resolved, angles_of_attitude, pressure_of, resolved
-from aerobalance.app.campaign.resonance import Resonance, resonances
+from aerobalance.app.campaign.definition import (
+    Axes,
+    Definition,
+    ForceOptions,
+    Pressure,
+    Reference,
+    Spectrum,
+)
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.zero_levels import ZeroLevel, zero_levels
 from aerobalance.balance.zeros import Zero
 from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
 from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.checks.resonance_change import ResonanceChange, resonance_changes
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.forces import ForceSettings
-from aerobalance.estimation.result import ComponentForce
-from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.frames import Frame, angles_of_attitude
 from aerobalance.recording.recording import Recording
-from aerobalance.uncertainty.budget import Scalar, scalars, spectrum
+from aerobalance.uncertainty.budget import BandLevel, Scalar, band_levels, scalars
+from aerobalance.uncertainty.mean_in_axes import Flow, MeanInAxes, ReferenceSizes, mean_in_axes
+from aerobalance.uncertainty.mean_loads import MeanLoads, mean_loads
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,45 +90,6 @@ def force_settings(options: ForceOptions, *, gravity: float = STANDARD_GRAVITY) 
     )
 
 
-@dataclass(frozen=True, slots=True)
-class BandLevel:
-    """Rms of a force in a band of frequencies.
-
-    Attributes
-    ----------
-    low, high
-        The band [Hz].
-    rms, u
-        Rms [N, N*m] and its standard uncertainty as the force was in this record, errors of all frequencies taken as
-        one; None beyond half of the sampling rate.
-    """
-
-    low: float
-    high: float
-    rms: float | None
-    u: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class ZeroLevel:
-    """The zero of a run as a load along one component: how it changes from zero to zero is what counts.
-
-    Attributes
-    ----------
-    component
-        Which.
-    value, u
-        What the outputs of the zero would be as a load, and its standard uncertainty [N, N*m].
-    drift
-        Change from the zero before the run to that after it [N, N*m].
-    """
-
-    component: str
-    value: float
-    u: float
-    drift: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedRun:
     """A run reduced.
@@ -149,11 +116,11 @@ class ReducedRun:
 
     force: Force
     mean: MeanLoads
-    axes: Mapping[str, Resolved]
+    axes: Mapping[str, MeanInAxes]
     flow: Flow
     scalars: Mapping[str, Mapping[str, Scalar]]
     bands: Mapping[str, tuple[BandLevel, ...]]
-    resonances: tuple[Resonance, ...]
+    resonances: tuple[ResonanceChange, ...]
     zero: tuple[ZeroLevel, ...]
 
 
@@ -210,27 +177,29 @@ def reduce_run(
     return ReducedRun(
         force=force,
         mean=mean,
-        axes=resolved(mean, axes=settings.axes, flow=flow, reference=settings.reference),
+        axes=mean_in_axes(mean, frames=frames_of(settings.axes), flow=flow, reference=sizes_of(settings.reference)),
         flow=flow,
         scalars={name: {one.name: one for one in scalars(part)} for name, part in force.items()},
         bands={name: band_levels(part, settings.bands, rate=run.rate) for name, part in force.items()},
-        resonances=resonances(force) if whole and settings.force.method == "smoother" else (),
+        resonances=resonance_changes(force) if whole and settings.force.method == "smoother" else (),
         zero=() if loads is None else zero_levels(loads),
     )
 
 
-def zero_levels(loads: Loads) -> tuple[ZeroLevel, ...]:
-    """Return the zero of loads as a load along each component, by the matrix at no load [N, N*m]."""
-    zero, matrix = loads.zero, loads.balance
-    slope = loads.transform @ matrix.sensitivity(np.zeros((1, len(matrix.components))))[0]
-    rows = zip(
-        loads.components, slope @ zero.values, np.hypot.reduce(slope * zero.u, axis=1), slope @ zero.drift, strict=True
+def frames_of(axes: Axes) -> tuple[Frame, Frame]:
+    """Return the body in the balance, and its moment centre in the body, as a test file says them."""
+    body = axes.body
+    pitch, roll, yaw, u_angle = np.radians([body.pitch, body.roll, body.yaw, body.u_angle]).tolist()
+    spread = np.diag([body.u_point**2] * 3 + [u_angle**2] * 3)
+    centre = np.diag([axes.u_moment_centre**2] * 3 + [0.0] * 3)
+    return Frame(np.array(body.point), pitch, roll, yaw, spread), Frame(
+        np.array(axes.moment_centre), covariance=centre
     )
-    return tuple(ZeroLevel(name, float(value), float(u), float(drift)) for name, value, u, drift in rows)
 
 
-FLOW_COLUMNS: Final = ("alpha", "beta")
-"""Columns that angles are looked for in."""
+def sizes_of(reference: Reference | None) -> ReferenceSizes | None:
+    """Return the reference quantities that a test file says; None for none."""
+    return None if reference is None else ReferenceSizes(reference.area, reference.chord, reference.span)
 
 
 def flow_of(columns: Mapping[str, object], means: Mapping[str, float], settings: RunSettings) -> Flow:
@@ -244,7 +213,7 @@ def flow_of(columns: Mapping[str, object], means: Mapping[str, float], settings:
     alpha, beta = angles_of_attitude(means.get("pitch", 0.0), means.get("roll", 0.0))
     found = {"alpha": alpha, "beta": beta}
     told = "pitch" in means
-    for name, wanted in zip(FLOW_COLUMNS, (settings.alpha, settings.beta), strict=True):
+    for name, wanted in (("alpha", settings.alpha), ("beta", settings.beta)):
         key = name if wanted is None else wanted
         if key in columns:
             given = columns[key]
@@ -266,26 +235,24 @@ def flow_of(columns: Mapping[str, object], means: Mapping[str, float], settings:
     )
 
 
-def band_levels(part: ComponentForce, bands: Sequence[tuple[float, float]], *, rate: float) -> tuple[BandLevel, ...]:
-    """Return the rms of a force in bands of frequencies [N, N*m]."""
-    found = spectrum(part, rate=rate)
-    step = float(found.frequency[1]) if found.frequency.size > 1 else 0.0
-    levels = []
-    for low, high in bands:
-        if not step or low >= rate / 2:
-            levels.append(BandLevel(low, high, None, None))
-            continue
-        # each ordinate stands for the frequencies half a step about it
-        share = _overlap(found.frequency, step, low, high)
-        power = float(found.density @ share)
-        u_power = float(found.uncertainty @ share)
-        rms = float(np.sqrt(power))
-        u = u_power / (2 * max(rms, float(np.sqrt(u_power)) / 2)) if u_power else 0.0
-        levels.append(BandLevel(low, high, rms, u))
-    return tuple(levels)
+def pressure_of(rule: Pressure | None, columns: Mapping[str, object], means: Mapping[str, float]) -> float | None:
+    """Dynamic pressure of a run [Pa]; None where none is asked for.
 
-
-def _overlap(frequency: Array, step: float, low: float, high: float) -> Array:
-    """Widths of a band that belong to the ordinates [Hz], shape (m,)."""
-    upper, lower = np.minimum(frequency + step / 2, high), np.maximum(frequency - step / 2, max(low, 0.0))
-    return np.asarray(np.maximum(upper - lower, 0.0))
+    Raises
+    ------
+    ValueError
+        The column or the channel is missing, or is no pressure.
+    """
+    if rule is None:
+        return None
+    if rule.value is not None:
+        return rule.value
+    if rule.column is not None:
+        found, where = columns.get(rule.column), f"column {rule.column}"
+    else:
+        found, where = means.get(rule.channel or ""), f"channel {rule.channel}"
+    if found is None:
+        raise ValueError(f"the dynamic pressure should be in {where}, which this run does not have")
+    if not isinstance(found, int | float) or isinstance(found, bool) or not 0 < found < np.inf:
+        raise ValueError(f"the dynamic pressure in {where} must be above 0 Pa, not {found!r}")
+    return float(found)

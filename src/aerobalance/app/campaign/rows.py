@@ -9,8 +9,10 @@ import numpy as np
 
 from aerobalance.app.campaign.assignment import Run
 from aerobalance.app.campaign.reduction import ReducedRun
-from aerobalance.app.campaign.resolved import Resolved
+from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
+from aerobalance.uncertainty.mean_in_axes import MeanInAxes
+from aerobalance.uncertainty.mean_loads import Errors
 
 REDUCED: Final = "reduced"
 ASIDE: Final = "set aside"
@@ -58,56 +60,57 @@ def row_of(run: Run, found: ReducedRun, warnings: Sequence[str]) -> Row:
         "beta_deg": float(np.degrees(found.flow.beta)) if found.flow.known else None,
         "pressure_Pa": found.flow.pressure,
     }
-    row |= _means(found)
+    mean = found.mean
+    row |= _values([f"balance_{with_unit(name)}" for name in mean.components], mean.values, mean.errors)
     for name, part in force.items():
-        unit = _unit(si_unit(name))
-        for key, label in (("rms_about_mean", "rms"), ("largest", "largest"), ("least", "least")):
+        label = with_unit(name)
+        for key, what in (("rms_about_mean", "rms"), ("largest", "largest"), ("least", "least")):
             scalar = found.scalars[name][key]
-            row[f"{label}_{name}_{unit}"], row[f"u_{label}_{name}_{unit}"] = scalar.value, scalar.u
+            row[f"{what}_{label}"], row[f"u_{what}_{label}"] = scalar.value, scalar.u
         row[f"steps_{name}"] = len(part.steps)
-        heights = sorted((step.height for step in part.steps), key=abs)
-        row[f"largest_step_{name}_{unit}"] = heights[-1] if heights else None
+        row[f"largest_step_{label}"] = max((step.height for step in part.steps), key=abs, default=None)
         for band in found.bands[name]:
-            label = f"rms_{name}_{band.low:g}_{band.high:g}_Hz_{unit}"
-            row[label], row[f"u_{label}"] = band.rms, band.u
-        row[f"u_sample_{name}_{unit}"] = float(np.sqrt(np.nanmean(part.uncertainty**2)))
+            of_band = f"rms_{name}_{band.low:g}_{band.high:g}_Hz_{_plain(si_unit(name))}"
+            row[of_band], row[f"u_{of_band}"] = band.rms, band.u
+        row[f"u_sample_{label}"] = float(np.sqrt(np.nanmean(part.uncertainty**2)))
         row[f"resolved_to_{name}_Hz"] = part.bandwidth
     for axes, one in found.axes.items():
-        row |= _resolved(axes, one)
+        row |= _in_axes(axes, one)
     for mode in found.resonances:
         row |= _resonance(mode.name.replace(" ", "_"), mode.natural_frequency, mode.stiffness, mode.damping)
     for level in found.zero:
-        label = f"{level.component}_{_unit(si_unit(level.component))}"
+        label = with_unit(level.component)
         row[f"zero_{label}"], row[f"u_zero_{label}"] = level.value, level.u
         row[f"zero_drift_{label}"] = level.drift
     return row
 
 
-def _unit(unit: str) -> str:
+def with_unit(component: str) -> str:
+    """Return a component with its SI unit, as it stands in the names of columns: ``NF_N``, ``PM_Nm``."""
+    return f"{component}_{_plain(si_unit(component))}"
+
+
+def _plain(unit: str) -> str:
     return unit.replace("*", "")
 
 
-def _means(found: ReducedRun) -> Row:
-    mean, row = found.mean, {}
-    whole, own, zero = mean.errors.uncertainty(), mean.errors.of_run(), mean.errors.of_zero()
-    for place, name in enumerate(mean.components):
-        label = f"balance_{name}_{_unit(si_unit(name))}"
-        row[label], row[f"u_{label}"] = float(mean.values[place]), float(whole[place])
-        row[f"u_run_{label}"], row[f"u_zero_{label}"] = float(own[place]), float(zero[place])
-    return row
+def _values(labels: Sequence[str], values: Array, errors: Errors) -> Row:
+    """Results with their uncertainty, and its parts that are drawn anew in each run and with each zero."""
+    columns = {"": values, "u_": errors.uncertainty(), "u_run_": errors.of_run(), "u_zero_": errors.of_zero()}
+    return {
+        f"{what}{label}": float(column[place]) if np.isfinite(values[place]) else None
+        for place, label in enumerate(labels)
+        for what, column in columns.items()
+    }
 
 
-def _resolved(axes: str, one: Resolved) -> Row:
-    row: Row = {}
-    whole, own, zero = one.errors.uncertainty(), one.errors.of_run(), one.errors.of_zero()
-    for place, (name, unit) in enumerate(zip(one.names, one.units, strict=True)):
-        label = name if axes.startswith("C_") else f"{axes}_{name}_{_unit(unit)}"
-        if not np.isfinite(one.values[place]):
-            row |= dict.fromkeys([label, f"u_{label}", f"u_run_{label}", f"u_zero_{label}", f"dof_{label}"])
-            continue
-        row[label], row[f"u_{label}"] = float(one.values[place]), float(whole[place])
-        row[f"u_run_{label}"], row[f"u_zero_{label}"] = float(own[place]), float(zero[place])
-        row[f"dof_{label}"] = float(one.freedom[place])
+def _in_axes(axes: str, one: MeanInAxes) -> Row:
+    """Results in one set of axes, with the degrees of freedom of each."""
+    pairs = zip(one.names, one.units, strict=True)
+    labels = [name if axes.startswith("C_") else f"{axes}_{name}_{_plain(unit)}" for name, unit in pairs]
+    row = _values(labels, one.values, one.errors)
+    for label, freedom in zip(labels, one.freedom, strict=True):
+        row[f"dof_{label}"] = None if row[label] is None else float(freedom)
     return row
 
 

@@ -26,6 +26,9 @@ PRESSURES: Final = {
 DEGREES: Final = {"deg": 1.0, "°": 1.0, "rad": 57.29577951308232}
 """Units of angles of a table, in deg."""
 
+KNOWN: Final = {"q": PRESSURES, "alpha": DEGREES, "beta": DEGREES}
+"""Columns that are known to be a pressure or an angle, and have no other unit."""
+
 _UNIT: Final = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*$")
 
 
@@ -87,15 +90,13 @@ def _heading(table: str, text: str) -> tuple[str, float]:
     if match is None:
         return text.strip(), 1.0
     name, unit = match[1], match[2]
-    for units, inside in ((PRESSURES, "Pa"), (DEGREES, "deg")):
-        if unit in units:
-            return name, units[unit]
-        if (
-            name in {"q": "Pa", "alpha": "deg", "beta": "deg"}
-            and {"q": "Pa", "alpha": "deg", "beta": "deg"}[name] == inside
-        ):
-            raise ReadError(table, "line 1", f"{name} has unit [{unit}]; allowed: {', '.join(units)}")
-    return name, 1.0
+    factors = PRESSURES | DEGREES
+    allowed = KNOWN.get(name)
+    if unit not in (allowed or factors):
+        if allowed is not None:
+            raise ReadError(table, "line 1", f"{name} has unit [{unit}]; allowed: {', '.join(allowed)}")
+        return name, 1.0
+    return name, factors[unit]
 
 
 def _scaled(given: Cell, factor: float) -> Cell:

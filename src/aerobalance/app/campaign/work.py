@@ -175,7 +175,7 @@ def _reduced(work: RunWork) -> ReducedRun:
     def marked(place: str) -> tuple[str, str]:
         return place, prints[place]
 
-    chart = None if run.channel_map is None else marked(run.channel_map)
+    chart = ("", "") if run.channel_map is None else marked(run.channel_map)
     if run.dynamics is None:
         raise FitError("no dynamics are given")
     known = _dynamics(*marked(run.dynamics))
@@ -187,17 +187,16 @@ def _reduced(work: RunWork) -> ReducedRun:
     zero = None
     if run.zeros and balance is not None:
         before, after = (
-            tuple(_calm(*marked(one), *(chart or ("", ""))) for one in places)
-            for places in (run.zeros, run.zeros_after)
+            tuple(_calm(*marked(one), *chart) for one in places) for places in (run.zeros, run.zeros_after)
         )
         zero = Zero(before, model_on=run.model_on, after=after)
-    noise = None if run.noise_record is None else _calm(*marked(run.noise_record), *(chart or ("", "")))
+    noise = None if run.noise_record is None else _calm(*marked(run.noise_record), *chart)
     return reduce_run(
         recording_at(run.file, run.channel_map),
         known,
         balance=balance,
         zero=zero,
-        tare=[_calm(*marked(one), *(chart or ("", ""))) for one in run.tares],
+        tare=[_calm(*marked(one), *chart) for one in run.tares],
         noise=noise,
         columns=run.columns,
         settings=work.settings,

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
-from aerobalance.app.campaign.quality import SETTINGS, RepeatGroup
-from aerobalance.app.reports.page import PLACE_HOLDERS, STYLE, inline, legend
-from aerobalance.recording.components import COMPONENTS
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from aerobalance.app.reports.page import Palette
-
-COVERAGE_FACTOR: Final = 1.96
-"""Standard uncertainties on either side that hold 95 % of the errors."""
+from aerobalance.app.campaign.quality import SETTINGS, RepeatGroup, zeros_of
+from aerobalance.app.campaign.rows import with_unit
+from aerobalance.app.reports.page import PLACE_HOLDERS, empty_figure, inline, legend
+from aerobalance.estimation.display import COVERAGE_FACTOR
+from aerobalance.recording.components import COMPONENTS, si_unit
 
 MOST_BARS: Final = 600
 """Runs up to which an error bar is drawn of each."""
@@ -27,27 +20,6 @@ MARKS: Final = ("o", "s", "^", "D", "v", "P")
 """Marks of the set-ups in turn."""
 
 Row = Mapping[str, Any]
-
-
-def grid_figure(colours: Palette, size: tuple[float, float], *, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
-    """Return an empty figure with a grid of axes in the report's style, row by row."""
-    from matplotlib import rc_context  # noqa: PLC0415 - loading takes a second; only reports need it
-    from matplotlib.figure import Figure  # noqa: PLC0415
-
-    paint: Any = {
-        "text.color": colours.ink,
-        "axes.labelcolor": colours.ink,
-        "axes.edgecolor": colours.muted,
-        "xtick.color": colours.muted,
-        "ytick.color": colours.muted,
-        "grid.color": colours.grid,
-        "axes.facecolor": "none",
-        "figure.facecolor": "none",
-    }
-    with rc_context({**STYLE, **paint}):
-        figure = Figure(figsize=size, layout="constrained")
-        axes = figure.subplots(rows, columns, squeeze=False)
-    return figure, list(axes.ravel())
 
 
 def named(label: str) -> str:
@@ -64,7 +36,7 @@ def polar_figure(rows: Sequence[Row], quantities: Sequence[str], *, apart: Seque
     count = len(quantities)
     columns = 2 if count > 1 else 1
     deep = -(-count // columns)
-    figure, axes = grid_figure(colours, (7.8, 0.5 + 2.5 * deep), rows=deep, columns=columns)
+    figure, axes = empty_figure(colours, (7.8, 0.5 + 2.5 * deep), rows=deep, columns=columns)
     setups = list(dict.fromkeys(row["setup"] for row in rows))
     over, label = _abscissa(rows)
     for ax, name in zip(axes, quantities, strict=False):
@@ -120,19 +92,18 @@ def _abscissa(rows: Sequence[Row]) -> tuple[str, str]:
 def repeat_figure(rows: Sequence[Row], repeats: Sequence[RepeatGroup], quantities: Sequence[str]) -> str:
     """Draw how far each run is from the mean of its repeats, over what is stated, in the order of the test."""
     colours = PLACE_HOLDERS
-    place = {row["run_name"]: row["place"] for row in rows}
-    values = {row["run_name"]: row for row in rows}
-    figure, axes = grid_figure(colours, (7.8, 3.0), rows=1, columns=1)
+    by_name = {row["run_name"]: row for row in rows}
+    figure, axes = empty_figure(colours, (7.8, 3.0), rows=1, columns=1)
     ax = axes[0]
     paints = (colours.first, colours.second, colours.third, colours.fourth)
     for number, name in enumerate(quantities):
         x: list[float] = []
         y: list[float] = []
-        for group in (one for one in repeats if one.quantity == name and one.expected > 0):
+        for group in (one for one in repeats if one.quantity == name and one.scatter.expected > 0):
             # what is left of a deviation when the mean of so few is taken off
-            left = np.sqrt(1 - 1 / len(group.runs))
-            x += [place[run] for run in group.runs]
-            y += [(values[run][name] - group.mean) / (group.expected * left) for run in group.runs]
+            usual = group.scatter.expected * np.sqrt(1 - 1 / len(group.runs))
+            x += [by_name[run]["place"] for run in group.runs]
+            y += [(by_name[run][name] - group.scatter.mean) / usual for run in group.runs]
         if x:
             ax.plot(x, y, MARKS[number % len(MARKS)], color=paints[number % 4], markersize=3.5, label=named(name))
     for level in (-COVERAGE_FACTOR, COVERAGE_FACTOR):
@@ -147,23 +118,19 @@ def repeat_figure(rows: Sequence[Row], repeats: Sequence[RepeatGroup], quantitie
 
 def zero_figure(rows: Sequence[Row]) -> str | None:
     """Draw the zeros as loads along the test, from the middle one of each balance; None where there are none."""
-    names = [
-        (name, label)
-        for name in COMPONENTS
-        for label in (f"{name}_N", f"{name}_Nm")
-        if any(row.get(f"zero_{label}") is not None for row in rows)
-    ]
+    by_balance = zeros_of(rows)
+    every = [row for zeros in by_balance.values() for row in zeros]
+    names = [name for name in COMPONENTS if any(row.get(f"zero_{with_unit(name)}") is not None for row in every)]
     if not names:
         return None
     colours = PLACE_HOLDERS
     columns = 3 if len(names) > 2 else len(names)
     deep = -(-len(names) // columns)
-    figure, axes = grid_figure(colours, (7.8, 0.4 + 1.9 * deep), rows=deep, columns=columns)
-    for ax, (name, label) in zip(axes, names, strict=False):
-        for number, balance in enumerate(dict.fromkeys(row["balance_file"] for row in rows)):
-            own = [row for row in rows if row["balance_file"] == balance and row.get(f"zero_{label}") is not None]
-            first = {row["zero_from"]: row for row in reversed(own)}
-            zeros = [first[key] for key in dict.fromkeys(row["zero_from"] for row in own)]
+    figure, axes = empty_figure(colours, (7.8, 0.4 + 1.9 * deep), rows=deep, columns=columns)
+    for ax, name in zip(axes, names, strict=False):
+        label = with_unit(name)
+        for number, known in enumerate(by_balance.values()):
+            zeros = [row for row in known if row.get(f"zero_{label}") is not None]
             if not zeros:
                 continue
             level = np.array([row[f"zero_{label}"] for row in zeros])
@@ -175,7 +142,7 @@ def zero_figure(rows: Sequence[Row]) -> str | None:
             after = level - middle + drift
             ax.vlines(x, level - middle, after, color=colours.second, linewidth=1.2)
             ax.plot(x[drift != 0], after[drift != 0], "_", color=colours.second, markersize=6)
-        ax.set_title(f"{name} [{'N·m' if label.endswith('Nm') else 'N'}]", fontsize=10, loc="left")
+        ax.set_title(f"{name} [{si_unit(name).replace('*', '·')}]", fontsize=10, loc="left")
     for ax in axes[len(names) :]:
         ax.set_visible(False)
     for ax in axes[max(len(names) - columns, 0) : len(names)]:
@@ -193,7 +160,7 @@ def resonance_figure(rows: Sequence[Row]) -> str | None:
     if not labels:
         return None
     colours = PLACE_HOLDERS
-    figure, axes = grid_figure(colours, (7.8, 3.0), rows=1, columns=2)
+    figure, axes = empty_figure(colours, (7.8, 3.0), rows=1, columns=2)
     paints = (colours.third, colours.second, colours.fourth, colours.first)
     for ax, kind, title in ((axes[0], "k", "stiffness, change [%]"), (axes[1], "b", "damping, change [%]")):
         shown = [label for label in labels if label.startswith(kind)]

@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from aerobalance.app.campaign.campaign import Campaign
 from aerobalance.app.campaign.quality import Flag, quantities
 from aerobalance.app.options import as_options
@@ -75,7 +73,7 @@ def write_campaign_report(path: Path, found: Campaign, *, refresh: int = 0) -> N
         "serious": any(flag.kind in SERIOUS for flag in quality.flags),
         "together": together,
         "pooled": [
-            {"name": named(name), "chi_square": one.chi_square, "freedom": one.freedom, "limits": limits(one.freedom)}
+            {"name": named(name), "chi_square": one.chi_square, "freedom": one.freedom, "limits": one.limits}
             for name, one in quality.pooled.items()
             if name != "all"
         ],
@@ -91,13 +89,6 @@ def write_campaign_report(path: Path, found: Campaign, *, refresh: int = 0) -> N
         "program": f"aerobalance {VERSION}",
     }
     write_page(path, "campaign.html.j2", content)
-
-
-def limits(freedom: int) -> tuple[float, float]:
-    """Return between which chi-square per degree of freedom lies with 95 % where all is as stated."""
-    from scipy.special import chdtri  # noqa: PLC0415 - few commands need it
-
-    return float(chdtri(freedom, 0.975)) / freedom, float(chdtri(freedom, 0.025)) / freedom
 
 
 def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
@@ -129,8 +120,3 @@ def _warned(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         one["count"], more = len(one["runs"]), len(one["runs"]) - MOST_RUNS
         one["named"] = ", ".join(one["runs"][:MOST_RUNS]) + (f" and {more} more" if more > 0 else "")
     return every
-
-
-def finite(value: object) -> bool:
-    """Return whether a cell is a number that can be shown."""
-    return isinstance(value, int | float) and bool(np.isfinite(value))

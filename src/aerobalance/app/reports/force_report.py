@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from aerobalance.app.reports.force_curves import ForceCurves
 from aerobalance.app.reports.page import PLACE_HOLDERS, empty_figure, inline, legend, write_page
+from aerobalance.estimation.display import COVERAGE_FACTOR
 from aerobalance.estimation.result import ForceSummary
 from aerobalance.io.artefacts import provenance
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import component_budget, spectrum
-
-COVERAGE_FACTOR: Final = 1.96
-"""Standard uncertainties on either side that hold 95 % of the errors."""
 
 
 def write_force_report(

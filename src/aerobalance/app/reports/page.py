@@ -65,10 +65,11 @@ def empty_figure(
     size: tuple[float, float],
     *,
     rows: int,
+    columns: int = 1,
     heights: Sequence[float] | None = None,
     share: bool = False,
 ) -> tuple[Figure, list[Axes]]:
-    """Empty figure with a column of axes in the report's style."""
+    """Empty figure with a grid of axes in the report's style, row by row."""
     from matplotlib import rc_context  # noqa: PLC0415 - loading takes a second; only reports need it
     from matplotlib.figure import Figure  # noqa: PLC0415
 
@@ -84,8 +85,8 @@ def empty_figure(
     }
     with rc_context({**STYLE, **paint}):
         figure = Figure(figsize=size, layout="constrained")
-        grid = figure.subplots(rows, 1, squeeze=False, sharex=share, height_ratios=heights)
-    return figure, list(grid[:, 0])
+        grid = figure.subplots(rows, columns, squeeze=False, sharex=share, height_ratios=heights)
+    return figure, list(grid.ravel())
 
 
 def legend(axes: Axes, colours: Palette, place: Any, *, columns: int = 1) -> None:

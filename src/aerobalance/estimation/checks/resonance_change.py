@@ -44,7 +44,7 @@ LEAST_NOISE: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Resonance:
+class ResonanceChange:
     """How far a resonance has moved from that of the dynamics.
 
     Attributes
@@ -84,8 +84,14 @@ class Resonance:
         )
 
 
-def resonances(force: Force) -> tuple[Resonance, ...]:
-    """How far each resonance of the dynamics has moved, by a record that was worked out at once."""
+def resonance_changes(force: Force) -> tuple[ResonanceChange, ...]:
+    """How far each resonance has moved from that of the dynamics, as logarithms [1] with standard uncertainties.
+
+    Parameters
+    ----------
+    force
+        Of a record that was worked out at once, by the smoother.
+    """
     record = force.record
     if isinstance(record, CoupledRecord):
         return _coupled(force, record)
@@ -98,8 +104,8 @@ def resonances(force: Force) -> tuple[Resonance, ...]:
     return tuple(found)
 
 
-def _single(name: str, dynamics: Dynamics, part: ComponentForce, values: Array, *, interval: float) -> Resonance:
-    still = Resonance(name, dynamics.natural_frequency)
+def _single(name: str, dynamics: Dynamics, part: ComponentForce, values: Array, *, interval: float) -> ResonanceChange:
+    still = ResonanceChange(name, dynamics.natural_frequency)
     learned = part.learned
     if learned is None or dynamics.damping_ratio <= 0 or 2 * dynamics.natural_frequency * interval >= 1:
         return still
@@ -120,10 +126,10 @@ def _single(name: str, dynamics: Dynamics, part: ComponentForce, values: Array, 
     return _told(still, dynamics.damping_ratio, likelihood)
 
 
-def _coupled(force: Force, record: CoupledRecord) -> tuple[Resonance, ...]:
+def _coupled(force: Force, record: CoupledRecord) -> tuple[ResonanceChange, ...]:
     dynamics = record.dynamics
     modes = dynamics.modes
-    still = tuple(Resonance(f"mode {number}", mode.natural_frequency) for number, mode in enumerate(modes, 1))
+    still = tuple(ResonanceChange(f"mode {number}", mode.natural_frequency) for number, mode in enumerate(modes, 1))
     filled = force.filled
     if dynamics.internal or len(modes) != len(dynamics.components) or not np.ptp(filled, axis=0).all():
         return still
@@ -141,7 +147,7 @@ def _coupled(force: Force, record: CoupledRecord) -> tuple[Resonance, ...]:
     return tuple(found)
 
 
-def _told(still: Resonance, ratio: float, likelihood: Callable[[Array], float]) -> Resonance:
+def _told(still: ResonanceChange, ratio: float, likelihood: Callable[[Array], float]) -> ResonanceChange:
     """Change and uncertainty by Newton's method on nine points about the likeliest of a few frequencies."""
     unit = np.array([ratio, 1.0])
     step = unit * STEPS
@@ -162,7 +168,7 @@ def _told(still: Resonance, ratio: float, likelihood: Callable[[Array], float]) 
     u = np.sqrt(np.diag(covariance))
     if (np.abs(point) > unit * MOST).any() or (u > unit * LEAST_TOLD).any():
         return still
-    return Resonance(
+    return ResonanceChange(
         still.name,
         still.natural_frequency,
         float(point[0]),

@@ -1,0 +1,92 @@
+"""What the rows of a test say together: each thing flagged where it is there, and nothing where all is as stated."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aerobalance.app.campaign.definition import Repeats
+from aerobalance.app.campaign.quality import quality_of
+
+
+def rows(rng, *, angles=(0.0, 4.0, 8.0), polars=8, spread=1.0):
+    """Rows of polars that are repeats of each other, with a zero each."""
+    found = []
+    for polar in range(polars):
+        level = rng.normal(0, 0.1)
+        for alpha in angles:
+            number = len(found) + 1
+            found.append(
+                {
+                    "run_name": f"run_{number}",
+                    "place": number,
+                    "status": "reduced",
+                    "verdict": "fit for use",
+                    "doubts": [],
+                    "setup": 0,
+                    "balance_file": "balance.json",
+                    "dynamics_file": "dynamics.json",
+                    "zero_from": f"zero_{polar}.h5",
+                    "alpha_deg": alpha,
+                    "CL": 0.1 * alpha + spread * rng.normal(0, 0.01),
+                    "u_CL": 0.02,
+                    "u_run_CL": 0.01,
+                    "u_zero_CL": 0.0,
+                    "zero_NF_N": level,
+                    "u_zero_NF_N": 0.1,
+                    "zero_drift_NF_N": rng.normal(0, 0.1),
+                    "k_change_NF": rng.normal(0, 0.01),
+                    "u_k_change_NF": 0.01,
+                }
+            )
+    return found
+
+
+def flags(given):
+    return {flag.kind: flag for flag in quality_of(given, Repeats()).flags}
+
+
+def test_what_is_as_stated_is_not_flagged(rng):
+    found = quality_of(rows(rng), Repeats())
+    assert found.flags == ()
+    # three angles of eight repeats: 21 degrees of freedom, whose chi-square over 21 has a deviation of sqrt(2 / 21)
+    assert found.pooled["CL"].freedom == 21
+    assert abs(found.pooled["all"].chi_square - 1) < 5 * np.sqrt(2 / 21)
+    assert [one.condition for one in found.repeats] == [{"alpha": a, "beta": None} for a in (0.0, 4.0, 8.0)]
+
+
+def test_a_run_apart_a_moved_zero_a_softer_spring_and_a_change_of_balance_are_flagged(rng):
+    given = rows(rng)
+    given[7]["CL"] += 0.2  # seven deviations of a difference between runs with different balances, which most are
+    for row in given[9:12]:
+        row["zero_NF_N"] += 2.0  # twenty uncertainties
+    for row in given:
+        row["k_change_NF"] -= 0.03  # three of one record, fifteen of the mean of 24
+    for row in given[12:]:
+        row["balance_file"] = "other.json"
+    found = flags(given)
+    assert set(found) == {"outlier", "zero drift", "stiffness", "set-up change", "scatter"}
+    assert found["outlier"].runs == ("run_8",)
+    assert found["outlier"].text.startswith("run_8: CL is ")
+    assert found["zero drift"].runs == ("run_10", "run_11", "run_12")
+    assert found["zero drift"].text.startswith("zero_3.h5 (3 runs) apart from the others: NF +")
+    assert "off that of dynamics.json in the mean of 24 runs" in found["stiffness"].text
+    assert found["set-up change"].text == "from run_13 on: balance balance.json to other.json"
+
+
+def test_repeats_that_scatter_otherwise_than_stated_are_flagged(rng):
+    # three times as much: chi-square 9 per degree of freedom with a deviation of 9 x 0.31; 46.8 / 21 is said
+    wide, narrow = flags(rows(rng, spread=3.0)), flags(rows(rng, spread=0.1))
+    assert "something changes from run to run" in wide["scatter"].text
+    assert "larger than it need be" in narrow["scatter"].text
+
+
+def test_runs_set_aside_are_named_and_take_no_part(rng):
+    given = rows(rng)
+    given[0] = {**given[0], "status": "set aside", "reason": "is empty"}
+    given[1] |= {"verdict": "not usable", "doubts": ["AF, clipping: rests on its limit"], "CL": 99.0}
+    found = quality_of(given, Repeats())
+    assert [(flag.kind, flag.text) for flag in found.flags] == [
+        ("set aside", "run_1: is empty"),
+        ("not usable", "run_2: AF, clipping: rests on its limit"),
+    ]
+    assert found.pooled["CL"].freedom == 19

@@ -1,0 +1,83 @@
+"""The mean loads of a run, in all axes and as coefficients, with all of their errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aerobalance.estimation.force import estimate_force
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.frames import Frame, ResolvedLoads, angles_of_attitude, coefficients, wind_loads
+from aerobalance.uncertainty.mean_in_axes import Flow, ReferenceSizes, mean_in_axes
+from aerobalance.uncertainty.mean_loads import Errors, MeanLoads, mean_loads
+from helpers.axial_runs import run_of, spring
+
+# of a white load, which some records doubt
+pytestmark = pytest.mark.filterwarnings("ignore:.*depart from what the model:UserWarning")
+
+REFERENCE = ReferenceSizes(area=0.3, chord=0.2, span=1.1)
+
+
+def six_means(rng) -> MeanLoads:
+    parts = {}
+    for name, size in (("common", 0.3), ("zero", 0.1), ("run", 0.2), ("scatter", 0.5)):
+        half = size * rng.normal(size=(6, 6))
+        parts[name] = half @ half.T
+    return MeanLoads(COMPONENTS, 100 * rng.normal(size=6), Errors(**parts), 11.0)
+
+
+def test_attitude_makes_angles_of_the_wind():
+    # level and pitched: the angle of attack is the pitch; rolled onto its right side, the wind comes from the right
+    for pitch, roll, expected in ((0.1, 0.0, (0.1, 0.0)), (0.1, np.pi / 2, (0.0, 0.1)), (0.1, np.pi, (-0.1, 0.0))):
+        np.testing.assert_allclose(angles_of_attitude(pitch, roll), expected, atol=1e-12)
+
+
+def test_errors_go_through_axes_and_coefficients_as_one_covariance_does(rng):
+    mean = six_means(rng)
+    turned = Frame(np.array([0.1, 0.0, -0.02]), pitch=0.05, covariance=np.diag([0.0] * 3 + [0.002**2] * 3))
+    centre = Frame(np.array([0.2, 0.0, 0.1]))
+    flow = Flow(0.12, 0.05, u_angle=1e-3, u_angle_run=2e-3, pressure=900.0, u_pressure=3.0, u_pressure_run=4.0)
+    found = mean_in_axes(mean, frames=[turned, centre], flow=flow, reference=REFERENCE)
+    whole = ResolvedLoads(mean.values[None], mean.errors.whole[None])
+    body = centre.loads(turned.loads(whole))
+    both = (1e-3**2 + 2e-3**2) * np.eye(2)
+    wind = wind_loads(body, angle_of_attack=0.12, sideslip=0.05, angle_covariance=both)
+    of_wind = coefficients(wind, pressure=900.0, pressure_uncertainty=5.0, area=0.3, chord=0.2, span=1.1)
+    for key, expected in (("body", body), ("wind", wind), ("C_wind", of_wind)):
+        np.testing.assert_allclose(found[key].values, expected.values[0], rtol=1e-12)
+        scale = np.sqrt(np.diag(expected.covariance[0]))
+        np.testing.assert_allclose(
+            found[key].errors.whole / np.outer(scale, scale),
+            expected.covariance[0] / np.outer(scale, scale),
+            atol=1e-10,
+        )
+    # what is drawn anew in each run has no part of what all runs share
+    assert (found["C_wind"].errors.of_run() < found["C_wind"].errors.uncertainty()).all()
+    # Welch and Satterthwaite: u^4 over the sum of u_i^4 / nu_i, of which the scatter alone is not exact
+    share = np.diag(found["wind"].errors.scatter) / np.diag(found["wind"].errors.whole)
+    np.testing.assert_allclose(found["wind"].freedom, 11.0 / share**2)
+
+
+def test_a_component_alone_gives_what_it_makes_alone():
+    mean = MeanLoads(("AF",), np.array([30.0]), Errors(*(np.eye(1) for _ in range(4))), 11.0)
+    level = mean_in_axes(mean, flow=Flow(pressure=100.0), reference=REFERENCE)
+    assert level["wind"].values[5] == pytest.approx(30.0)  # level, drag is the axial force
+    assert level["C_wind"].values[5] == pytest.approx(30.0 / (100.0 * 0.3))
+    pitched = mean_in_axes(mean, flow=Flow(alpha=0.1, pressure=100.0), reference=REFERENCE)
+    assert np.isnan(pitched["wind"].values[[0, 5]]).all()  # lift and drag have a part of the normal force too
+    assert pitched["C_body"].values[5] == pytest.approx(1.0)
+    assert np.isnan(pitched["C_body"].values[:5]).all()
+
+
+def test_the_mean_of_a_run_is_as_uncertain_as_said(rng):
+    # the steady load of runs under a random load, whose share in the mean of so short a record is chance
+    dynamics, scores, us = spring(), [], []
+    for _ in range(16):
+        found = mean_loads(estimate_force(run_of(rng, mean=200.0), dynamics, hum="keep"))
+        us.append(found.errors.uncertainty()[0])
+        scores.append((found.values[0] - 200.0) / us[-1])
+    # white noise of 20 N over 800 samples; its spectrum by 12 tapers is known to 29 %, the mean of 16 to 7 %
+    assert np.mean(np.square(us)) == pytest.approx(20.0**2 / 800, rel=5 * 0.07)
+    # t with 11 degrees of freedom has a variance of 11/9, and its square a standard deviation of 2.3: 16 of them
+    assert np.mean(np.square(scores)) < 11 / 9 + 5 * 2.3 / np.sqrt(16)
+    assert np.mean(np.square(scores)) > 0.2
