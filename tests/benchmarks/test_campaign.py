@@ -19,9 +19,9 @@ RUNS = 24
 def at_work(folder: Path, dynamics: Path, out: Path, workers: int) -> float:
     """Time per run from the first that is done to the last [s]: what processes take to start is left out."""
     results = Results(str(out))
-    results.begin()
-    works, _ = planned(prepared(folder, dynamics=dynamics), results.out, with_reports=False)
-    ends = [time.monotonic() for _ in Engine(workers=workers).rows(works)]
+    with results.held():
+        works, _ = planned(prepared(folder, dynamics=dynamics), results.out, with_reports=False)
+        ends = [time.monotonic() for _ in Engine(workers=workers).rows(works)]
     return (ends[-1] - ends[workers - 1]) / (len(ends) - workers)
 
 

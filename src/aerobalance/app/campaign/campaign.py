@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from dataclasses import replace as replaced
 from pathlib import Path
@@ -15,7 +15,7 @@ from aerobalance.app.campaign.engine import Engine
 from aerobalance.app.campaign.places import exists, fetched, fingerprint, folder_of, is_address, name_of
 from aerobalance.app.campaign.quality import Quality, quality_of
 from aerobalance.app.campaign.reduction import RunSettings
-from aerobalance.app.campaign.results import HISTORIES, KIND, MANIFEST, SUMMARY, Results, import_needed
+from aerobalance.app.campaign.results import HISTORIES, KIND, MANIFEST, PAGE, SUMMARY, Results, import_needed
 from aerobalance.app.campaign.rows import ASIDE, REDUCED, Row, head_of, set_aside
 from aerobalance.app.campaign.work import Report, RunWork
 from aerobalance.io.artefacts import json_text
@@ -49,8 +49,6 @@ class Campaign:
         What the test is.
     seconds
         How long this call took [s].
-    changed
-        Whether anything is otherwise than after the call before; False where all was known and is written.
     """
 
     name: str
@@ -60,7 +58,6 @@ class Campaign:
     done: tuple[str, ...]
     definition: Definition
     seconds: float = 0.0
-    changed: bool = True
 
     @property
     def reduced(self) -> list[Row]:
@@ -160,12 +157,13 @@ def _whole(place: str | Path) -> str:
 
 def reduce_runs(
     test: str | Path,
-    out: str | Path,
+    out: str | Path | Results,
     *,
     dynamics: str | Path | None = None,
     balance: str | Path | None = None,
     engine: Engine | None = None,
     report: Report | None = None,
+    page: Callable[[Campaign], None] | None = None,
     replace: bool = False,
     ready: Callable[[Run], bool] = lambda run: True,
 ) -> Campaign:
@@ -180,11 +178,13 @@ def reduce_runs(
         As in `prepared`.
     out
         Folder of the results, or an address: ``summary.parquet`` with one row a run, ``histories.zarr`` with a group a
-        run, ``campaign.json``.
+        run, ``campaign.json``. Results that the caller holds already, or else they are held for this call.
     engine
         Where the work is done; processes of this machine if left out.
     report
         Writes the page of a run; None for none.
+    page
+        Writes the page of all runs, where anything is otherwise than before; None for none.
     replace
         Whether the folder may hold other files already.
     ready
@@ -195,15 +195,36 @@ def reduce_runs(
     ReadError
         As `prepared`.
     FitError, ValueError
-        As `Engine.rows`; or the folder cannot be written to.
+        As `Engine.rows`; or the folder cannot be written to, or another call works in it.
     """
     import_needed()
     begun = time()
     found = prepared(test, dynamics=dynamics, balance=balance)
     engine = Engine() if engine is None else engine
-    results = Results(_whole(out))
-    results.begin(replace=replace)
-    known_names = [run.name for run in found.runs]
+    if isinstance(out, Results):
+        return _reduced(found, out, engine, report=report, page=page, ready=ready, begun=begun)
+    results = results_at(out)
+    with results.held(replace=replace):
+        return _reduced(found, results, engine, report=report, page=page, ready=ready, begun=begun)
+
+
+def results_at(out: str | Path) -> Results:
+    """Return the folder of results at a path or an address."""
+    return Results(_whole(out))
+
+
+def _reduced(
+    found: Prepared,
+    results: Results,
+    engine: Engine,
+    *,
+    report: Report | None,
+    page: Callable[[Campaign], None] | None,
+    ready: Callable[[Run], bool],
+    begun: float,
+) -> Campaign:
+    """Reduce what is not done, and write what all runs are together."""
+    names = [run.name for run in found.runs]
     found = replaced(found, runs=tuple(run for run in found.runs if ready(run)))
     works, rows = planned(found, results.out, with_reports=report is not None)
     todo = []
@@ -213,38 +234,30 @@ def reduce_runs(
             todo.append(work)
         else:
             rows[work.run.name] = known
-    todo.sort(key=lambda work: work.run.place)
     coming = engine.rows(todo, report)
-    for _ in PROGRESS.each(range(len(todo)), "run"):
-        work, row = next(coming)
+    for _, (work, row) in zip(PROGRESS.each(todo, "run"), coming, strict=True):  # which lets the engine end its own
         rows[work.run.name] = row
         OUTPUTS.note(Path(results.place("runs", f"{work.run.name}.json")), replaced=False)
-    _ended(coming)
-    ordered = [{**rows[run.name], **head_of(run)} for run in found.runs]
-    ordered = [{**head_of(run), **row} for run, row in zip(found.runs, ordered, strict=True)]
-    results.keep_only(known_names)
-    quality = quality_of(ordered, found.definition.repeats)
+    ordered = [{**rows[run.name], **head_of(run)} for run in found.runs]  # its place may have changed
+    results.keep_only(names)
     campaign = Campaign(
         found.name,
         results.out,
         ordered,
-        quality,
+        quality_of(ordered, found.definition.repeats),
         tuple(work.run.name for work in todo),
         found.definition,
         time() - begun,
     )
     text = json_text(manifest(campaign))
-    if not todo and text == results.manifest and exists(results.place(SUMMARY)):
-        return replaced(campaign, changed=False)
-    write_summary(campaign, results)
-    results.write_text(text, MANIFEST)
+    if todo or text != results.manifest or not exists(results.place(SUMMARY)):
+        write_summary(campaign, results)
+        results.write_text(text, MANIFEST)
+    elif page is None or exists(results.place(PAGE)):
+        return campaign
+    if page is not None:
+        page(campaign)
     return campaign
-
-
-def _ended(coming: Iterable[Any]) -> None:
-    """Let what the work was done by come to its end."""
-    for _ in coming:
-        raise RuntimeError("there is more than was asked for")
 
 
 def planned(found: Prepared, out: str, *, with_reports: bool) -> tuple[list[RunWork], dict[str, Row]]:

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from aerobalance.app.campaign.holding import LOCK, held
 from aerobalance.app.campaign.places import MissingLibraryError, exists, is_address, joined, store_of
 from aerobalance.app.campaign.rows import Row, columns_of
 from aerobalance.io.artefacts import json_text
 from aerobalance.io.safe_write import OUTPUTS, reason_of
-from aerobalance.recording.errors import ReadError
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -54,27 +54,37 @@ class Results:
         """Return the place of a file or a group."""
         return joined(self.out, "/".join(names))
 
-    def begin(self, *, replace: bool = False) -> None:
-        """Make the folder, and take away what an earlier call left half-written.
+    @contextmanager
+    def held(self, *, replace: bool = False) -> Iterator[None]:
+        """Make the folder, keep other calls out of it, and take away what an earlier one left half-written.
 
         Raises
         ------
         ValueError
-            The folder holds something else, or cannot be made.
+            The folder holds something else, another call works in it, or it cannot be made.
         """
         if not is_address(self.out):
+            self._make(Path(self.out), replace=replace)
+        with held(self.out):
+            self._tidy()
+            yield
+
+    def _make(self, folder: Path, *, replace: bool) -> None:
+        if folder.exists() and not folder.is_dir():
+            raise ValueError(f"{folder} is a file; the results of a campaign are a folder")
+        others = folder.is_dir() and any(one.name != LOCK for one in folder.iterdir())
+        if others and not (folder / MANIFEST).is_file() and not replace:
+            raise ValueError(
+                f"{folder} exists and is no campaign's folder of results; give another name, or an empty folder"
+            )
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ValueError(f"cannot make the folder {folder}: {reason_of(error)}") from None
+
+    def _tidy(self) -> None:
+        if not is_address(self.out):
             folder = Path(self.out)
-            if folder.exists() and not folder.is_dir():
-                raise ValueError(f"{folder} is a file; the results of a campaign are a folder")
-            if folder.is_dir() and any(folder.iterdir()) and not (folder / MANIFEST).is_file() and not replace:
-                raise ValueError(
-                    f"{folder} exists and is no campaign's folder of results; give another name, or an empty folder"
-                )
-            try:
-                for name in ("runs", "reports", HISTORIES):
-                    (folder / name).mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise ValueError(f"cannot make the folder {folder}: {reason_of(error)}") from None
             for left in (*folder.glob(".*.part"), *folder.glob("*/.*.part")):
                 shutil.rmtree(left) if left.is_dir() else left.unlink()
         if not exists(self.place(MANIFEST)):
@@ -260,22 +270,3 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
         else:
             arrays[name] = pa.array([None if one is None else str(one) for one in cells], pa.string())
     return pa.table(arrays)
-
-
-def read_rows_of(out: str) -> list[Row]:
-    """Return the rows of a campaign's summary.
-
-    Raises
-    ------
-    ReadError
-        There is no summary.
-    """
-    import_needed()
-    import pyarrow.parquet as pq  # noqa: PLC0415 - of an extra
-
-    place = Results(out).place(SUMMARY)
-    system, inside = store_of(place)
-    if not system.exists(inside):
-        raise ReadError(place, "", "there is no such file")
-    with system.open(inside, "rb") as file:
-        return list(pq.read_table(file).to_pylist())

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Final
 
 from aerobalance.app.campaign.assignment import Run
-from aerobalance.app.campaign.campaign import Campaign, prepared, reduce_runs
+from aerobalance.app.campaign.campaign import Campaign, prepared, reduce_runs, results_at
 from aerobalance.app.campaign.engine import Engine
-from aerobalance.app.campaign.places import exists, is_address, name_of
+from aerobalance.app.campaign.places import is_address, name_of
 from aerobalance.app.campaign.reduction import ReducedRun
 from aerobalance.app.campaign.results import HISTORIES, PAGE, SUMMARY, Results
 from aerobalance.app.campaign.watching import EVERY, Watch
@@ -47,7 +47,16 @@ def campaign(
     """Reduce all runs of a test that are not done yet, and write what they show."""
     there = Path(out).exists()
     with collected_warnings() as collected:
-        found = with_pages(test, out, dynamics=dynamics, balance=balance, engine=engine, replace=replace)
+        found = reduce_runs(
+            test,
+            out,
+            dynamics=dynamics,
+            balance=balance,
+            engine=engine,
+            report=write_run_report,
+            page=write_page_of,
+            replace=replace,
+        )
         flags = found.quality.flags
         for flag in flags[:MOST_SAID]:
             warn_quality(f"{flag.kind}: {flag.text}")
@@ -130,26 +139,16 @@ def run_campaign(
     ValueError
         A call is wrong, a library is not installed, no scheduler answers, or the results cannot be written.
     """
-    engine = Engine(scheduler=scheduler, workers=workers)
-    return with_pages(test, out, dynamics=dynamics, balance=balance, engine=engine, replace=replace)
-
-
-def with_pages(
-    test: str | Path,
-    out: str | Path,
-    *,
-    dynamics: str | Path | None,
-    balance: str | Path | None,
-    engine: Engine | None,
-    replace: bool,
-) -> Campaign:
-    """Reduce the runs of a test, with the page of each and that of all."""
-    found = reduce_runs(
-        test, out, dynamics=dynamics, balance=balance, engine=engine, report=write_run_report, replace=replace
+    return reduce_runs(
+        test,
+        out,
+        dynamics=dynamics,
+        balance=balance,
+        engine=Engine(scheduler=scheduler, workers=workers),
+        report=write_run_report,
+        page=write_page_of,
+        replace=replace,
     )
-    if found.changed or not exists(Results(found.out).place(PAGE)):
-        write_page_of(found)
-    return found
 
 
 def watch(
@@ -164,11 +163,12 @@ def watch(
     say: Callable[[str], None],
 ) -> Result:
     """Reduce the runs of a test as their files come in, for so long [s] or until interrupted."""
+    results = results_at(out)
 
     def reduce(ready: Callable[[Run], bool]) -> Campaign:
         found = reduce_runs(
             test,
-            out,
+            results,
             dynamics=dynamics,
             balance=balance,
             engine=Engine(workers=workers),
@@ -178,10 +178,11 @@ def watch(
         write_page_of(found, refresh=max(1, round(every)))
         return found
 
-    found = Watch(lambda: prepared(test, dynamics=dynamics, balance=balance), reduce, say, every).go(seconds)
-    if found is None:
-        return {"test": test, "out": out, "runs": 0, "summary": f"no run came into {test}\n"}
-    write_page_of(found)
+    with results.held():
+        found = Watch(lambda: prepared(test, dynamics=dynamics, balance=balance), reduce, say, every).go(seconds)
+        if found is None:
+            return {"test": test, "out": out, "runs": 0, "summary": f"no run came into {test}\n"}
+        write_page_of(found)
     _note_folder(out, replaced=False)
     return account(found, [])
 
