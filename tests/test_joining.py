@@ -8,8 +8,9 @@ import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.io import read, write_recording
-from aerobalance.recording.alignment import align, edges
+from aerobalance.recording.alignment import align
 from aerobalance.recording.channel import Channel
+from aerobalance.recording.clock_marks import edges
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.joining import join
 from aerobalance.recording.recording import Recording

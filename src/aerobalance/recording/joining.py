@@ -8,11 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.recording.alignment import Alignment, Way, align, at_places
+from aerobalance.recording.alignment import align
 from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.clock_pair import Alignment, Way
 from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import EDGE, interpolate_gaps_linearly
+from aerobalance.recording.resampling import EDGE, at_places, interpolate_gaps_linearly
 
 PIECE: Final = 1 << 17
 """Samples that are resampled at once."""

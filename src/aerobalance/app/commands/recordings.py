@@ -32,7 +32,7 @@ from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import conversion_for, edge_unit
 
 if TYPE_CHECKING:
-    from aerobalance.recording.alignment import Way
+    from aerobalance.recording.clock_pair import Way
 
 NO_TIME: Final = 1e-12
 """Share of the length of a recording below which an instant is zero but for rounding."""
