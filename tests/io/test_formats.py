@@ -12,8 +12,7 @@ import pytest
 
 import aerobalance as ab
 from aerobalance.app.cli import main
-from aerobalance.io import FORMATS, load_channel_map, read, template, write_recording
-from aerobalance.io import series as io_series
+from aerobalance.io import FORMATS, format_library, load_channel_map, read, series_values, template, write_recording
 from aerobalance.io.long_record import open_record
 from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Channel, CrossAxis
@@ -63,13 +62,13 @@ def test_a_map_that_is_proposed_reads_the_file(tmp_path, given) -> None:
 
 def test_only_what_is_wanted_is_read(tmp_path, monkeypatch) -> None:
     asked = []
-    original = io_series.read_values
+    original = series_values.read_values
 
     def noted(path, one, begin=0, end=None):
         asked.append(one.name)
         return original(path, one, begin, end)
 
-    monkeypatch.setattr(io_series, "read_values", noted)
+    monkeypatch.setattr(series_values, "read_values", noted)
     for given in FILES:
         path, toml = tmp_path / given.name, tmp_path / "map.toml"
         given.make(path)
@@ -235,7 +234,7 @@ def test_commands_take_and_write_them(tmp_path, capsys, monkeypatch) -> None:
 
 def test_what_is_not_installed_is_named_with_what_installs_it(tmp_path, monkeypatch) -> None:
     found = importlib.util.find_spec
-    monkeypatch.setattr(io_series, "find_spec", lambda name: None if name in lacking else found(name))
+    monkeypatch.setattr(format_library, "find_spec", lambda name: None if name in lacking else found(name))
     extras = {"a.mf4": ("asammdf", "mdf"), "a.parquet": ("pyarrow", "parquet"), "three.zarr": ("zarr", "zarr")}
     made = {given.name: given.make for given in FILES}
     for name, (module, extra) in extras.items():

@@ -39,7 +39,7 @@ from aerobalance.io.csv_file import read_table
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.map_template import map_text
 from aerobalance.io.opening import opened_file
-from aerobalance.io.series import SeriesFormat
+from aerobalance.io.series_format import SeriesFormat
 from aerobalance.io.table import Column, Table, recording_from, table_from
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.text_table import describe_text, guess_encoding

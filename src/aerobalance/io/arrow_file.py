@@ -12,20 +12,12 @@ from typing import Any, Final
 import numpy as np
 
 from aerobalance.io.columns import Append, split_label
+from aerobalance.io.format_library import library, library_faults, library_to_write
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.said_by_file import clock_of, epoch_of, plain_keys, sensor_said, since, unit_of
 from aerobalance.io.sensor_text import KEY, sensor_text
-from aerobalance.io.series import (
-    MOST_SERIES,
-    Holdings,
-    Series,
-    library,
-    library_faults,
-    library_to_write,
-    named,
-    with_axes,
-)
+from aerobalance.io.series import MOST_SERIES, Holdings, Series, named, with_axes
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.version import VERSION

@@ -1,15 +1,18 @@
-"""Columns that each have a clock of their own, put on one: what files with several sampling rates need."""
+"""Clocks of the columns of a file: those that each have one of their own put on one, and the steady one of stamps."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from aerobalance.io.columns import Clock, RawColumn, RawColumns
+from aerobalance.io.columns import PIECE, Clock, RawColumn, RawColumns
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError, warn_quality
+from aerobalance.recording.recording import JITTER_ALLOWED
 
 DRIFT_ALLOWED: Final = 0.1
 """Sampling intervals by which two clocks may run apart over a record and still count as of equal rate."""
@@ -134,3 +137,36 @@ def of_one_length(raw: RawColumns) -> RawColumns:
                 "neither)",
             )
     return raw
+
+
+def steady_clock_of(read: Callable[[int, int], Array], samples: int) -> Clock | None:
+    """The steady clock that fits a column of times by least squares; None where a stamp departs from it.
+
+    Parameters
+    ----------
+    read
+        Times of the samples from one to another (not included) [s].
+    samples
+        Number of samples.
+    """
+
+    def pieces() -> Iterator[tuple[NDArray[np.intp], Array]]:
+        for begin in range(0, samples, PIECE):
+            end = min(begin + PIECE, samples)
+            yield np.arange(begin, end), read(begin, end)
+
+    origin = float(read(0, 1)[0])
+    middle = (samples - 1) / 2
+    total = along = 0.0
+    for places, part in pieces():
+        since = part - origin
+        total += float(since.sum())
+        along += float((places - middle) @ since)
+    interval = along / (samples * (samples**2 - 1.0) / 12) if samples > 1 else np.nan
+    start = total / samples - interval * middle
+    if not interval > 0:
+        return None
+    for places, part in pieces():
+        if not np.max(np.abs(part - origin - start - interval * places)) < JITTER_ALLOWED * interval:
+            return None
+    return Clock(origin + start, interval)

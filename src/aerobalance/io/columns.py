@@ -18,6 +18,9 @@ from aerobalance.recording.units import readable
 Append = Callable[[Mapping[str, Array]], None]
 """Takes the next rows of all columns of a file that is written, by header."""
 
+PIECE: Final = 1 << 16
+"""Samples that are read or looked at at once, where all of them would take too much room."""
+
 _SQUARE: Final = re.compile(r"(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 _ROUND: Final = re.compile(r"(?P<name>.*?)\s*\((?P<unit>.*)\)\s*")
 

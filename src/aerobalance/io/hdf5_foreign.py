@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from aerobalance.io.format_library import library_faults
 from aerobalance.io.hdf5_closing import SIGNATURE
 from aerobalance.io.hdf5_heaps import check_heaps
 from aerobalance.io.hdf5_layout import FORMAT
@@ -25,7 +26,7 @@ from aerobalance.io.said_by_file import (
     unit_of,
     unpacked,
 )
-from aerobalance.io.series import MOST_SERIES, Holdings, Series, library_faults, named, with_axes
+from aerobalance.io.series import MOST_SERIES, Holdings, Series, named, with_axes
 from aerobalance.recording.errors import ReadError
 
 if TYPE_CHECKING:

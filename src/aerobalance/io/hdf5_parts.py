@@ -6,15 +6,15 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.io.columns import RawColumns
+from aerobalance.io.clocks import steady_clock_of
+from aerobalance.io.columns import PIECE, RawColumns
 from aerobalance.io.hdf5_contents import Contents, contents_of, opened
 from aerobalance.io.hdf5_file import LARGEST_GAP, raw_column, read_block, remarks_on
-from aerobalance.io.series_record import steady_clock_of
 from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of_missing
 from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.recording.channel import Array, Channel
@@ -25,9 +25,6 @@ from aerobalance.recording.units import conversion
 
 if TYPE_CHECKING:
     import h5py
-
-ROWS: Final = 1 << 16
-"""Rows of the time column that are looked at at once."""
 
 
 class _Clock(NamedTuple):
@@ -162,8 +159,8 @@ class Hdf5Record:
             places = [place for place, one in enumerate(self.found.channels) if one.name == "temperature"]
             if places:
                 total, count = 0.0, 0
-                for begin in range(0, self.samples, ROWS):
-                    _, readings, _ = self._read(begin, min(begin + ROWS, self.samples))
+                for begin in range(0, self.samples, PIECE):
+                    _, readings, _ = self._read(begin, min(begin + PIECE, self.samples))
                     column = raw_column(self.found.channels[places[0]], readings[:, places[0]], places[0])
                     raw = RawColumns(self.path, (column,), range(1, len(readings) + 1), rate=self.rate)
                     values = table_from(raw, missing_allowed=True).values("temperature")

@@ -10,7 +10,7 @@ from typing import Final
 from aerobalance.io import format_of, hdf5_file, read
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.hdf5_parts import opened_record
-from aerobalance.io.series import SeriesFormat
+from aerobalance.io.series_format import SeriesFormat
 from aerobalance.io.series_record import opened_series
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.parts import LongRecord

@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
 import numpy as np
 
 from aerobalance.io.columns import Append, Clock, split_label
+from aerobalance.io.format_library import library_faults
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.mat_elements import COMPLEX, MATRIX, PACKED, check_variable, unpacked_variable
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.said_by_file import clock_of, epoch_of, number_of, plain_keys, text_of
 from aerobalance.io.sensor_text import sensor_of, sensor_text
-from aerobalance.io.series import MOST_SERIES, Holdings, Series, library_faults, named, with_axes
+from aerobalance.io.series import MOST_SERIES, Holdings, Series, named, with_axes
 from aerobalance.recording.channel import Array, SensorSpec
 from aerobalance.recording.errors import ReadError
 

@@ -11,9 +11,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from aerobalance.io.format_library import library, library_faults
 from aerobalance.io.mdf_blocks import check_blocks
 from aerobalance.io.said_by_file import date_of
-from aerobalance.io.series import MOST_SERIES, Holdings, Series, library, library_faults, named
+from aerobalance.io.series import MOST_SERIES, Holdings, Series, named
 from aerobalance.recording.errors import ReadError
 
 NAME: Final = "MDF"

@@ -10,10 +10,10 @@ from typing import Any, Final
 import numpy as np
 
 from aerobalance.io.columns import Append, split_label
+from aerobalance.io.format_library import library_to_write
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.sensor_text import KEY, sensor_text
-from aerobalance.io.series import library_to_write
 from aerobalance.recording.channel import Array
 from aerobalance.recording.version import VERSION
 

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerobalance.io.channel_map import ChannelMap, mapped_channels
-from aerobalance.io.columns import Clock, RawColumns
-from aerobalance.io.series import Holdings, Reader, Series, axis_epoch, bare_column, chosen_series, read_values
+from aerobalance.io.clocks import steady_clock_of
+from aerobalance.io.columns import PIECE, Clock, RawColumns
+from aerobalance.io.series import Holdings, Reader, Series
+from aerobalance.io.series_columns import axis_epoch, bare_column, chosen_series
+from aerobalance.io.series_values import read_values
 from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of_missing
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.parts import Extent
-from aerobalance.recording.recording import JITTER_ALLOWED, Recording
+from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import conversion
-
-PIECE: Final = 1 << 16
-"""Samples that are looked at at once."""
 
 
 @dataclass(slots=True, eq=False)
@@ -190,36 +188,3 @@ def seconds(path: Path, axis: Series, begin: int, end: int) -> Array:
     """Times of some samples [s]."""
     unit = "s" if axis.stamps else axis.unit
     return np.asarray(conversion(unit, expected="s").inside(read_values(path, axis, begin, end)))
-
-
-def steady_clock_of(read: Callable[[int, int], Array], samples: int) -> Clock | None:
-    """The steady clock that fits a column of times by least squares; None where a stamp departs from it.
-
-    Parameters
-    ----------
-    read
-        Times of the samples from one to another (not included) [s].
-    samples
-        Number of samples.
-    """
-
-    def pieces() -> Iterator[tuple[NDArray[np.intp], Array]]:
-        for begin in range(0, samples, PIECE):
-            end = min(begin + PIECE, samples)
-            yield np.arange(begin, end), read(begin, end)
-
-    origin = float(read(0, 1)[0])
-    middle = (samples - 1) / 2
-    total = along = 0.0
-    for places, part in pieces():
-        since = part - origin
-        total += float(since.sum())
-        along += float((places - middle) @ since)
-    interval = along / (samples * (samples**2 - 1.0) / 12) if samples > 1 else np.nan
-    start = total / samples - interval * middle
-    if not interval > 0:
-        return None
-    for places, part in pieces():
-        if not np.max(np.abs(part - origin - start - interval * places)) < JITTER_ALLOWED * interval:
-            return None
-    return Clock(origin + start, interval)

@@ -25,10 +25,11 @@ from typing import Any, BinaryIO, Final, NamedTuple
 import numpy as np
 
 from aerobalance.io.columns import Append, Clock, split_label
+from aerobalance.io.format_library import library_faults
 from aerobalance.io.opening import opened_file
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.said_by_file import date_of
-from aerobalance.io.series import MOST_SERIES, Holdings, Series, library_faults, named
+from aerobalance.io.series import MOST_SERIES, Holdings, Series, named
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.units import conversion

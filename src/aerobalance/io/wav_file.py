@@ -11,7 +11,8 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 
 from aerobalance.io.columns import Clock
-from aerobalance.io.series import Holdings, Series, library_faults
+from aerobalance.io.format_library import library_faults
+from aerobalance.io.series import Holdings, Series
 from aerobalance.recording.errors import ReadError
 
 NAME: Final = "WAV"

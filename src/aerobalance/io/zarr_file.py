@@ -12,8 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from aerobalance.io.format_library import library, library_faults
 from aerobalance.io.said_by_file import clock_of, epoch_of, plain_keys, sensor_said, since, unit_of, unpacked
-from aerobalance.io.series import MOST_SERIES, Holdings, Series, library, library_faults, named, with_axes
+from aerobalance.io.series import MOST_SERIES, Holdings, Series, named, with_axes
 from aerobalance.recording.errors import ReadError
 
 NAME: Final = "Zarr"
