@@ -184,6 +184,20 @@ class RawColumns:
         raise ReadError(self.path, where, f"there is no column {key!r}; the file has {self.labels()}")
 
 
+def time_label(path: Path, labels: Sequence[str], what: str) -> str:
+    """Return the header of the column of times of a file that is written.
+
+    Raises
+    ------
+    ValueError
+        There is none, and the format needs one.
+    """
+    found = next((label for label in labels if split_label(label)[0] == "time"), None)
+    if found is None:
+        raise ValueError(f"cannot write {path}: {what} needs a column time [s]")
+    return found
+
+
 def split_label(label: str) -> tuple[str, str]:
     """Split a header cell into name and unit: ``AF [N]``, and ``Moment (Nm)`` where the brackets hold a unit."""
     match = _SQUARE.fullmatch(label)

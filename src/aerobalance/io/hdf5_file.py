@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns
+from aerobalance.io.hdf5_closing import SIGNATURE
 from aerobalance.io.hdf5_contents import Contents, contents, contents_of, opened
 from aerobalance.io.hdf5_layout import StoredChannel, checksum
 from aerobalance.io.hdf5_rows import appending
@@ -34,14 +35,13 @@ KEEPS_EPOCH: Final = True
 LARGEST_GAP: Final = 20
 """Samples of the clock per sample of the file beyond which the recording has to be cut at its gaps."""
 
-_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 _CONTACTS: Final = 5  # contacts that are listed
 
 
 def can_read(head: bytes, path: Path) -> bool:
     """Return whether a file is HDF5, from its first bytes; its name does not matter."""
     del path
-    return head.startswith(_SIGNATURE)
+    return head.startswith(SIGNATURE)
 
 
 def read_blocks(path: Path | str) -> Iterator[tuple[int, Array | None]]:

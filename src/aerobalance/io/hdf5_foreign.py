@@ -26,7 +26,7 @@ from aerobalance.io.said_by_file import (
     unit_of,
     unpacked,
 )
-from aerobalance.io.series import MOST_SERIES, Holdings, Series, named, with_axes
+from aerobalance.io.series import MOST_COLUMNS, MOST_SERIES, Holdings, Matrix, Series, kind_fault, named, with_axes
 from aerobalance.recording.errors import ReadError
 
 if TYPE_CHECKING:
@@ -37,9 +37,6 @@ NAME: Final = "HDF5"
 
 MATLAB: Final = b"MATLAB 7.3 MAT-file"
 """The first bytes of a MATLAB file that is HDF5 within."""
-
-MOST_COLUMNS: Final = 1000
-"""Columns of a matrix that are taken for channels; a wider one is no table of readings."""
 
 _PACKED: Final = 1100
 """Most that a sample of a data set may be larger than what is stored of it: deflate makes 1032 to 1 at best."""
@@ -140,9 +137,9 @@ class _Walk:
             return
         if one.ndim == 1 or min(one.shape) == 1:
             name = label.rpartition("/")[2]
-            self._add(label, name, one, _line(one), shared=shared, units=units, block="")
+            self._add(label, name, one, Matrix(one).reader(0), shared=shared, units=units, block="")
         elif min(one.shape) <= MOST_COLUMNS:
-            matrix = _Matrix(one)
+            matrix = Matrix(one)
             block = label if one.shape[0] >= one.shape[1] else ""
             for k in range(min(one.shape)):
                 name, read = label.rpartition("/")[2], matrix.reader(k)
@@ -188,9 +185,8 @@ class _Walk:
 
 def _fault(one: h5py.Dataset, size: int) -> str:
     """Return why a data set cannot be read as readings; an empty string where it can."""
-    kind = one.dtype.kind
-    if kind not in "fiub" and not one.dtype.names:
-        return "it holds complex numbers" if kind == "c" else "it holds text or data that are no numbers"
+    if not one.dtype.names and (fault := kind_fault(one.dtype.kind)):
+        return fault
     if one.external or one.is_virtual:
         return "it takes its data from other files, which are not opened"
     stored = one.id.get_storage_size()
@@ -203,35 +199,6 @@ def _fault(one: h5py.Dataset, size: int) -> str:
     if piece > max(_PACKED * size, _SMALL):
         return f"it claims pieces of {piece} bytes in a file of {size}: it is damaged"
     return ""
-
-
-@dataclass(slots=True)
-class _Matrix:
-    """A data set whose longer side is the time; the piece that was read last is kept, as all columns ask for it."""
-
-    data: h5py.Dataset
-    piece: Any = None
-    bounds: tuple[int, int] = (0, 0)
-
-    def reader(self, column: int) -> Any:
-        """Read a part of one column."""
-        if self.data.shape[0] < self.data.shape[1]:
-            return lambda begin, end: self.data[column, begin:end]
-        return lambda begin, end: self._rows(begin, end)[:, column]
-
-    def _rows(self, begin: int, end: int) -> Any:
-        if self.bounds != (begin, end):
-            self.piece, self.bounds = self.data[begin:end], (begin, end)
-        return self.piece
-
-
-def _line(one: h5py.Dataset) -> Any:
-    """Read a part of a data set of one row or one column."""
-    if one.ndim == 1:
-        return lambda begin, end: one[begin:end]
-    if one.shape[0] >= one.shape[1]:
-        return lambda begin, end: one[begin:end, 0]
-    return lambda begin, end: one[0, begin:end]
 
 
 def _field_reader(one: h5py.Dataset, name: str) -> Any:

@@ -12,6 +12,7 @@ import struct
 from pathlib import Path
 from typing import Final
 
+from aerobalance.io.hdf5_closing import SIGNATURE
 from aerobalance.recording.errors import ReadError
 
 _MARK: Final = b"GCOL\x01\0\0\0"
@@ -69,7 +70,7 @@ def _objects(path: Path, view: mmap.mmap, at: int) -> dict[int, int]:
 
 def _check_texts(path: Path, view: mmap.mmap, at: int, objects: dict[int, int], span: tuple[int, int]) -> None:
     """Refuse lengths beside references to a collection that are larger than what they refer to."""
-    base = max(0, view.find(b"\x89HDF\r\n\x1a\n", 0, 4096))
+    base = max(0, view.find(SIGNATURE, 0, 4096))
     reference = struct.pack("<Q", at - base)
     place = view.find(reference, span[0] + 4, span[1])
     while place >= 0 and place + 12 <= len(view):

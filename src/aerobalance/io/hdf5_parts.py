@@ -19,7 +19,7 @@ from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of
 from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import ReadError, warn_quality
-from aerobalance.recording.parts import Extent
+from aerobalance.recording.parts import Extent, mean_over
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import conversion
 
@@ -156,17 +156,16 @@ class Hdf5Record:
         """Mean of the temperature over the whole record, by name, where there is one."""
         if self._means is None:
             self._means = {}
-            places = [place for place, one in enumerate(self.found.channels) if one.name == "temperature"]
-            if places:
-                total, count = 0.0, 0
-                for begin in range(0, self.samples, PIECE):
-                    _, readings, _ = self._read(begin, min(begin + PIECE, self.samples))
-                    column = raw_column(self.found.channels[places[0]], readings[:, places[0]], places[0])
-                    raw = RawColumns(self.path, (column,), range(1, len(readings) + 1), rate=self.rate)
-                    values = table_from(raw, missing_allowed=True).values("temperature")
-                    total, count = total + float(np.nansum(values)), count + int(np.isfinite(values).sum())
-                self._means = {"temperature": total / max(count, 1)}
+            if any(one.name == "temperature" for one in self.found.channels):
+                self._means = {"temperature": mean_over(self.samples, self._temperature, at_once=PIECE)}
         return self._means
+
+    def _temperature(self, begin: int, end: int) -> Array:
+        place = next(i for i, one in enumerate(self.found.channels) if one.name == "temperature")
+        _, readings, _ = self._read(begin, end)
+        column = raw_column(self.found.channels[place], readings[:, place], place)
+        raw = RawColumns(self.path, (column,), range(1, len(readings) + 1), rate=self.rate)
+        return table_from(raw, missing_allowed=True).values("temperature")
 
 
 def _placed(channel: Channel, rows: NDArray[np.intp], size: int) -> Channel:

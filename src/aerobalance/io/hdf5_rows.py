@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from aerobalance.io.columns import Append, split_label
+from aerobalance.io.columns import Append, split_label, time_label
 from aerobalance.io.hdf5_guard import LIBVER, GuardedFile
 from aerobalance.io.hdf5_layout import (
     BLOCK,
@@ -151,9 +151,7 @@ def _stored(
 ) -> tuple[tuple[StoredChannel, ...], str]:
     """Return the channels of columns by their headers, and the unit of the time."""
     split = {label: split_label(label) for label in labels}
-    time = next((label for label, (name, _) in split.items() if name == "time"), None)
-    if time is None:
-        raise ValueError(f"cannot write {path}: a recording in HDF5 needs a column time [s]")
+    time = time_label(path, labels, "a recording in HDF5")
     others = [label for label in labels if label != time]
     channels = []
     for label in others:

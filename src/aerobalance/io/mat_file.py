@@ -22,7 +22,7 @@ from aerobalance.io.mat_elements import COMPLEX, MATRIX, PACKED, check_variable,
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.said_by_file import clock_of, epoch_of, number_of, plain_keys, text_of
 from aerobalance.io.sensor_text import sensor_of, sensor_text
-from aerobalance.io.series import MOST_SERIES, Holdings, Series, named, with_axes
+from aerobalance.io.series import MOST_COLUMNS, MOST_SERIES, Holdings, Series, named, with_axes
 from aerobalance.recording.channel import Array, SensorSpec
 from aerobalance.recording.errors import ReadError
 
@@ -38,7 +38,6 @@ _HEAD: Final = 4096
 _STRUCT, _CELL, _OBJECT, _CHAR, _SPARSE, _FUNCTION, _OPAQUE = 2, 1, 3, 4, 5, 16, 17
 _ITEM: Final = {6: 8, 7: 4, 8: 1, 9: 1, 10: 2, 11: 2, 12: 4, 13: 4, 14: 8, 15: 8}
 _UNPACKED: Final = 1100
-_MOST_COLUMNS: Final = 1000
 _TABLES: Final = ("unit", "units", "names", "sensors", "epoch")
 _KEYWORDS: Final = (
     "end",
@@ -250,7 +249,7 @@ class _Walk:
 
     def _structures(self, label: str, value: NDArray[np.void]) -> None:
         """Take the fields of a structure, or of each of several."""
-        if label.count(".") >= _DEEPEST or value.size > _MOST_COLUMNS:
+        if label.count(".") >= _DEEPEST or value.size > MOST_COLUMNS:
             return
         for i, one in enumerate(value.ravel()):
             place = label if value.size == 1 else f"{label}({i + 1})"
@@ -282,7 +281,7 @@ class _Walk:
             )
             self.series.append(Series(label, text, "", 0, lambda *_: np.empty(0), fault=f"it is {what}"))
             return
-        if len(shape) != 2 or max(shape) < 2 or min(shape) > _MOST_COLUMNS or min(shape) < 1:
+        if len(shape) != 2 or max(shape) < 2 or min(shape) > MOST_COLUMNS or min(shape) < 1:
             return
         name, unit = named(text, unit)
         columns, samples = min(shape), max(shape)

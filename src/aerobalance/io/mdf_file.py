@@ -1,4 +1,4 @@
-"""MDF (ASAM, versions 2 to 4; .mf4, .mdf, .dat): groups of channels, each group with its own times."""
+"""MDF (ASAM, version 4; .mf4, .mdf, .dat): groups of channels, each group with its own times."""
 
 from __future__ import annotations
 

@@ -12,13 +12,11 @@ import numpy as np
 
 from aerobalance.io.format_library import library_faults
 from aerobalance.io.said_by_file import clock_of, epoch_of, plain_keys, sensor_said, since, unit_of, unpacked
-from aerobalance.io.series import MOST_SERIES, Holdings, Series, named, with_axes
+from aerobalance.io.series import MOST_COLUMNS, MOST_SERIES, Holdings, Series, kind_fault, named, with_axes
 from aerobalance.recording.errors import ReadError
 
 NAME: Final = "NetCDF (classic)"
 """What to call the format in messages."""
-
-_MOST_COLUMNS: Final = 1000
 
 
 def can_read(head: bytes, path: Path) -> bool:
@@ -71,7 +69,7 @@ def _of_variable(
 ) -> tuple[list[Series], np.datetime64 | None]:
     """Series of one variable, and the date and time of zero where it is a time that states it."""
     shape = tuple(int(length) for length in variable.shape)
-    if len(shape) not in (1, 2) or math.prod(shape) < 2 or (len(shape) == 2 and min(shape) > _MOST_COLUMNS):
+    if len(shape) not in (1, 2) or math.prod(shape) < 2 or (len(shape) == 2 and min(shape) > MOST_COLUMNS):
         return [], None
     size = path.stat().st_size
     if math.prod(shape) * variable.data.dtype.itemsize > size:
@@ -82,8 +80,7 @@ def _of_variable(
     stated = unit_of(own)
     unit, date = since(stated) if "since" in stated else (stated, None)
     bare, unit = named(name, unit)
-    kind = variable.data.dtype.kind
-    fault = "" if kind in "fiub" else "it holds text"
+    fault = kind_fault(variable.data.dtype.kind)
     along = int(np.argmax(shape))
     dimension = str(variable.dimensions[along])
     columns = 1 if len(shape) == 1 else min(shape)

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from aerobalance.io.columns import Append, split_label
+from aerobalance.io.columns import Append, split_label, time_label
 from aerobalance.io.format_library import library_to_write
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.safe_write import replacing
@@ -74,9 +74,7 @@ def appending(
     del rows
     h5netcdf = library_to_write("h5netcdf", "netcdf", path, "NetCDF")
     split = {label: split_label(label) for label in labels}
-    time = next((label for label, (name, _) in split.items() if name == "time"), None)
-    if time is None:
-        raise ValueError(f"cannot write {path}: a NetCDF file needs a column time [s]")
+    time = time_label(path, labels, "a NetCDF file")
     with replacing(path) as beside, h5netcdf.File(beside, "w") as file:
         file.attrs.update(
             {

@@ -25,6 +25,9 @@ Reads = Callable[[int, int], Any]
 MOST_SERIES: Final = 10_000
 """Series that a file may hold: no recorder has as many channels."""
 
+MOST_COLUMNS: Final = 1000
+"""Columns of a matrix that are taken for channels; a wider one is no table of readings."""
+
 
 @dataclass(frozen=True, slots=True)
 class Series:
@@ -73,6 +76,11 @@ class Series:
     block: str = ""
     sensor: SensorSpec = field(default_factory=SensorSpec)
 
+    @property
+    def unit_as_read(self) -> str:
+        """Unit of what `aerobalance.io.series_values.read_values` makes of its samples: dates become seconds."""
+        return "s" if self.stamps else self.unit
+
 
 @dataclass(frozen=True, slots=True)
 class Holdings:
@@ -108,6 +116,41 @@ class Reader(Protocol):
 
     def opened(self, path: Path) -> AbstractContextManager[Holdings]:
         """Open a file to read its series."""
+
+
+class Matrix:
+    """An array on the disk whose longer side is the time; what was read last is kept, as all columns ask for it.
+
+    Parameters
+    ----------
+    data
+        What has a shape and gives its parts as arrays, of one dimension or two.
+    """
+
+    def __init__(self, data: Any) -> None:
+        self._data = data
+        self._bounds, self._last = (0, 0), None
+
+    def reader(self, column: int) -> Reads:
+        """Return what reads a part of one column."""
+        shape = self._data.shape
+        if len(shape) == 1:
+            return lambda begin, end: self._data[begin:end]
+        if shape[0] < shape[1]:
+            return lambda begin, end: self._data[column, begin:end]
+        return lambda begin, end: self._rows(begin, end)[:, column]
+
+    def _rows(self, begin: int, end: int) -> Any:
+        if self._bounds != (begin, end):
+            self._last, self._bounds = self._data[begin:end], (begin, end)
+        return self._last
+
+
+def kind_fault(kind: str, *, allowed: str = "fiub") -> str:
+    """Return why data of a kind of numpy's are no readings; an empty string where they are of those allowed."""
+    if kind in allowed:
+        return ""
+    return "it holds complex numbers" if kind == "c" else "it holds text or data that are no numbers"
 
 
 def by_label(found: Holdings, label: str) -> Series:

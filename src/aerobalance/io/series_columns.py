@@ -118,11 +118,10 @@ def is_known(name: str) -> bool:
 
 def bare_column(number: int, series: Series) -> RawColumn:
     """Column of a series without its cells."""
-    unit = "s" if series.stamps else series.unit
     return RawColumn(
         series.label,
         series.name,
-        unit,
+        series.unit_as_read,
         np.empty(0),
         number,
         alias=series.alias,
@@ -158,10 +157,9 @@ def axis_epoch(path: Path, found: Holdings, axis: Series) -> np.datetime64 | Non
 def _clock_of(path: Path, axis: Series) -> Clock:
     """Return the steady clock of a series of times, where others have one of their own."""
     times = read_values(path, axis)
-    unit = axis.unit or ("s" if axis.stamps else "")
-    if not unit:
+    if not axis.unit_as_read:
         _unit_needed(path, axis)
-    seconds = conversion(unit, expected="s").inside(times)
+    seconds = conversion(axis.unit_as_read, expected="s").inside(times)
     index = np.arange(seconds.size)
     if seconds.size < 2 or not np.isfinite(seconds).all():
         raise ReadError(path, f"channel {axis.label!r}", "is a column of times, and some of its times are missing")

@@ -73,7 +73,7 @@ def headings_of(found: Holdings) -> tuple[Heading, ...]:
             Heading(
                 series.label,
                 series.name,
-                "s" if series.stamps else series.unit,
+                series.unit_as_read,
                 number,
                 "the time of other channels" if own else note,
                 clocked=series.clock is not None or (axis is not None and _has_unit(axis)),

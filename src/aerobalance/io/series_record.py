@@ -18,7 +18,7 @@ from aerobalance.io.series_values import read_values
 from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of_missing
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import warn_quality
-from aerobalance.recording.parts import Extent
+from aerobalance.recording.parts import Extent, mean_over
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import conversion
 
@@ -92,7 +92,7 @@ class SeriesRecord:
             start=self.start + begin / self.rate,
             rate=self.rate,
             channels=channels,
-            time_unit="s" if self.axis is None or self.axis.stamps else self.axis.unit,
+            time_unit="s" if self.axis is None else self.axis.unit_as_read,
             extent=Extent(begin / last, (end - 1) / last, self._whole_means()),
             epoch=self.epoch,
         )
@@ -120,13 +120,12 @@ class SeriesRecord:
                 there = "temperature" in self.channel_map.channels
             else:
                 there = any(series.name == "temperature" for _, series in self.chosen)
-            total = np.zeros(2)
-            for begin in range(0, self.samples if there else 0, PIECE):
-                values = self._channels(begin, min(begin + PIECE, self.samples))["temperature"].values
-                total += float(np.nansum(values)), float(np.isfinite(values).sum())
             if there:
-                self._means = {"temperature": float(total[0] / max(total[1], 1))}
+                self._means = {"temperature": mean_over(self.samples, self._temperature, at_once=PIECE)}
         return self._means
+
+    def _temperature(self, begin: int, end: int) -> Array:
+        return self._channels(begin, end)["temperature"].values
 
 
 @contextlib.contextmanager
@@ -179,12 +178,11 @@ def _common_clock(
     if not alike or first.clock is not None:
         return (first.clock if alike else None), None
     axis = next((one for one in found.series if one.label == first.axis), None)
-    if axis is None or not (axis.stamps or axis.unit):
+    if axis is None or not axis.unit_as_read:
         return None, None
     return steady_clock_of(lambda begin, end: seconds(path, axis, begin, end), axis.samples), axis
 
 
 def seconds(path: Path, axis: Series, begin: int, end: int) -> Array:
     """Times of some samples [s]."""
-    unit = "s" if axis.stamps else axis.unit
-    return np.asarray(conversion(unit, expected="s").inside(read_values(path, axis, begin, end)))
+    return np.asarray(conversion(axis.unit_as_read, expected="s").inside(read_values(path, axis, begin, end)))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 import numpy as np
 
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
+from aerobalance.io.series import kind_fault
 from aerobalance.io.tdms_tasks import Stamped, seconds_after, start_stamps
 from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.io.text_layout import Layout
@@ -258,12 +259,7 @@ def _fault(entry: _Entry) -> str:
     """Return why a channel cannot be read as numbers; an empty string where it can."""
     if entry.samples == 0:
         return "it has no samples"
-    kind = entry.channel.dtype
-    if kind.kind == "M":
-        return ""
-    if kind.kind not in "fiub":
-        return "it holds complex numbers" if kind.kind == "c" else "it holds text or data that are no numbers"
-    return ""
+    return kind_fault(entry.channel.dtype.kind, allowed="fiubM")
 
 
 def _check_usable(path: Path, entry: _Entry) -> None:

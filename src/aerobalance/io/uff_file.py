@@ -24,7 +24,7 @@ from typing import Any, BinaryIO, Final, NamedTuple
 
 import numpy as np
 
-from aerobalance.io.columns import Append, Clock, split_label
+from aerobalance.io.columns import Append, Clock, split_label, time_label
 from aerobalance.io.format_library import library_faults
 from aerobalance.io.opening import opened_file
 from aerobalance.io.safe_write import replacing
@@ -338,9 +338,7 @@ def appending(
     """
     del described, rows
     split = {label: split_label(label) for label in labels}
-    time = next((label for label, (name, _) in split.items() if name == "time"), None)
-    if time is None:
-        raise ValueError(f"cannot write {path}: a universal file needs a column time [s]")
+    time = time_label(path, labels, "a universal file")
     parts: dict[str, list[Array]] = {label: [] for label in labels}
 
     def append(columns: Mapping[str, Array]) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from aerobalance.io.format_library import library, library_faults
 from aerobalance.io.said_by_file import clock_of, epoch_of, plain_keys, sensor_said, since, unit_of, unpacked
-from aerobalance.io.series import MOST_SERIES, Holdings, Series, named, with_axes
+from aerobalance.io.series import MOST_COLUMNS, MOST_SERIES, Holdings, Matrix, Series, kind_fault, named, with_axes
 from aerobalance.recording.errors import ReadError
 
 NAME: Final = "Zarr"
@@ -22,7 +22,6 @@ NAME: Final = "Zarr"
 
 _MARKS: Final = ("zarr.json", ".zgroup", ".zarray", ".zmetadata")
 _LARGEST_MARK: Final = 10_000_000
-_MOST_COLUMNS: Final = 1000
 _DEEPEST: Final = 12
 _LARGEST_CHUNK: Final = 1 << 29
 _PACKED: Final = 100_000
@@ -93,7 +92,7 @@ class _Walk:
     def array(self, one: Any, label: str, about: dict[str, Any]) -> None:
         """Take the series of one array."""
         shape = tuple(int(length) for length in one.shape)
-        if len(shape) not in (1, 2) or math.prod(shape) < 2 or (len(shape) == 2 and min(shape) > _MOST_COLUMNS):
+        if len(shape) not in (1, 2) or math.prod(shape) < 2 or (len(shape) == 2 and min(shape) > MOST_COLUMNS):
             return
         columns = 1 if len(shape) == 1 else min(shape)
         if len(self.series) + columns > MOST_SERIES:
@@ -124,9 +123,9 @@ class _Walk:
             block=label if columns > 1 else "",
             sensor=sensor_said(own),
         )
-        piece = _Piece(one)
+        matrix = Matrix(one)
         for k in range(columns):
-            read = unpacked(piece.reader(k, along), own)
+            read = unpacked(matrix.reader(k), own)
             mark = "" if columns == 1 else f"[{k + 1}]"
             self.series.append(
                 replace(
@@ -153,8 +152,8 @@ def _dimension(one: Any, label: str, attributes: dict[str, Any], along: int) -> 
 def _fault(path: Path, one: Any, label: str, shape: tuple[int, ...]) -> str:
     """Return why an array cannot be read as readings; an empty string where it can."""
     kind = np.dtype(one.dtype)
-    if kind.kind not in "fiubM":
-        return "it holds complex numbers" if kind.kind == "c" else "it holds text or data that are no numbers"
+    if fault := kind_fault(kind.kind, allowed="fiubM"):
+        return fault
     folder = path / label if (path / label).is_dir() else path
     stored = sum(part.stat().st_size for part in folder.rglob("*") if part.is_file() and part.name not in _MARKS)
     if math.prod(shape) * kind.itemsize > _PACKED * stored:
@@ -162,24 +161,3 @@ def _fault(path: Path, one: Any, label: str, shape: tuple[int, ...]) -> str:
     if math.prod(one.chunks) * kind.itemsize > _LARGEST_CHUNK:
         return f"its chunks have {math.prod(one.chunks) * kind.itemsize} bytes; at most {_LARGEST_CHUNK} are read"
     return ""
-
-
-class _Piece:
-    """An array, of which the piece that was read last is kept, as all columns ask for it."""
-
-    def __init__(self, array: Any) -> None:
-        self._array = array
-        self._bounds, self._last = (0, 0), None
-
-    def reader(self, column: int, along: int) -> Any:
-        """Read a part of one column."""
-        if self._array.ndim == 1:
-            return lambda begin, end: self._array[begin:end]
-        if along == 1:
-            return lambda begin, end: self._array[column, begin:end]
-        return lambda begin, end: self._rows(begin, end)[:, column]
-
-    def _rows(self, begin: int, end: int) -> Any:
-        if self._bounds != (begin, end):
-            self._last, self._bounds = self._array[begin:end], (begin, end)
-        return self._last

@@ -6,9 +6,12 @@ same record gives the same numbers however it comes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 NO_TIME: Final = 1e-3
 """Sampling intervals from zero up to which a time is zero but for rounding."""
@@ -86,6 +89,25 @@ class LongRecord(Protocol[Samples_co]):
 
     def part(self, begin: int, end: int) -> Samples_co:
         """Samples from one to another (not included)."""
+
+
+def mean_over(samples: int, read: Callable[[int, int], NDArray[np.float64]], *, at_once: int) -> float:
+    """Return the mean of readings of which so many are had at once; 0 where all are missing.
+
+    Parameters
+    ----------
+    samples
+        How many there are.
+    read
+        Gives those from one to another (not included), shape (m,); NaN where one is missing.
+    at_once
+        Most that are asked for at once.
+    """
+    total, count = 0.0, 0
+    for begin in range(0, samples, at_once):
+        values = read(begin, min(begin + at_once, samples))
+        total, count = total + float(np.nansum(values)), count + int(np.isfinite(values).sum())
+    return total / max(count, 1)
 
 
 def parts_of(samples: int, *, length: int, margin: int) -> tuple[Part, ...]:
