@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import io
+import shutil
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -127,6 +128,27 @@ def _zarr(version: int, *, dated: bool) -> Callable[[Path], None]:
     return make
 
 
+def _zipped(*, packed: bool) -> Callable[[Path], None]:
+    """As zarr writes an archive itself, or a folder that somebody packed."""
+
+    def make(path: Path) -> None:
+        import zarr
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if packed:
+                folder = path.with_name("run.zarr")
+                _dataset(dated=False).to_zarr(folder, zarr_format=3, consolidated=False)
+                made = shutil.make_archive(str(path), "zip", folder.parent, folder.name)
+                Path(made).replace(path)
+                shutil.rmtree(folder)
+            else:
+                with zarr.storage.ZipStore(path, mode="w") as store:
+                    _dataset(dated=False).to_zarr(store, zarr_format=3, consolidated=False)
+
+    return make
+
+
 def _frame() -> object:
     import pandas as pd
 
@@ -203,6 +225,8 @@ FILES: tuple[Foreign, ...] = (
     Foreign("three.zarr", _zarr(3, dated=False), "AF"),
     Foreign("dated.zarr", _zarr(3, dated=True), "AF", dated=True),
     Foreign("two.zarr", _zarr(2, dated=True), "AF", dated=True),
+    Foreign("store.zip", _zipped(packed=False), "AF"),
+    Foreign("folder.zip", _zipped(packed=True), "AF"),
     Foreign("columns.parquet", lambda path: _frame().to_parquet(path), "AF [N]"),
     Foreign("columns.feather", lambda path: _frame().to_feather(path), "AF [N]"),
     Foreign("columns.arrows", _arrow_stream, "AF [N]"),

@@ -1,14 +1,16 @@
-"""Zarr: a folder of arrays, by their path; versions 2 and 3, those of xarray among them."""
+"""Zarr: a folder or a zip archive of arrays, by their path; versions 2 and 3, those of xarray among them."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import math
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -21,6 +23,9 @@ NAME: Final = "Zarr"
 """What to call the format in messages."""
 
 _MARKS: Final = ("zarr.json", ".zgroup", ".zarray", ".zmetadata")
+ZIPPED: Final = b"PK\x03\x04"
+"""First bytes of a zip archive."""
+
 _LARGEST_MARK: Final = 10_000_000
 _DEEPEST: Final = 12
 _LARGEST_CHUNK: Final = 1 << 29
@@ -29,9 +34,19 @@ _PACKED: Final = 100_000
 
 
 def can_read(head: bytes, path: Path) -> bool:
-    """Return whether a folder is a Zarr store."""
-    del head
+    """Return whether a folder, or a zip archive, is a Zarr store."""
+    if head.startswith(ZIPPED):
+        with contextlib.suppress(Exception), zipfile.ZipFile(path) as archive:
+            return _root_of(archive.namelist()) is not None
+        return False
     return path.is_dir() and any((path / mark).is_file() for mark in _MARKS)
+
+
+def _root_of(names: Sequence[str]) -> str | None:
+    """Where the store is in an archive: at the top, or in the one folder that was packed; None where there is none."""
+    folders = {name.partition("/")[0] + "/" for name in names}
+    roots = ["", *folders] if len(folders) == 1 else [""]
+    return next((root for root in roots if any(root + mark in names for mark in _MARKS)), None)
 
 
 @contextlib.contextmanager
@@ -44,25 +59,109 @@ def opened(path: Path) -> Iterator[Holdings]:
         The store is damaged, or zarr is not installed.
     """
     zarr = library("zarr", "zarr", path, "a Zarr store")
-    with library_faults(path, NAME, "its description (zarr.json or .zgroup)"):
-        _check_marks(path)
-        root = zarr.open(zarr.storage.LocalStore(path, read_only=True), mode="r")
-        walk = _Walk(path)
-        walk.group(root, "", {}, depth=0)
-        holdings = Holdings(with_axes(walk.series), walk.epoch)
-    yield holdings
+    with contextlib.ExitStack() as stack:
+        with library_faults(path, NAME, "its description (zarr.json or .zgroup)"):
+            place = _Folder(path) if path.is_dir() else _Archive(path, stack.enter_context(zipfile.ZipFile(path)))
+            _check_marks(path, place)
+            store = zarr.storage.LocalStore(path, read_only=True) if path.is_dir() else zarr.storage.ZipStore(path)
+            stack.callback(store.close)
+            walk = _Walk(path, place)
+            walk.group(zarr.open(store, path=place.root, mode="r"), "", {}, depth=0)
+            holdings = Holdings(with_axes(walk.series), walk.epoch)
+        yield holdings
 
 
-def _check_marks(path: Path) -> None:
-    """Refuse descriptions that are no JSON of a decent size, and say which; links are not followed."""
-    for mark in [place for name in _MARKS for place in sorted(path.rglob(name))][:MOST_SERIES]:
-        where = str(mark.relative_to(path))
-        if mark.is_symlink() or mark.parent.resolve() != path.resolve() / mark.parent.relative_to(path):
-            raise ReadError(path, where, "is a link; links are not followed: the data must be in the folder")
-        if mark.stat().st_size > _LARGEST_MARK:
+class _Place(Protocol):
+    """Where a store keeps its files."""
+
+    @property
+    def root(self) -> str:
+        """Path of the store within the place, without a stroke at its end."""
+
+    def marks(self) -> Iterator[tuple[str, int, Callable[[], bytes]]]:
+        """Descriptions: where each is, its size, and what reads it.
+
+        Raises
+        ------
+        ReadError
+            One of them is a link, or a part of the store is too large.
+        """
+
+    def holds(self, label: str) -> bool:
+        """Whether there is an array or a group of this path."""
+
+    def stored(self, label: str) -> int:
+        """Bytes that are stored of an array."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Folder:
+    """A store that is a folder."""
+
+    path: Path
+    root: str = ""
+
+    def marks(self) -> Iterator[tuple[str, int, Callable[[], bytes]]]:
+        """Descriptions, by their path in the folder; links are not followed."""
+        for mark in [place for name in _MARKS for place in sorted(self.path.rglob(name))][:MOST_SERIES]:
+            where = str(mark.relative_to(self.path))
+            if mark.is_symlink() or mark.parent.resolve() != self.path.resolve() / mark.parent.relative_to(self.path):
+                raise ReadError(self.path, where, "is a link; links are not followed: the data must be in the folder")
+            yield where, mark.stat().st_size, mark.read_bytes
+
+    def holds(self, label: str) -> bool:
+        """Whether there is an array or a group of this path."""
+        return (self.path / label).is_dir()
+
+    def stored(self, label: str) -> int:
+        """Bytes that are stored of an array."""
+        folder = self.path / label if self.holds(label) else self.path
+        return sum(part.stat().st_size for part in folder.rglob("*") if part.is_file() and part.name not in _MARKS)
+
+
+@dataclass(frozen=True, slots=True)
+class _Archive:
+    """A store in a zip archive."""
+
+    path: Path
+    archive: zipfile.ZipFile
+
+    @property
+    def root(self) -> str:
+        """Path of the store in the archive."""
+        return (_root_of(self.archive.namelist()) or "").rstrip("/")
+
+    def marks(self) -> Iterator[tuple[str, int, Callable[[], bytes]]]:
+        """Descriptions, by their path in the archive."""
+        for one in self.archive.infolist():
+            if one.file_size > _LARGEST_CHUNK:
+                raise ReadError(
+                    self.path, one.filename, f"claims {one.file_size} bytes; unpack the archive to read it"
+                )
+            if one.filename.rpartition("/")[2] in _MARKS:
+                yield one.filename, one.file_size, partial(self.archive.read, one)
+
+    def holds(self, label: str) -> bool:
+        """Whether there is an array or a group of this path."""
+        return bool(self._parts(label))
+
+    def stored(self, label: str) -> int:
+        """Bytes that are stored of an array."""
+        parts = self._parts(label) or self._parts("")
+        return sum(one.compress_size for one in parts if one.filename.rpartition("/")[2] not in _MARKS)
+
+    def _parts(self, label: str) -> list[zipfile.ZipInfo]:
+        begin = "/".join(part for part in (self.root, label) if part)
+        return [one for one in self.archive.infolist() if one.filename.startswith(f"{begin}/" if begin else "")]
+
+
+def _check_marks(path: Path, place: _Place) -> None:
+    """Refuse descriptions that are no JSON of a decent size, and say which."""
+    for where, size, read in place.marks():
+        if size > _LARGEST_MARK:
             raise ReadError(path, where, f"is larger than {_LARGEST_MARK / 1e6:.0f} MB, which no description is")
         try:
-            json.loads(mark.read_text(encoding="utf-8"))
+            json.loads(read().decode("utf-8"))
         except (ValueError, RecursionError) as error:
             raise ReadError(path, where, f"is no JSON: {' '.join(str(error).split())[:120]}") from None
 
@@ -72,6 +171,7 @@ class _Walk:
     """What is found on the way through the groups of a store."""
 
     path: Path
+    place: _Place
     series: list[Series] = field(default_factory=list)
     epoch: np.datetime64 | None = None
 
@@ -105,7 +205,7 @@ class _Walk:
         name, unit = named(label.rpartition("/")[2], unit)
         along = int(np.argmax(shape))
         axis = _dimension(one, label, attributes, along)
-        held = bool(axis) and (self.path / axis).is_dir() and axis != label
+        held = bool(axis) and self.place.holds(axis) and axis != label
         clock = clock_of(own) or (None if held else clock_of(about))
         if isinstance(own.get("fillvalue"), str):  # which xarray writes in code
             own.pop("fillvalue")
@@ -118,7 +218,7 @@ class _Walk:
             alias=label.rpartition("/")[2],
             clock=clock,
             axis=axis if held and clock is None else "",
-            fault=_fault(self.path, one, label, shape),
+            fault=_fault(self.place, one, label, shape),
             stamps=np.dtype(one.dtype).kind == "M",
             block=label if columns > 1 else "",
             sensor=sensor_said(own),
@@ -149,13 +249,12 @@ def _dimension(one: Any, label: str, attributes: dict[str, Any], along: int) -> 
     return f"{label.rpartition('/')[0]}/{names[along]}".lstrip("/")
 
 
-def _fault(path: Path, one: Any, label: str, shape: tuple[int, ...]) -> str:
+def _fault(place: _Place, one: Any, label: str, shape: tuple[int, ...]) -> str:
     """Return why an array cannot be read as readings; an empty string where it can."""
     kind = np.dtype(one.dtype)
     if fault := kind_fault(kind.kind, allowed="fiubM"):
         return fault
-    folder = path / label if (path / label).is_dir() else path
-    stored = sum(part.stat().st_size for part in folder.rglob("*") if part.is_file() and part.name not in _MARKS)
+    stored = place.stored(label)
     if math.prod(shape) * kind.itemsize > _PACKED * stored:
         return f"it claims {math.prod(shape)} samples, stored in {stored} bytes: it is damaged"
     if math.prod(one.chunks) * kind.itemsize > _LARGEST_CHUNK:
