@@ -211,6 +211,11 @@ def test_tables_of_points_may_hold_remarks(tmp_path):
         ("12.3.24 {h:d}:{m:02d}:{s:07.4f}", "german"),
         ("3/12/2024 {h:d}:{m:02d}:{s:07.4f}", "american"),
         ("3/12/2024 {k:d}:{m:02d}:{s:07.4f} {half}", "american"),
+        ("12-Mar-2024 {h:02d}:{m:02d}:{s:07.4f}", "month by name"),
+        ("12 März 2024 {h:02d}:{m:02d}:{s:07.4f}", "month by name"),
+        ("20240312T{h:02d}{m:02d}{s:07.4f}", "compact"),
+        ("2024:072:{h:02d}:{m:02d}:{s:07.4f}", "day of year"),
+        ("072:{h:02d}:{m:02d}:{s:07.4f}", "day of year"),
         ("{h:02d}:{m:02d}:{s:07.4f}", "time of day"),
     ],
 )
@@ -234,6 +239,9 @@ def test_stamps_become_seconds_since_the_first(tmp_path, form, match, decimal):
     np.testing.assert_allclose(found.stamps, [t for t, _ in ROWS], rtol=0, atol=1e-9)
     text = template(path)
     assert mapped(path, text).rate == found.rate == pytest.approx(5000, rel=1e-9)
+    dated = match != "time of day" and not form.startswith("072")
+    began = np.datetime64("2024-03-12T11:59:59.990") - np.timedelta64(3600 if "+01:00" in form else 0, "s")
+    assert found.epoch == mapped(path, text).epoch == (began if dated else None)
     with pytest.raises(ReadError, match=r"file\.time_unit: does not go with 'Wann', which holds dates"):
         mapped(path, text.replace("[file]\n", '[file]\ntime_unit = "ms"\n'))
 
@@ -248,6 +256,13 @@ def test_stamps_go_on_over_midnight_and_months(tmp_path):
         assert read(written(tmp_path, f"when;AF [N]\n{rows}")).duration == pytest.approx(2)
     clock = "23:59:59,9;1\n00:00:00,0;2\n00:00:00,1;3\n"
     assert read(written(tmp_path, "Uhrzeit;AF [N]\n" + clock)).duration == pytest.approx(0.2)
+
+
+def test_a_zone_that_changes_leaves_no_gap(tmp_path):
+    rows = "".join(f"2024-03-31T{clock};1\n" for clock in ("01:59:59.9+01:00", "03:00:00.0+02:00", "03:00:00.1+02:00"))
+    found = read(written(tmp_path, "when;AF [N]\n" + rows))
+    np.testing.assert_allclose(found.stamps, [0, 0.1, 0.2], atol=1e-9)
+    assert found.epoch == np.datetime64("2024-03-31T00:59:59.900")
 
 
 def test_a_stamp_that_is_none_is_named_by_line(tmp_path):

@@ -33,15 +33,29 @@ Kind = Literal["number", "stamp", "text", "missing"]
 
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:[.,]\d+|\.)?|[.,]\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _CLOCK: Final = r"(?P<hour>\d{1,2}):(?P<minute>\d{2}):(?P<second>\d{2}(?:[.,]\d+)?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
-_ZONE: Final = r"(?:Z|[+-]\d{2}:?\d{2})?"
+_ZONE: Final = r"\s?(?P<zone>Z|UTC|[+-]\d{2}:?\d{2})?"
+
+_ENGLISH: Final = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+
+MONTHS: Final = dict(zip(_ENGLISH, range(1, 13), strict=True)) | {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
+"""Months by the first three letters of their names, in small letters; English and German."""
+
+_MONTH: Final = f"(?i:{'|'.join(MONTHS)})[a-zä]*"
 
 STAMPS: Final = {
     "iso": rf"(?P<year>\d{{4}})[-/.](?P<month>\d{{1,2}})[-/.](?P<day>\d{{1,2}})[T ]\s*{_CLOCK}{_ZONE}",
     "day first": rf"(?P<day>\d{{1,2}})\.(?P<month>\d{{1,2}})\.(?P<year>\d{{4}}|\d{{2}}),?\s+{_CLOCK}",
     "with slashes": rf"(?P<month>\d{{1,2}})[/-](?P<day>\d{{1,2}})[/-](?P<year>\d{{4}}|\d{{2}}),?\s+{_CLOCK}",
+    "month by name": rf"(?P<day>\d{{1,2}})[-. /]\s?(?P<month>{_MONTH})[-. /]\s?(?P<year>\d{{4}}|\d{{2}}),?\s+{_CLOCK}",
+    "compact": r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)[T_ ]"
+    rf"(?P<hour>\d\d)(?P<minute>\d\d)(?P<second>\d\d(?:[.,]\d+)?)(?P<half>){_ZONE}",
+    "day of year": rf"(?:(?P<year>\d{{4}})[-:/ ])?(?P<day>\d{{3}})[T:/ ]{_CLOCK}{_ZONE}",
     "time of day": _CLOCK,
 }
-"""Ways to write a date with a time of day, or the time alone; with slashes the day may come before the month."""
+"""Ways to write a date with a time of day, or the time alone; with slashes the day may come before the month.
+
+The day of the year is what IRIG clocks write, with the year or without.
+"""
 
 
 def separator_of(line: str) -> str:

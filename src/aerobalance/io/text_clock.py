@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.io.text_cells import number_in, stamp_format, stamp_pattern
+from aerobalance.io.text_cells import MONTHS, number_in, stamp_format, stamp_pattern
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.units import conversion
@@ -268,19 +268,28 @@ def _rate_of(match: re.Match[str], decimal: str | None) -> float | None:
     return (inside if kind == "Hz" else 1 / inside) if inside > 0 else None
 
 
-def seconds_of(path: Path, cells: Sequence[str], *, lines: Sequence[int] | NDArray[np.intp], place: str) -> Array:
-    """Turn date-time stamps into seconds since the first, shape (n,) [s]; NaN where a cell is empty.
+def seconds_of(
+    path: Path, cells: Sequence[str], *, lines: Sequence[int] | NDArray[np.intp], place: str
+) -> tuple[Array, np.datetime64 | None]:
+    """Turn date-time stamps into seconds since the first, and say when that was.
 
     Parameters
     ----------
     path
         The file, for messages.
     cells
-        The stamps: ISO, day.month.year, month/day/year (or day/month/year), or the time of day alone.
+        The stamps, all in one of the ways of `aerobalance.io.text_cells.STAMPS`.
     lines
         Line of every cell.
     place
         The column, for messages.
+
+    Returns
+    -------
+    seconds
+        Shape (n,) [s]; NaN where a cell is empty.
+    first
+        Date and time of the first stamp (UTC where the stamps state a zone); None where they have no date.
 
     Raises
     ------
@@ -288,7 +297,7 @@ def seconds_of(path: Path, cells: Sequence[str], *, lines: Sequence[int] | NDArr
         A cell is no stamp; the message says where and what is allowed.
     """
     form = next((form for form in map(stamp_format, cells[:100]) if form), "iso")
-    values = stamp_seconds(cells, form)
+    values, midnight = _since_midnight(cells, form)
     bad = [i for i in np.flatnonzero(~np.isfinite(values)) if cells[int(i)].strip()]
     if bad:
         raise ReadError(
@@ -299,8 +308,9 @@ def seconds_of(path: Path, cells: Sequence[str], *, lines: Sequence[int] | NDArr
         )
     known = values[np.isfinite(values)]
     # Stamps count from a day long ago: below a nanosecond there is nothing in their differences.
-    seconds: Array = np.round(values - (float(known[0]) if known.size else 0.0), 9)
-    return seconds
+    begin = float(known[0]) if known.size else 0.0
+    seconds: Array = np.round(values - begin, 9)
+    return seconds, None if midnight is None else midnight + np.timedelta64(round(1e9 * begin), "ns")
 
 
 def stamp_seconds(cells: Sequence[str], form: str) -> Array:
@@ -313,11 +323,18 @@ def stamp_seconds(cells: Sequence[str], form: str) -> Array:
     form
         How they are written, a key of `aerobalance.io.text_cells.STAMPS`.
     """
+    return _since_midnight(cells, form)[0]
+
+
+def _since_midnight(cells: Sequence[str], form: str) -> tuple[Array, np.datetime64 | None]:
+    """Seconds of each stamp since midnight of the first day, shape (n,), and that midnight; None without a date."""
     import pandas as pd  # noqa: PLC0415 - half a second, and only reading text needs it
 
     parts = pd.Series(cells, dtype=object).astype(str).str.strip().str.extract("^" + stamp_pattern(form).pattern + "$")
 
     def numbers(name: str) -> Array:
+        if name not in parts:
+            return np.full(len(parts), np.nan)
         return pd.to_numeric(parts[name].str.replace(",", ".", regex=False), errors="coerce").to_numpy(np.float64)
 
     hour, half = numbers("hour"), parts["half"].fillna("").str.lower().to_numpy()
@@ -326,10 +343,19 @@ def stamp_seconds(cells: Sequence[str], form: str) -> Array:
     clock: Array = 3600 * hour + 60 * numbers("minute") + numbers("second")
     if form == "time of day":
         fell = np.diff(clock, prepend=clock[:1]) < -43200
-        return clock + 86400.0 * np.cumsum(fell)
+        return clock + 86400.0 * np.cumsum(fell), None
+    if "zone" in parts:
+        zone = parts["zone"].fillna("")
+        clock = clock - zone.map({text: _offset(text) for text in zone.unique()}).to_numpy(np.float64)
     year, month, day = numbers("year"), numbers("month"), numbers("day")
     year = np.where(year < 100, year + 2000, year)
-    if form == "with slashes":
+    dated = form != "day of year" or bool(np.isfinite(year).all())
+    if form == "day of year":
+        days = _days(np.where(np.isfinite(year), year, 1970), np.ones_like(day), np.ones_like(day)) + day - 1
+    elif form == "month by name":
+        month = np.asarray(parts["month"].str.lower().str[:3].map(MONTHS), dtype=np.float64)
+        days = _days(year, month, day)
+    elif form == "with slashes":
         turned = _days(year, day, month)
         straight = _days(year, month, day)
         swapped = not np.isfinite(straight).any() or np.nanmax(month) > 12 or np.ptp(turned) < np.ptp(straight)
@@ -337,8 +363,16 @@ def stamp_seconds(cells: Sequence[str], form: str) -> Array:
     else:
         days = _days(year, month, day)
     first = days[np.isfinite(days)][:1]
-    since: Array = days - (float(first[0]) if first.size else 0.0)
-    return clock + 86400.0 * since
+    begin = float(first[0]) if first.size else 0.0
+    midnight = np.datetime64(int(begin), "D").astype("datetime64[ns]") if first.size and dated else None
+    return clock + 86400.0 * (days - begin), midnight
+
+
+def _offset(zone: str) -> float:
+    """Seconds by which the clocks of a zone are ahead of UTC."""
+    if not zone or zone in ("Z", "UTC"):
+        return 0.0
+    return (-1.0 if zone[0] == "-" else 1.0) * (3600.0 * int(zone[1:3]) + 60.0 * int(zone[-2:]))
 
 
 def _days(year: Array, month: Array, day: Array) -> Array:

@@ -116,9 +116,11 @@ def read_text_table(
     stamps = [i for i in kept if found.kinds[i] == "stamp" and not found.is_number(i)]
     numbers, told, lines = read_cells(path, body, grid, texts=(*late, *stamps))
     columns = {i: replace(heads[i], values=values) for i, values in numbers.items()}
+    epoch: np.datetime64 | None = None
     for i, cells in told.items():
         if i in stamps:
-            seconds = seconds_of(path, cells, lines=lines, place=heads[i].place)
+            seconds, first = seconds_of(path, cells, lines=lines, place=heads[i].place)
+            epoch = first if found.clock is not None and found.clock.column == i else epoch
             columns[i] = replace(heads[i], values=seconds, unit="s", stamped=True)
         elif (values := _late_numbers(path, heads[i], cells, lines=lines, decimal=grid.decimal)) is not None:
             columns[i] = replace(heads[i], values=values)
@@ -126,7 +128,7 @@ def read_text_table(
         where = f"after line {found.first - 1}"
         raise ReadError(path, where, "there are no rows of numbers; a header and rows are needed")
     _say_dropped(path, heads, [i for i in dropped if i not in columns and i < len(heads) - found.optional])
-    return RawColumns(path, tuple(columns[i] for i in kept if i in columns), lines), found
+    return RawColumns(path, tuple(columns[i] for i in kept if i in columns), lines, epoch=epoch), found
 
 
 def describe_text(path: Path, layout: Layout | None = None) -> TextLayout:
