@@ -22,7 +22,7 @@ BYTES = 1e9
 SIGNS = np.frombuffer(b'\x00\x01\x7f\x80\xff\n ",;.=[]{}-+eE19', dtype=np.uint8)
 
 READER = """
-import json, resource, sys, time, warnings
+import faulthandler, json, resource, sys, time, warnings
 import h5py, numpy, pandas, scipy, scipy.io, scipy.io.wavfile
 sys.path[:0] = json.loads(sys.argv[1])
 from pathlib import Path
@@ -40,6 +40,7 @@ for number in range(first, count * len(originals)):
     print(json.dumps([number]), flush=True)
     start, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     resource.setrlimit(resource.RLIMIT_CPU, (int(start) + 30, resource.RLIM_INFINITY))
+    faulthandler.dump_traceback_later(120, exit=True)  # what waits takes no processor time
     said = []
     for way in (template, lambda path: read(path, channel_map=chosen)):
         try:
@@ -144,7 +145,7 @@ def trial(originals: Sequence[Path], folder: Path, *, count: int, seed: int, cha
             break
         at = max(begun, default=first)
         name = originals[at // count].name
-        found.faults.append(f"{name} {at % count}: the process died ({done.returncode}): {done.stderr[-300:]}")
+        found.faults.append(f"{name} {at % count}: the process died ({done.returncode}): {done.stderr[-800:]}")
         if not begun:
             break
         first = at + 1
