@@ -1,6 +1,7 @@
 """Binary formats of other programs: files by their libraries are read, and these read what is written."""
 
 import importlib.util
+import json
 import subprocess
 import sys
 import tomllib
@@ -13,7 +14,9 @@ import pytest
 import aerobalance as ab
 from aerobalance.app.cli import main
 from aerobalance.io import FORMATS, format_library, load_channel_map, read, series_values, template, write_recording
+from aerobalance.io.hdf5_parts import Hdf5Record
 from aerobalance.io.long_record import open_record
+from aerobalance.io.series_record import SeriesRecord
 from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Channel, CrossAxis
 from aerobalance.recording.errors import DataQualityWarning, ReadError
@@ -357,6 +360,31 @@ def test_a_map_is_used_in_parts(long_files) -> None:
     np.testing.assert_allclose(part.channel("NF").values, -recording.channel("AF").values[10:20], rtol=3e-16)
     with open_record(folder / "a.mat", channel_map=chosen) as record:
         assert isinstance(record, Recording)  # a variable is read whole
+
+
+@pytest.mark.parametrize("ending", ["nc", "parquet", "h5"])
+def test_a_long_file_is_converted_in_parts(long_files, ending, tmp_path, monkeypatch, capsys) -> None:
+    folder, _ = long_files
+    whole = read(folder / f"a.{ending}")
+    monkeypatch.setattr("aerobalance.io.WRITTEN_AT_ONCE", 30_000)
+    asked = []
+    part = SeriesRecord.part if ending != "h5" else Hdf5Record.part
+    monkeypatch.setattr(
+        SeriesRecord if ending != "h5" else Hdf5Record,
+        "part",
+        lambda record, begin, end: asked.append((begin, end)) or part(record, begin, end),
+    )
+    monkeypatch.setattr("aerobalance.app.commands.recordings.raw_recording", None)  # which reads the whole
+    for out in ("b.h5", "b.csv"):
+        assert main(["convert", str(folder / f"a.{ending}"), "-o", str(tmp_path / out), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["samples"] == LONG
+        assert asked == [(0, 30_000), (30_000, 60_000), (60_000, LONG)]
+        asked.clear()
+        found = read(tmp_path / out)
+        for channel in whole:
+            np.testing.assert_array_equal(found.channel(channel.name).values, channel.values)
+            assert found.channel(channel.name).file_unit == channel.file_unit
+        np.testing.assert_array_equal(found.stamps, whole.stamps)
 
 
 def test_readings_that_look_like_references_to_texts_are_readings(tmp_path) -> None:

@@ -151,6 +151,11 @@ class Loads:
         """Time of the first sample [s]."""
         return self.recording.start
 
+    @property
+    def epoch(self) -> np.datetime64 | None:
+        """Date and time at which the time is zero; None where that is not known."""
+        return self.recording.epoch
+
     def part(self, begin: int, end: int) -> Loads:
         """The loads of the samples from one to another (not included)."""
         own = slice(begin, end)

@@ -8,6 +8,7 @@ Most binary formats are smaller still: a module with ``NAME``, ``can_read`` and 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -39,14 +40,16 @@ from aerobalance.io.csv_file import read_table
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.map_template import map_text
 from aerobalance.io.opening import opened_file
+from aerobalance.io.recording_columns import channel_column, stored_channel, time_column
 from aerobalance.io.series_format import SeriesFormat
 from aerobalance.io.table import Column, Table, recording_from, table_from
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.text_table import describe_text, guess_encoding
-from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import ReadError
+from aerobalance.recording.part_warnings import PartWarnings
+from aerobalance.recording.parts import LongRecord, parts_of
+from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.units import Conversion, conversion, conversion_for, edge_unit
 
 __all__ = [
     "FORMATS",
@@ -54,7 +57,6 @@ __all__ = [
     "Column",
     "Format",
     "Table",
-    "as_it_went_in",
     "check_output",
     "column_names",
     "format_of",
@@ -119,8 +121,8 @@ class Format(Protocol):
         """Writes columns under their headers, some rows at a time; None for a format that is read only."""
 
 
-ALL: Final = slice(None)
-"""All rows."""
+WRITTEN_AT_ONCE: Final = 1 << 19
+"""Samples of a record that are read and written at once."""
 
 FORMATS: Final[tuple[Format, ...]] = (
     tdms_file,
@@ -141,7 +143,7 @@ FORMATS: Final[tuple[Format, ...]] = (
 _SIGNATURES: Final = (
     (b"TDSh", "the index that LabVIEW keeps beside a TDMS file (give the .tdms file itself)"),
     (
-        b"PK\x03\x04",
+        zarr_file.ZIPPED,
         "a zip archive (perhaps a spreadsheet: save it as CSV; aerobalance calibrate reads load schedules of .xlsx)",
     ),
     (b"%PDF", "a PDF document"),
@@ -341,61 +343,60 @@ def writing_of(path: Path) -> Writes:
     return found
 
 
-def as_it_went_in(values: Array, change: Conversion) -> Array:
-    """Give numbers in the unit of their file: 0.625 for 0.6250000000000001, where inside both mean the same."""
-    outside = change.outside(values)
-    short = np.array([float(f"{value:.15g}") for value in outside.tolist()], dtype=np.float64)
-    return np.where(change.inside(short) == values, short, outside)
-
-
-def time_column(recording: Recording, rows: slice = ALL) -> dict[str, Array]:
-    """Time column of a recording as its file had it, or some rows of it."""
-    unit = recording.time_unit
-    stamps = conversion(unit, expected="s").outside(recording.stamps[rows])
-    if unit != "s":
-        # Fifteen digits are what a number keeps through a change of unit, so 0.625 ms comes out as it went in.
-        stamps = np.array([float(f"{stamp:.15g}") for stamp in stamps])
-    return {f"time [{unit}]": stamps}
-
-
-def write_recording(path: Path | str, recording: Recording) -> None:
+def write_recording(path: Path | str, record: LongRecord[Recording]) -> Recording:
     """Write the rows of a recording, each channel in the unit it had in its file (angles in deg where it had none).
 
-    HDF5 keeps how each channel was measured: noise, uncertainties, delay, coupling, filter, cross-axis sensitivity.
+    A record that is open (see `aerobalance.io.long_record`) is read and written part by part. Formats with a place
+    for it keep how each channel was measured: noise, uncertainties, delay, coupling, filter, cross-axis sensitivity.
 
     Parameters
     ----------
     path
         The file; its ending chooses the format.
-    recording
+    record
         What to write; samples that its gaps lack are not written.
+
+    Returns
+    -------
+    Recording
+        The first part of it, which has its channels and its start.
 
     Raises
     ------
+    ReadError
+        A part cannot be read.
     ValueError
         The ending stands for no format, or the file cannot be written.
+
+    Warns
+    -----
+    DataQualityWarning
+        Of a record that is read as it is written: samples are missing or rest on a limit.
     """
     file = check_output(path)
-    columns = time_column(recording)
-    described = {}
-    for channel in recording:
-        column = channel_column(channel, recording)
-        columns.update(column)
-        described[next(iter(column))] = _described(channel)
-    with writing_of(file)(file, list(columns), described, epoch=recording.epoch, rows=recording.rows.size) as append:
-        append(columns)
-
-
-def _described(channel: Channel) -> StoredChannel:
-    """What is known of a channel, in the unit it had in its file."""
-    unit = channel.file_unit or edge_unit(channel.name, channel.unit)
-    factor = conversion_for(channel.name, unit).factor if unit != channel.unit else 1.0
-    return StoredChannel(name=channel.name, unit=unit, **channel.known(factor=1 / factor))
-
-
-def channel_column(channel: Channel, recording: Recording, rows: slice = ALL) -> dict[str, Array]:
-    """Return a channel as a column of the rows of its recording, in the unit it had in its file."""
-    unit = channel.file_unit or edge_unit(channel.name, channel.unit)
-    change = conversion_for(channel.name, unit) if unit != channel.unit else None
-    values = channel.values[recording.rows[rows]]
-    return {f"{channel.name} [{unit}]": values if change is None else as_it_went_in(values, change)}
+    parts = parts_of(record.samples, length=WRITTEN_AT_ONCE, margin=0)
+    told = PartWarnings(record)
+    begun: list[tuple[Recording, Append]] = []
+    with contextlib.ExitStack() as stack:
+        for part in PROGRESS.each(parts, "part"):
+            with told.of(part):
+                recording = record.part(part.first, part.stop)
+            columns = time_column(recording)
+            described = {}
+            for channel in recording:
+                column = channel_column(channel, recording)
+                columns.update(column)
+                described[next(iter(column))] = stored_channel(channel)
+            if not begun:
+                begin = writing_of(file)(
+                    file,
+                    list(columns),
+                    described,
+                    epoch=recording.epoch,
+                    rows=record.samples,
+                )
+                begun.append((recording, stack.enter_context(begin)))
+            if recording.rows.size:
+                begun[0][1](columns)
+    told.tell()
+    return begun[0][0]

@@ -19,7 +19,7 @@ from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of
 from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import ReadError, warn_quality
-from aerobalance.recording.parts import Extent, mean_over
+from aerobalance.recording.parts import Extent, LateMeans, mean_over
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import conversion
 
@@ -54,7 +54,10 @@ class Hdf5Record:
     file: h5py.File
     found: Contents
     clock: _Clock
-    _means: dict[str, float] | None = field(default=None, repr=False)
+    _means: LateMeans = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._means = LateMeans([one.name for one in self.found.channels if one.name == "temperature"], self._mean)
 
     @property
     def name(self) -> str:
@@ -76,6 +79,11 @@ class Hdf5Record:
     def start(self) -> float:
         """Time of the first sample [s]."""
         return self.clock.start
+
+    @property
+    def epoch(self) -> np.datetime64 | None:
+        """Date and time at which the time is zero; None where that is not known."""
+        return self.found.epoch
 
     def part(self, begin: int, end: int) -> Recording:
         """Samples from one to another (not included) as a recording; what is missing is NaN.
@@ -111,7 +119,7 @@ class Hdf5Record:
             rate=self.rate,
             channels={name: _placed(channel, rows, end - begin) for name, channel in channels.items()},
             time_unit=self.found.time_unit or "s",
-            extent=Extent(begin / last, (end - 1) / last, self._whole_means()),
+            extent=Extent(begin / last, (end - 1) / last, self._means),
             epoch=self.found.epoch,
         )
 
@@ -152,20 +160,17 @@ class Hdf5Record:
         change = conversion(self.found.time_unit, expected="s")
         return there, table, np.asarray(change.inside(np.concatenate(stamps)))
 
-    def _whole_means(self) -> dict[str, float]:
-        """Mean of the temperature over the whole record, by name, where there is one."""
-        if self._means is None:
-            self._means = {}
-            if any(one.name == "temperature" for one in self.found.channels):
-                self._means = {"temperature": mean_over(self.samples, self._temperature, at_once=PIECE)}
-        return self._means
+    def _mean(self, name: str) -> float:
+        """Mean of a channel over the whole record."""
+        place = next(i for i, one in enumerate(self.found.channels) if one.name == name)
 
-    def _temperature(self, begin: int, end: int) -> Array:
-        place = next(i for i, one in enumerate(self.found.channels) if one.name == "temperature")
-        _, readings, _ = self._read(begin, end)
-        column = raw_column(self.found.channels[place], readings[:, place], place)
-        raw = RawColumns(self.path, (column,), range(1, len(readings) + 1), rate=self.rate)
-        return table_from(raw, missing_allowed=True).values("temperature")
+        def read(begin: int, end: int) -> Array:
+            _, readings, _ = self._read(begin, end)
+            column = raw_column(self.found.channels[place], readings[:, place], place)
+            raw = RawColumns(self.path, (column,), range(1, len(readings) + 1), rate=self.rate)
+            return table_from(raw, missing_allowed=True).values(name)
+
+        return mean_over(self.samples, read, at_once=PIECE)
 
 
 def _placed(channel: Channel, rows: NDArray[np.intp], size: int) -> Channel:

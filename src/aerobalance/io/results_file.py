@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from aerobalance.balance.loads import Loads
-from aerobalance.io import channel_column, check_output, csv_file, time_column, writer_of, writing_of
+from aerobalance.io import check_output, csv_file, writer_of, writing_of
 from aerobalance.io.columns import Append
+from aerobalance.io.recording_columns import channel_column, time_column
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import is_gauge, si_unit
 from aerobalance.recording.recording import Recording
@@ -28,7 +29,7 @@ def writing(path: Path | str, *, samples: int, epoch: np.datetime64 | None = Non
     samples
         Rows that it will have, nearly.
     epoch
-        Date and time at which the time is zero; None where it is not known.
+        Date and time at which the time is zero, kept where the format has a place for it; None where it is not known.
 
     Yields
     ------

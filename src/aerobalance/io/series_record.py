@@ -18,7 +18,7 @@ from aerobalance.io.series_values import read_values
 from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of_missing
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import warn_quality
-from aerobalance.recording.parts import Extent, mean_over
+from aerobalance.recording.parts import Extent, LateMeans, mean_over
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import conversion
 
@@ -49,7 +49,11 @@ class SeriesRecord:
     axis: Series | None
     channel_map: ChannelMap | None
     epoch: np.datetime64 | None
-    _means: dict[str, float] | None = field(default=None, repr=False)
+    _means: LateMeans = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        names = [series.name for _, series in self.chosen] if self.channel_map is None else self.channel_map.channels
+        self._means = LateMeans([name for name in names if name == "temperature"], self._mean)
 
     @property
     def name(self) -> str:
@@ -93,7 +97,7 @@ class SeriesRecord:
             rate=self.rate,
             channels=channels,
             time_unit="s" if self.axis is None else self.axis.unit_as_read,
-            extent=Extent(begin / last, (end - 1) / last, self._whole_means()),
+            extent=Extent(begin / last, (end - 1) / last, self._means),
             epoch=self.epoch,
         )
 
@@ -112,20 +116,9 @@ class SeriesRecord:
             return self.start + np.arange(begin, end) / self.rate
         return seconds(self.path, self.axis, begin, end)
 
-    def _whole_means(self) -> dict[str, float]:
-        """Mean of the temperature over the whole record, by name, where there is one."""
-        if self._means is None:
-            self._means = {}
-            if self.channel_map is not None:
-                there = "temperature" in self.channel_map.channels
-            else:
-                there = any(series.name == "temperature" for _, series in self.chosen)
-            if there:
-                self._means = {"temperature": mean_over(self.samples, self._temperature, at_once=PIECE)}
-        return self._means
-
-    def _temperature(self, begin: int, end: int) -> Array:
-        return self._channels(begin, end)["temperature"].values
+    def _mean(self, name: str) -> float:
+        """Mean of a channel over the whole record."""
+        return mean_over(self.samples, lambda begin, end: self._channels(begin, end)[name].values, at_once=PIECE)
 
 
 @contextlib.contextmanager

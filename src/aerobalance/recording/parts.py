@@ -6,7 +6,7 @@ same record gives the same numbers however it comes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol, TypeVar
 
@@ -18,6 +18,35 @@ NO_TIME: Final = 1e-3
 
 Samples_co = TypeVar("Samples_co", covariant=True)
 """What a part of a record is: a recording, or balance loads."""
+
+
+class LateMeans(Mapping[str, float]):
+    """Means of channels over a whole record, by name, which are worked out when they are asked for, once.
+
+    Parameters
+    ----------
+    names
+        The channels.
+    mean_of
+        Gives the mean of one.
+    """
+
+    def __init__(self, names: Iterable[str], mean_of: Callable[[str], float]) -> None:
+        self._names, self._mean_of = tuple(names), mean_of
+        self._found: dict[str, float] = {}
+
+    def __getitem__(self, name: str) -> float:
+        if name not in self._names:
+            raise KeyError(name)
+        if name not in self._found:
+            self._found[name] = self._mean_of(name)
+        return self._found[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +115,10 @@ class LongRecord(Protocol[Samples_co]):
     @property
     def start(self) -> float:
         """Time of the first sample [s]."""
+
+    @property
+    def epoch(self) -> np.datetime64 | None:
+        """Date and time at which the time is zero; None where that is not known."""
 
     def part(self, begin: int, end: int) -> Samples_co:
         """Samples from one to another (not included)."""

@@ -99,7 +99,7 @@ def force(
             noise=None if noise_record is None else source.read(noise_record),
             settings=settings,
         )
-        with writing(out, samples=record.samples) as append:
+        with writing(out, samples=record.samples, epoch=record.epoch) as append:
             found = _worked_out(work, out, append, pictured=report is not None)
             checked = _checked(work, found, check)
         doubts += [doubt for one in found.summaries.values() for doubt in one.doubts]

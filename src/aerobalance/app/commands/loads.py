@@ -107,7 +107,7 @@ def loads(
         reduce = files.reduction(form=form, channel_map=channel_map)
         parts = parts_of(record.samples, length=PART, margin=MARGIN)
         told = PartWarnings(record)
-        with writing(out, samples=record.samples) as append:
+        with writing(out, samples=record.samples, epoch=record.epoch) as append:
             for part in PROGRESS.each(parts, "part"):
                 with told.of(part):
                     recording = corrected(record.part(part.begin, part.end))

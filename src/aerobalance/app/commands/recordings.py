@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, cast
@@ -11,9 +12,8 @@ import numpy as np
 
 from aerobalance.app.commands.answers import short
 from aerobalance.app.commands.loads import convert_matrix
-from aerobalance.app.commands.shared import Result, check_out, collected_warnings, raw_recording, table_text
+from aerobalance.app.commands.shared import Result, check_out, collected_warnings, opened, raw_recording, table_text
 from aerobalance.io import (
-    as_it_went_in,
     check_output,
     column_names,
     hdf5_file,
@@ -23,11 +23,13 @@ from aerobalance.io import (
 )
 from aerobalance.io.balance_file import is_matrix
 from aerobalance.io.kinds import CONVERTED
+from aerobalance.io.recording_columns import as_it_went_in
 from aerobalance.io.safe_write import replacing
 from aerobalance.recording.channel import Channel, SensorSpec
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.joining import account, join
 from aerobalance.recording.noise import channel_noise
+from aerobalance.recording.parts import LongRecord
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import conversion_for, edge_unit
 
@@ -135,24 +137,29 @@ def convert(
     check_output(out)
     check_out(out, *paths, *channel_maps, kind=CONVERTED if out.suffix.lower() in hdf5_file.SUFFIXES else "")
     maps = [*channel_maps, *[channel_maps[0] if channel_maps else None] * len(paths)][: len(paths)]
-    with collected_warnings() as collected:
-        recordings = [raw_recording(path, one) for path, one in zip(paths, maps, strict=True)]
-        joined = join(recordings, way=cast("Way", how.way or "auto"), by=how.by) if len(recordings) > 1 else None
-        recording = recordings[0] if joined is None else joined.recording
-        _say_lost(out, recording)
-    write_recording(out, recording)
-    names = list(recording.channels)
+    joined = None
+    with collected_warnings() as collected, ExitStack() as reading:
+        record: LongRecord[Recording]
+        if len(paths) == 1:
+            record = reading.enter_context(opened(paths[0], maps[0]))
+        else:
+            recordings = [raw_recording(path, one) for path, one in zip(paths, maps, strict=True)]
+            joined = join(recordings, way=cast("Way", how.way or "auto"), by=how.by)
+            record = joined.recording
+        beginning = write_recording(out, record)
+        _say_lost(out, beginning)
+    names, samples = list(beginning.channels), record.samples
     told = [] if joined is None else [one.told() for one in joined.alignments]
     title = " and ".join(path.name for path in paths)
     return {
         "file": paths[0].name,
         "files": [path.name for path in paths],
         "written": out.name,
-        "samples": recording.samples,
+        "samples": samples,
         "channels": names,
         "alignments": [] if joined is None else account(joined),
         "warnings": collected,
-        "summary": "\n".join([f"{title}: {recording.samples} samples of {', '.join(names)}", *told]) + "\n",
+        "summary": "\n".join([f"{title}: {samples} samples of {', '.join(names)}", *told]) + "\n",
     }
 
 
