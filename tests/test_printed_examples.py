@@ -1,4 +1,4 @@
-"""Every example of the README and of ``--help`` runs as printed, in the folder that the demo wrote."""
+"""Every example of README, quickstart, how-to pages and ``--help`` runs as printed, in the folder of the demo."""
 
 import re
 import shlex
@@ -17,16 +17,22 @@ from aerobalance.app.cli import main
 from aerobalance.app.cli.program import app
 from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.simulation.published import CABLE_CUT
+from helpers.pages import README, ROOT, commands, python
 
-README = Path(__file__).parents[1] / "README.md"
 WAIT = 60.0
+QUICKSTART = ROOT / "docs/start/quickstart.md"
 
 
-def from_readme():
-    """Lines of the README's code blocks that begin with the program's name, without their remarks."""
-    blocks = re.findall(r"^```\w*\n(.*?)^```", README.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-    lines = [line.split("  #")[0].strip() for block in blocks for line in block.splitlines()]
-    return [line for line in lines if line.startswith("aerobalance ")]
+def from_quickstart():
+    """The way from the recorder's files to the force, which begins in the demo's folder."""
+    return [line for line in commands(QUICKSTART.read_text(encoding="utf-8"), "sh") if " demo " not in line]
+
+
+def from_how_to():
+    """What the pages for each kind of laboratory add to the quickstart and the examples of ``--help``."""
+    pages = sorted((ROOT / "docs/howto").glob("*.md"))
+    lines = [line for page in pages for line in commands(page.read_text(encoding="utf-8"), "sh")]
+    return [line for line in dict.fromkeys(lines) if line not in {*from_quickstart(), *from_help()}]
 
 
 def from_help():
@@ -69,10 +75,11 @@ def words_of(line):
     ]
 
 
-def test_readme_leads_from_the_recorders_files_to_the_force(folder, monkeypatch, capsys):
+def test_quickstart_leads_from_the_recorders_files_to_the_force(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
-    lines = from_readme()
+    lines = from_quickstart()
     assert 3 <= len(lines) <= 8
+    assert set(commands(README.read_text(encoding="utf-8"))) <= {*lines, "aerobalance demo"}
     for line in lines:
         assert main(words_of(line)) == 0, (line, capsys.readouterr().err)
     assert lines[-1].split()[1] == "force"
@@ -86,6 +93,25 @@ def test_readme_leads_from_the_recorders_files_to_the_force(folder, monkeypatch,
     # the truth is that of the simulation; a third of the error is common to all samples, so its mean square scatters
     assert np.sqrt(np.mean(error**2)) < 3 * np.sqrt(np.mean(u**2))
     assert np.sqrt(np.mean(u**2)) < 1.0  # of a load of 200 N with gusts of 40 N through the resonance
+
+
+def test_quickstart_in_python_gives_the_same_force(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    _, way = python(QUICKSTART.read_text(encoding="utf-8"))
+    names = {}
+    exec(way, names)
+    assert "AF" in capsys.readouterr().out
+    force = names["force"]["AF"]
+    truth = np.loadtxt("truth.csv", delimiter=",", skiprows=1)[:, 1]
+    # as on the command line
+    assert np.sqrt(np.mean((force.values - truth) ** 2)) < 3 * np.sqrt(np.mean(force.uncertainty**2))
+    assert np.sqrt(np.mean(force.uncertainty**2)) < 1.0
+
+
+@pytest.mark.parametrize("line", from_how_to())
+def test_line_of_how_to_runs_as_printed(line, folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(words_of(line)) == 0, capsys.readouterr().err
 
 
 @pytest.mark.parametrize("line", [line for line in from_help() if line.split()[1] not in {*ENDLESS, "record", "demo"}])
@@ -102,7 +128,7 @@ def test_example_of_help_runs_as_printed(line, folder, monkeypatch, capsys):
 
 def test_example_of_the_demo_is_the_one_that_is_made():
     assert "aerobalance demo --out build/demo" in from_help()
-    assert "$(BIN)/aerobalance demo --out build/demo" in (README.parent / "Makefile").read_text()
+    assert "$(BIN)/aerobalance demo --out build/demo" in (ROOT / "Makefile").read_text()
 
 
 def test_example_of_record_runs(folder, monkeypatch, capsys):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +22,7 @@ from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import Release, SixComponentRig
 from aerobalance.simulation.six_signals import Band, broadband
 from aerobalance.uncertainty.budget import scalars
+from helpers.pages import ROOT, python
 
 ATTITUDES = [(p, r) for p in (-10.0, 0.0, 10.0) for r in (-30.0, 0.0, 30.0)]
 
@@ -187,9 +187,9 @@ def test_importing_compiles_and_loads_nothing():
 
 
 def test_the_first_example_of_the_documentation_runs():
-    page = (Path(__file__).parents[1] / "docs" / "python.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "start" / "quickstart.md").read_text(encoding="utf-8")
     names: dict[str, object] = {}
-    exec(page.split("```python\n")[1].split("```")[0], names)
+    exec(python(page)[0], names)
     force, true = names["force"], names["true"]
     off = (force["AF"].values - true)[200:-200]
     # the rms of an error within twice its uncertainty, as is promised of a force

@@ -75,17 +75,19 @@ class Loads:
     noise_covariance
         Covariance of one reading from the noise of the gauges, shape (c, c) [N^2, N^2*m, N^2*m^2].
     apart
-        Variance of every sample from zeros, tares and gains of the bridges, shape (n, c) or, the same for all, (1, c).
+        Variance of every sample from zeros, tares and gains of the bridges [N^2, N^2*m^2], shape (n, c) or, the same
+        for all, (1, c).
     native
         Loads in the balance's own components, tares not removed, shape (n, c) [N, N*m].
     beyond
         Samples outside the calibrated range, by the balance's own components.
     contraction
-        Largest contraction factor of the iteration ([R091]_ converges below 1).
+        Largest contraction factor of the iteration ([R091]_ converges below 1) [1].
     zero
         The gauge zeros that were taken.
     transform
-        Matrix from the balance's own components to those of the result, shape (c, c).
+        Matrix from the balance's own components to those of the result, shape (c, c) [1; m or 1/m between forces and
+        moments].
     balance
         The matrix that they were worked out with.
     recording

@@ -82,18 +82,18 @@ class BalanceMatrix:
     terms
         The t terms; a component that lacks one has zero there.
     coefficients
-        Shape (t, c), for normalised loads and outputs: over `load_scale` and `output_scale`.
+        Shape (t, c), for normalised loads and outputs: over `load_scale` and `output_scale` [1].
     load_scale
         Capacities, shape (c,) [N, N*m].
     output_scale
         Outputs at capacity, positive, shape (c,) [mV/V].
     covariance
-        Covariance of each column of `coefficients`, shape (c, t, t). A term left out for want of significance has the
-        coefficient zero and yet an uncertainty.
+        Covariance of each column of `coefficients` [1], shape (c, t, t). A term left out for want of significance has
+        the coefficient zero and yet an uncertainty.
     residual_deviation
-        Standard deviation of the calibration's residuals, normalised, shape (c,).
+        Standard deviation of the calibration's residuals, normalised, shape (c,) [1].
     residual_correlation
-        Correlation between the residuals of the components, shape (c, c).
+        Correlation between the residuals of the components, shape (c, c) [1].
     degrees_of_freedom
         Of the residuals of each component, shape (c,).
     calibrated
@@ -124,7 +124,7 @@ class BalanceMatrix:
     degrees_of_freedom: NDArray[np.intp]
     calibrated: Array
     natural_zero: Array | None
-    moments: NDArray[np.bool_]
+    moments: NDArray[np.bool]
     balance_type: BalanceType = "unknown"
     geometry: Geometry | None = None
     temperature: Mapping[str, TemperatureEffect] = field(default_factory=dict)

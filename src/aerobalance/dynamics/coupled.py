@@ -160,15 +160,15 @@ class CoupledDynamics:
     damping
         D = C K^-1, shape (N, N); the unit of row i over that of column j [s].
     covariance
-        Covariance of `parameters`, shape (2 N^2, 2 N^2), as the readings that they were found from leave it; all zero
-        where not given. With the balance matrix of these readings it is the one to work out a force with: what is
-        linear in the errors of that matrix is in the loads and in the dynamics alike, and is counted once, with the
-        matrix.
+        Covariance of `parameters`, in the units of these, shape (2 N^2, 2 N^2), as the readings that they were found
+        from leave it; all zero where not given. With the balance matrix of these readings it is the one to work out
+        a force with: what is linear in the errors of that matrix is in the loads and in the dynamics alike, and is
+        counted once, with the matrix.
     mass
         What the ground's motion and gravity act on; None where it is not known.
     covariance_of_calibration
-        What the calibration of the balance leaves in `parameters` beside that, shape (2 N^2, 2 N^2); all zero where
-        not known.
+        What the calibration of the balance leaves in `parameters` beside that, in the same units, shape
+        (2 N^2, 2 N^2); all zero where not known.
     balance
         SHA-256 of the file of the balance matrix that has this calibration; empty where it is not known.
     """

@@ -42,13 +42,13 @@ class Calibration:
         Loads of the fixtures found in every series by intercepts, and their standard uncertainties, shape (s, c)
         [N, N*m]; NaN in series without points in the fit. Zero, with NaN uncertainty, without natural zeros.
     tares_by_iteration
-        The same by the iteration of AIAA R-091, as a check, shape (s, c); None without natural zeros.
+        The same by the iteration of AIAA R-091, as a check, shape (s, c) [N, N*m]; None without natural zeros.
     residuals
         Load computed less load applied (tares included), all points, shape (n, c) [N, N*m].
     unidentified
         Terms of AIAA R-091 that the schedule cannot tell, in the model or not; they are not in the matrix.
     condition
-        Condition number of the design, columns of norm one.
+        Condition number of the design, columns of norm one [1].
     """
 
     schedule: Schedule

@@ -134,9 +134,9 @@ class Weighing:
     left_out, assumed, absorbed
         Natural scale of every parameter that was left out (q of them), the value that it is taken to have (zero, or
         what the other components have in common), and the change of the fitted parameters by a unit of each, shape
-        (k, q): what `loads` and `uncertainty` reckon with.
+        (k, q), in the units of `values`: what `loads` and `uncertainty` reckon with.
     residuals
-        Readings less fit, shape (n, c).
+        Readings less fit, shape (n, c) [N, N*m].
     deviations
         Standard deviation of the residuals by component [N, N*m].
     degrees_of_freedom

@@ -66,10 +66,10 @@ class LiveSettings:
     lag
         Time after which the force at a sample is final, decimation and alignment apart [s]; None for `lag_periods`.
     lag_periods
-        Periods of the slowest natural frequency that make the lag.
+        Periods of the slowest natural frequency that make the lag [1].
     samples_a_period
         Samples in a period of the highest natural frequency that the force is worked out from at least: from faster
-        readings as many are made one as that allows. ``inf`` to keep them all.
+        readings as many are made one as that allows [1]. ``inf`` to keep them all.
     learn_inside
         Whether the spectral prior is learned within `LiveForce.push`, which then takes up to seconds; else
         `LiveForce.due` says when it is time to.

@@ -32,7 +32,7 @@ class TapPoint:
     place
         From the balance's centre aft, right and up [m].
     direction
-        Unit vector along which the force pushes the model: its shares aft, right and up.
+        Unit vector along which the force pushes the model: its shares aft, right and up [1].
     u_place
         Standard uncertainty of every coordinate of `place` [m].
     u_direction
