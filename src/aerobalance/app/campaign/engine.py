@@ -34,6 +34,9 @@ SETTINGS_OF_PROCESSES: Final = {
 }
 """Environment of a worker: one thread of the linear algebra; arrays are kept, and not given back after each use."""
 
+FEW_LOOKS: Final = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
+"""Dask looks at itself every 10 to 20 ms, in each process and in this one, which takes from the runs."""
+
 PATIENCE: Final = 120.0
 """How long a scheduler that is gone, or one without workers, is waited for [s]."""
 
@@ -139,6 +142,7 @@ class Engine:
                     "distributed.nanny.pre-spawn-environ": SETTINGS_OF_PROCESSES,
                     "distributed.scheduler.allowed-failures": LOSSES,
                     "logging.distributed": "critical",
+                    **FEW_LOOKS,
                 }
             ),
             LocalCluster(
@@ -184,8 +188,10 @@ class Engine:
         from distributed import as_completed  # noqa: PLC0415 - of an extra
 
         self._wait_for_workers(client)
+        # Dask takes tasks for alike by the words of their names before the first that has a digit, and gives out of
+        # such only what workers are free for: one that is lost then takes few with it
         futures = {
-            client.submit(work_on, task, report, key=f"aerobalance-{name}-{task.key[:16]}", pure=False): task
+            client.submit(work_on, task, report, key=f"aerobalance-{task.key[:16]}-{name}", pure=False): task
             for name, task in left.items()
         }
         waiting = as_completed(list(futures), loop=client.loop, raise_errors=False)
