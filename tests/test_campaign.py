@@ -28,6 +28,7 @@ from aerobalance.app.campaign import engine as engines
 from aerobalance.app.campaign import work
 from aerobalance.app.campaign.campaign import Campaign, planned, prepared, reduce_runs
 from aerobalance.app.campaign.engine import Engine
+from aerobalance.app.campaign.places import fingerprint
 from aerobalance.app.campaign.results import Results
 from aerobalance.app.cli.program import main
 from aerobalance.app.commands.campaign import watch
@@ -159,6 +160,27 @@ def test_inputs_come_from_a_store_and_results_go_to_one(files, tmp_path):
     assert reduce_runs(f"file://{files.runs}", files.out, dynamics=files.dynamics, engine=HERE).done == ()
     store.rm("/lab", recursive=True)
     store.rm("/results", recursive=True)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "same"),
+    [
+        ({"ETag": "a", "LastModified": 1}, {"ETag": "a", "LastModified": 2}, True),  # the same content, put anew
+        ({"ETag": "a"}, {"ETag": "b"}, False),
+        ({"Last-Modified": "Mon"}, {"Last-Modified": "Tue"}, False),
+        ({}, {}, False),  # a store that says nothing: its file is read, and is another one
+    ],
+)
+def test_a_file_of_a_store_is_told_by_what_the_store_says_of_it(monkeypatch, before, after, same):
+    system = fsspec.filesystem("memory")
+    found = []
+    for about, content in ((before, b"1"), (after, b"2")):
+        system.pipe_file("/told/run.h5", content)
+        monkeypatch.setattr(type(system), "info", lambda self, path, about=about: {"size": 1, **about})
+        found.append(fingerprint("memory://told/run.h5"))
+    assert (found[0] == found[1]) is same
+    monkeypatch.undo()
+    system.rm("/told", recursive=True)
 
 
 def test_wrong_calls_say_what_is_wrong(tmp_path, files, monkeypatch):

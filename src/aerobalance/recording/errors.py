@@ -40,7 +40,8 @@ class ReadError(Exception):
         self.path = Path(path)
         self.where = where
         self.what = what
-        place = f"{self.path}: {where}" if where else f"{self.path}"
+        name = str(path) if "://" in str(path) else str(self.path)  # a path would make one slash of two
+        place = f"{name}: {where}" if where else name
         super().__init__(f"{place}: {what}")
 
 

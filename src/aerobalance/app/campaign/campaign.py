@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from aerobalance.app.campaign.assignment import Run, assigned, definition_of_folder
 from aerobalance.app.campaign.definition import Definition, load_definition
 from aerobalance.app.campaign.engine import Engine
-from aerobalance.app.campaign.places import exists, fetched, fingerprint, folder_of, is_address, name_of
+from aerobalance.app.campaign.places import each_of, exists, fetched, fingerprint, folder_of, is_address, name_of
 from aerobalance.app.campaign.quality import Quality, quality_of
 from aerobalance.app.campaign.reduction import RunSettings
 from aerobalance.app.campaign.results import HISTORIES, KIND, MANIFEST, PAGE, SUMMARY, Results, import_needed
@@ -228,8 +228,8 @@ def _reduced(
     found = replaced(found, runs=tuple(run for run in found.runs if ready(run)))
     works, rows = planned(found, results.out, with_reports=report is not None)
     todo = []
-    for work in works:
-        known = results.known(work.run.name, work.key)
+    found_there = each_of(lambda work: results.known(work.run.name, work.key), works, of_store=is_address(results.out))
+    for work, known in zip(works, found_there, strict=True):
         if known is None:
             todo.append(work)
         else:
@@ -262,29 +262,36 @@ def _reduced(
 
 def planned(found: Prepared, out: str, *, with_reports: bool) -> tuple[list[RunWork], dict[str, Row]]:
     """Return what is to be done for each run, and rows of those of which a file is missing."""
-    prints: dict[str, str] = {}
+    inputs = list(dict.fromkeys(place for run in found.runs for place in run.inputs))
+    of_store = any(is_address(place) for place in inputs)
+    prints = dict(zip(inputs, each_of(_print_or_reason, inputs, of_store=of_store), strict=True))
     works: list[RunWork] = []
     rows: dict[str, Row] = {}
     wanted = found.definition.output
     for run in found.runs:
-        try:
-            for place in run.inputs:
-                if place not in prints:
-                    prints[place] = fingerprint(place)
-        except ReadError as problem:
-            rows[run.name] = set_aside(run, str(problem))
+        missing = [reason for place in run.inputs if isinstance(reason := prints[place], ReadError)]
+        if missing:
+            rows[run.name] = set_aside(run, str(missing[0]))
             continue
         works.append(
             RunWork(
                 run=run,
                 settings=RunSettings.of(found.definition, run.axes),
                 out=out,
-                fingerprints={place: prints[place] for place in run.inputs},
+                fingerprints={place: str(prints[place]) for place in run.inputs},
                 histories=wanted.histories,
                 reports=wanted.reports if with_reports else "none",
             )
         )
     return works, rows
+
+
+def _print_or_reason(place: str) -> str | ReadError:
+    """What changes when a file changes, or why it cannot be had."""
+    try:
+        return fingerprint(place)
+    except ReadError as problem:
+        return problem
 
 
 def write_summary(campaign: Campaign, results: Results) -> None:

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import hashlib
 import posixpath
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from aerobalance.io.artefacts import digest
 from aerobalance.recording.errors import ReadError
@@ -21,6 +22,18 @@ if TYPE_CHECKING:
 
 INSTALL: Final = "pip install 'aerobalance[campaign]'"
 """Command that installs what campaigns need."""
+
+AT_ONCE: Final = 32
+"""Questions to a store that are under way at once."""
+
+MARKS: Final = (
+    ("ETag", "etag", "VersionId", "generation", "md5Hash", "Content-MD5", "Digest"),
+    ("LastModified", "Last-Modified", "last_modified", "updated", "mtime", "modify", "modificationTime"),
+)
+"""What stores say of the state of a file: marks of its content or version; where there is none, times."""
+
+Given = TypeVar("Given")
+Found = TypeVar("Found")
 
 READ: Final = 1 << 20
 """Bytes that are read at a time."""
@@ -94,6 +107,7 @@ def matching(pattern: str) -> list[str]:
         return [str(one) for one in found if one.is_file()]
     system, inside = store_of(pattern)
     try:
+        system.invalidate_cache()  # of what was there at an earlier look
         return sorted(str(system.unstrip_protocol(one)) for one in system.glob(inside))
     except OSError as error:
         raise ReadError(pattern, "", f"cannot be listed: {error}") from None
@@ -107,18 +121,22 @@ def listed(folder: str) -> list[str]:
 def fingerprint(place: str) -> str:
     """Return what changes when a file changes.
 
-    The SHA-256 of its content; in a store whose files would have to be fetched for that, what the store says of the
-    file (its version, or size and time).
+    The SHA-256 of its content; in a store, which would have to send it for that, its size and the mark or the time which
+    the store gives each state of a file, where it does.
 
     Raises
     ------
     ReadError
         There is no such file, or it cannot be read.
     """
-    if is_address(place) and not place.startswith(("memory://", "file://", "local://")):
-        return f"store:{_asked(place, 'ukey')}"
     if not is_address(place):
         return f"sha256:{digest(Path(place))}"
+    if not place.startswith(("file://", "local://")):
+        about = _asked(place, "info")
+        for keys in MARKS:
+            said = [str(about[key]) for key in keys if about.get(key)]
+            if said:
+                return " ".join(["store:", str(about.get("size")), *said])
     system, inside = store_of(place)
     whole = hashlib.sha256()
     try:
@@ -128,6 +146,24 @@ def fingerprint(place: str) -> str:
     except OSError as error:
         raise _refusal(place, error) from None
     return f"sha256:{whole.hexdigest()}"
+
+
+def each_of(work: Callable[[Given], Found], given: Sequence[Given], *, of_store: bool) -> list[Found]:
+    """Return what a function gives for each, in their order; many are under way at once where a store is asked.
+
+    Parameters
+    ----------
+    work
+        What is asked of each.
+    given
+        Of what.
+    of_store
+        Whether it waits for a store, tens of milliseconds each, rather than for this machine.
+    """
+    if not of_store or len(given) < 2:
+        return [work(one) for one in given]
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        return list(pool.map(work, given))
 
 
 def _asked(place: str, what: str) -> Any:

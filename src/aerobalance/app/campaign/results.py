@@ -243,9 +243,9 @@ def _put(beside: Path, target: str) -> None:
     if beside.is_dir():
         if system.exists(inside):
             system.rm(inside, recursive=True)
-        for path in sorted(beside.rglob("*")):
-            if path.is_file():
-                system.pipe_file(f"{inside}/{path.relative_to(beside).as_posix()}", path.read_bytes())
+        files = (path for path in sorted(beside.rglob("*")) if path.is_file())
+        # all at once, where the store can
+        system.pipe({f"{inside}/{path.relative_to(beside).as_posix()}": path.read_bytes() for path in files})
         return
     system.pipe_file(inside, beside.read_bytes())
 
