@@ -121,8 +121,8 @@ def listed(folder: str) -> list[str]:
 def fingerprint(place: str) -> str:
     """Return what changes when a file changes.
 
-    The SHA-256 of its content; in a store, which would have to send it for that, its size and the mark or the time which
-    the store gives each state of a file, where it does.
+    The SHA-256 of its content; in a store, which would have to send it for that, its size and the mark or the time
+    that the store gives each state of a file, where it does.
 
     Raises
     ------
