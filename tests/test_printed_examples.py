@@ -25,14 +25,19 @@ QUICKSTART = ROOT / "docs/start/quickstart.md"
 
 def from_quickstart():
     """The way from the recorder's files to the force, which begins in the demo's folder."""
-    return [line for line in commands(QUICKSTART.read_text(encoding="utf-8"), "sh") if " demo " not in line]
+    way = QUICKSTART.read_text(encoding="utf-8").split("## In Python")[0]
+    return [line for line in commands(way, "sh") if " demo " not in line]
 
 
 def from_how_to():
     """What the pages for each kind of laboratory add to the quickstart and the examples of ``--help``."""
-    pages = sorted((ROOT / "docs/howto").glob("*.md"))
+    pages = [QUICKSTART, *sorted((ROOT / "docs/howto").glob("*.md"))]
     lines = [line for page in pages for line in commands(page.read_text(encoding="utf-8"), "sh")]
-    return [line for line in dict.fromkeys(lines) if line not in {*from_quickstart(), *from_help()}]
+    return [
+        line
+        for line in dict.fromkeys(lines)
+        if line not in {*from_quickstart(), *from_help()} and " demo " not in line
+    ]
 
 
 def from_help():

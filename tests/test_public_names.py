@@ -93,6 +93,8 @@ def test_one_component_as_the_documentation_shows_it(rng):
     assert data["AF"].attrs["units"] == "N"
     np.testing.assert_array_equal(data["u_AF"].to_numpy(), force["AF"].uncertainty)
     assert "force applied" in repr(force)
+    assert repr(run) == "recording: 4000 samples, 2.49938 s at 1600 Hz; AF [N], pitch [rad]"
+    assert repr(spring).splitlines()[:2] == ["dynamics of AF", "  mass 177.87 kg"]
     assert "<table>" in force._repr_html_()
     assert len(force.plot().axes) == 1
     (rows,) = ab.budget(force).values()
@@ -153,6 +155,15 @@ def test_the_chain_of_a_test(rng):
     dynamics = ab.identify(releases, mass=mass, balance=matrix, zero=zero)
     with pytest.raises(ValueError, match="without recordings beside them"):
         ab.identify([ab.reduce_outputs(releases[0], matrix, zero=zero, model=mass), *releases[1:]], mass=mass)
+    for result, words in (
+        (matrix, "% of capacity"),
+        (mass, "mass "),
+        (dynamics, " Hz (u = "),
+        (points[0], " samples, "),
+    ):
+        assert words in repr(result)
+        assert len(repr(result)) < 2000  # for a person to read
+        assert "array(" not in repr(result)
     simulation = gusts(balance, rng).run(0.3, rng)
     force = ab.estimate_force(simulation.recording, dynamics, balance=matrix, zero=zero, hum="keep")
     for name, (_, score, beside_u) in errors(force, simulation.applied, balance).items():

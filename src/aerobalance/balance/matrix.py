@@ -166,6 +166,10 @@ class BalanceMatrix:
                 "the linear terms of the matrix cannot be inverted: the gauges do not tell the loads apart"
             )
 
+    def __repr__(self) -> str:
+        loads = f"{', '.join(self.components)} [N, N*m]"
+        return f"balance matrix, {self.way}: {loads} from {len(self.gauges)} outputs [mV/V], {len(self.terms)} terms"
+
     @property
     def linear(self) -> Array:
         """Coefficients of the linear terms, shape (c, c): results in rows, variables in columns."""

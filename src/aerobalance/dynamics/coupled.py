@@ -200,6 +200,11 @@ class CoupledDynamics:
         if not (np.linalg.eigvals(self._generator).real < 0).all():
             raise ValueError("inertia and damping make a free oscillation that grows or never ends")
 
+    def __repr__(self) -> str:
+        modes = [f"{one.natural_frequency:.6g} Hz, damping ratio {one.damping_ratio:.3g}" for one in self.modes]
+        mass = "mass not known" if self.mass is None else f"mass {self.mass.mass:.6g} kg"
+        return "\n  ".join([f"coupled dynamics of {', '.join(self.components)}; {mass}", *modes])
+
     @classmethod
     def of_components(cls, parts: Sequence[Dynamics]) -> CoupledDynamics:
         """Components that are not coupled, one mode each: the paper's way, with diagonal matrices."""

@@ -21,6 +21,7 @@ from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.gravity import gravity_share
+from aerobalance.recording.wording import with_u
 
 PARAMETERS: Final = ("mass", "stiffness", "damping", "delay")
 """Order of the first rows and columns of `Dynamics.covariance`."""
@@ -80,6 +81,16 @@ class Dynamics(ModalModel):
             raise ValueError(f"covariance must have shape ({size}, {size}), not {self.covariance.shape}")
         if not np.isfinite(self.covariance).all() or (np.diag(self.covariance) < 0).any():
             raise ValueError("covariance must be finite, with variances of zero or more")
+
+    def __repr__(self) -> str:
+        told = {name: self.uncertainty(name) for name in (*PARAMETERS, "natural_frequency", "damping_ratio")}
+        units = dict(zip(told, ("kg", "N/m", "N*s/m", "s", "Hz", ""), strict=True))
+        shown = [name for name in told if name != "delay" or self.delay or told[name]]
+        rows = [f"{name} {with_u(getattr(self, name), told[name], units[name])}".replace("_", " ") for name in shown]
+        for one in self.further_modes:
+            frequency = f"{one.natural_frequency:.6g} Hz"
+            rows.append(f"further mode {frequency}, damping ratio {one.damping_ratio:.3g}, share {one.share:.3g}")
+        return "\n  ".join([f"dynamics of {self.component}", *rows])
 
     @property
     def components(self) -> tuple[str, ...]:

@@ -76,6 +76,10 @@ class Recording:
             if channel.name != key:
                 raise ValueError(f"{self.name}: channel {key} is called {channel.name}: which of the two is it?")
 
+    def __repr__(self) -> str:
+        span = f"{self.samples} samples, {self.duration:.6g} s at {self.rate:.6g} Hz"
+        return f"{self.name}: {span}; {', '.join(f'{one.name} [{one.unit}]' for one in self) or 'no channels'}"
+
     @classmethod
     def from_columns(
         cls,

@@ -20,6 +20,16 @@ def told(value: float, u: float, *, most: float = np.inf) -> bool:
     return bool(np.isfinite(value) and np.isfinite(u) and abs(value) > TOLD * u and abs(value) <= most)
 
 
+def with_u(value: float, u: float, unit: str = "") -> str:
+    """Return a value, to two digits of its standard uncertainty, with its unit and that uncertainty."""
+    behind = f" {unit}" if unit else ""
+    if not (np.isfinite(value) and 0 < u < np.inf):
+        return f"{value:.6g}{behind}"
+    places = 1 - int(np.floor(np.log10(u)))
+    digits = f"{value:.{places}f}" if places > 0 else f"{round(value, places):.0f}"
+    return f"{digits}{behind} (u = {u:.2g})"
+
+
 def share_text(share: float, u: float) -> str:
     """Return a mode's share of a steady load in words; it cannot be more than all of it."""
     if told(share, u, most=1.0):

@@ -63,6 +63,20 @@ class Calibration:
     unidentified: tuple[Unidentified, ...]
     condition: float
 
+    def __repr__(self) -> str:
+        fitted = self.residuals[self.schedule.fitted] / self.schedule.capacities
+        rows = [
+            f"{name}: residuals {100 * deviation:.2g} % of capacity rms, {100 * largest:.2g} % at most"
+            for name, deviation, largest in zip(
+                self.schedule.components,
+                np.sqrt(np.mean(fitted**2, axis=0)),
+                np.max(np.abs(fitted), axis=0),
+                strict=True,
+            )
+        ]
+        what = f"calibration of {self.schedule.name}: model {self.model}, {self.way}, {len(fitted)} points"
+        return "\n  ".join([what, *rows])
+
     @property
     def unidentified_labels(self) -> tuple[str, ...]:
         """Names of the terms that the schedule cannot tell."""

@@ -14,6 +14,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, FORCE_AXES, STANDARD_GRAVITY
 from aerobalance.recording.doubts import Doubt, Size, Verdict, verdict_of
 from aerobalance.recording.gravity import Attitudes, weight_direction
+from aerobalance.recording.wording import with_u
 
 LEAST_PROBABILITY: Final = 0.001
 """Probability of a disagreement by chance below which components are taken to differ."""
@@ -189,6 +190,15 @@ class Weighing:
             raise ValueError(f"mass must be positive and finite, not {self.mass} (u {self.u_mass})")
         if not all(0 <= scale < np.inf for scale in self.left_out.values()):
             raise ValueError("the scales of what was left out must be zero or more and finite")
+
+    def __repr__(self) -> str:
+        rows = [f"mass {with_u(self.mass, self.u_mass, 'kg')}"]
+        rows += [
+            f"centre of gravity {axis} {with_u(value, self.u_centre_of_gravity[axis], 'm')}"
+            for axis, value in self.centre_of_gravity.items()
+        ]
+        rows += [f"not told: {name}; {why}" for name, why in self.unidentified.items()]
+        return "\n  ".join([f"weighing of {', '.join(self.components)}, {self.verdict}", *rows])
 
     @property
     def verdict(self) -> Verdict:

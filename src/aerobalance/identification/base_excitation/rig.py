@@ -105,6 +105,10 @@ class RigFit:
     live: LiveCheck | None
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        mass = "identified" if self.mass_identified else "given"
+        return f"shaken ground end, mass {mass}; {self.dynamics!r}"
+
 
 def identify_rig(
     recording: Recording,

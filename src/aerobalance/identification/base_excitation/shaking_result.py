@@ -86,7 +86,7 @@ class ShakeAdvice:
     best: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ShakingIdentification(CoupledResult):
     """What shaken records tell about the six components.
 

@@ -111,6 +111,9 @@ class DecayFit:
     notes: tuple[str, ...]
     doubts: tuple[Doubt, ...]
 
+    def __repr__(self) -> str:
+        return f"free decay, {self.verdict}; {self.dynamics!r}"
+
     @property
     def verdict(self) -> Verdict:
         """Whether the dynamics may be used, by what is doubted."""

@@ -111,6 +111,9 @@ class ImpactFit:
     taps: Taps
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        return f"taps, {self.verdict}; {self.dynamics!r}"
+
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """What the recordings say against the result."""
@@ -123,7 +126,7 @@ class ImpactFit:
         return verdict_of(self.doubts, {self.dynamics.component: Size(relative, 1.0, 1.0)})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ImpactIdentification(CoupledResult):
     """What taps tell about coupled components.
 

@@ -73,7 +73,7 @@ class ReleaseAdvice:
     best: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class CoupledIdentification(CoupledResult):
     """What a set of releases tells about coupled components.
 
