@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 project = "aerobalance"
 author = "the aerobalance developers"
 copyright = "2026, the aerobalance developers"  # noqa: A001 - the name that Sphinx reads
-extensions = ["myst_parser", "mathml", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "mathml", "commandline", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["_static"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
@@ -27,6 +27,7 @@ suppress_warnings = ["ref.python"]  # such a name may be an attribute of several
 autodoc_typehints = "description"
 autodoc_type_aliases = {"Array": "Array", "ArrayLike": "ArrayLike"}
 autodoc_typehints_description_target = "documented_params"
+python_use_unqualified_type_names = True
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 napoleon_google_docstring = False

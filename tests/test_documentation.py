@@ -91,7 +91,7 @@ def test_every_equation_is_written_once_under_its_number():
 def test_works_cited_are_those_of_the_bibliography():
     def works(text: str) -> dict[str, str]:
         rows = re.findall(r"^ *\.\. \[(\w+)\] (.*?)(?=\n *\n|\n *\.\. \[|\n *\"\"\"|\n```|\"\"\"$)", text, re.M | re.S)
-        return {key: " ".join(body.split()).removesuffix('"""') for key, body in rows}
+        return {key: " ".join(body.split()).removesuffix('"""').removeprefix("\\") for key, body in rows}
 
     listed = works((ROOT / "docs/references.md").read_text(encoding="utf-8"))
     cited: dict[str, str] = {}
@@ -128,6 +128,10 @@ def test_python_that_is_shown_is_python_with_names_that_exist():
         for block in python(page.read_text(encoding="utf-8")):
             ast.parse(block)
             assert set(re.findall(r"\bab\.(\w+)", block)) <= {*ab.__all__, "__version__"}, (page.name, block)
+
+
+def test_the_version_to_cite_is_the_present_one():
+    assert f"\nversion: {ab.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
 def test_sentences_of_the_readme_are_short():

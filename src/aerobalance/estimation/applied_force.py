@@ -105,7 +105,7 @@ class Force(Mapping[str, ComponentForce]):
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the forces may be used: fit for use, doubtful or not usable."""
+        """Whether the forces may be used (fit for use, doubtful or not usable)."""
         return verdict_of(self.doubts, {name: size_of(part) for name, part in self.parts.items()})
 
     @property

@@ -81,7 +81,7 @@ class ComponentPlan:
 
     @property
     def advice(self) -> str:
-        """One sentence: what limits the uncertainty through resonance, and what helps against it."""
+        """One sentence on what limits the uncertainty through resonance, and what helps against it."""
         row = self.at_other_rates[0]
         remedy = REMEDIES.get(row.limited_by, QUIETER)
         return f"{self.component} up to {row.bandwidth:.4g} Hz is limited by the {row.limited_by}: {remedy}"

@@ -101,7 +101,7 @@ class CoupledResult:
 
     @property
     def further(self) -> tuple[int, ...]:
-        """Places of the modes of the model or sting: of least static contribution, one per internal coordinate."""
+        """Places of the modes of the model or sting, of least static contribution, one per internal coordinate."""
         return tuple(sorted(int(place) for place in np.argsort(self.static_contributions)[: self.dynamics.internal]))
 
 
