@@ -130,6 +130,21 @@ def test_python_that_is_shown_is_python_with_names_that_exist():
             assert set(re.findall(r"\bab\.(\w+)", block)) <= {*ab.__all__, "__version__"}, (page.name, block)
 
 
+@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "SECURITY.md"])
+def test_links_of_the_first_pages_lead_somewhere(name):
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)", (ROOT / name).read_text(encoding="utf-8"))
+    assert [target for target in targets if not (ROOT / target).exists()] == []
+
+
+def test_figures_of_peers_in_the_paper_are_those_of_the_documentation():
+    def cells(path: str) -> list[list[str]]:
+        text = (ROOT / path).read_text(encoding="utf-8").split("PyDynamic FIR |")[1].split("\n\n")[0]
+        return [[cell.strip() for cell in row.split("|")[2:-1]] for row in text.splitlines() if "-0." in row]
+
+    assert cells("paper/paper.md") == cells("docs/compare.md")
+    assert len(cells("paper/paper.md")) == 2
+
+
 def test_the_version_to_cite_is_the_present_one():
     assert f"\nversion: {ab.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
