@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from aerobalance.app.campaign.assignment import Run
-from aerobalance.app.campaign.campaign import Campaign, prepared, reduce_runs, results_at
+from aerobalance.app.campaign.campaign import Campaign, Prepared, prepared, reduce_runs, results_at
 from aerobalance.app.campaign.engine import Engine
 from aerobalance.app.campaign.places import is_address, name_of
 from aerobalance.app.campaign.reduction import ReducedRun
@@ -161,8 +161,14 @@ def watch(
     every: float = EVERY,
     seconds: float | None = None,
     say: Callable[[str], None],
+    heard: Callable[[Campaign], None] | None = None,
+    check: Callable[[Prepared], None] = lambda found: None,
 ) -> Result:
-    """Reduce the runs of a test as their files come in, for so long [s] or until interrupted."""
+    """Reduce the runs of a test as their files come in, for so long [s] or until interrupted.
+
+    What has come of it is told in words. Who hears of it as a whole shows its page anew; else that loads itself again.
+    What is found is checked before it is read.
+    """
     results = results_at(out)
 
     def reduce(ready: Callable[[Run], bool]) -> Campaign:
@@ -175,11 +181,18 @@ def watch(
             report=write_run_report,
             ready=ready,
         )
-        write_page_of(found, refresh=max(1, round(every)))
+        write_page_of(found, refresh=max(1, round(every)) if heard is None else 0)
+        if heard is not None:
+            heard(found)
+        return found
+
+    def prepare() -> Prepared:
+        found = prepared(test, dynamics=dynamics, balance=balance)
+        check(found)
         return found
 
     with results.held():
-        found = Watch(lambda: prepared(test, dynamics=dynamics, balance=balance), reduce, say, every).go(seconds)
+        found = Watch(prepare, reduce, say, every).go(seconds)
         if found is None:
             return {"test": test, "out": out, "runs": 0, "summary": f"no run came into {test}\n"}
         write_page_of(found)

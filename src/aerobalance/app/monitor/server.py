@@ -103,6 +103,10 @@ class _Use(_Body):
     recording: Short
 
 
+class _Test(_Body):
+    test: Short
+
+
 class _Check(_Body):
     kind: Kind
 
@@ -144,10 +148,12 @@ class Page:
                     Route("/api/state", self._get_state),
                     Route("/api/recordings", self._get_recordings),
                     Route("/api/setup", self._get_setup),
+                    Route("/api/tests", self._get_tests),
                     Route("/api/task/{number:int}", self._get_task),
                     Route("/api/{action}", self._act, methods=["POST"]),
                     Route("/report/{name}", self._report),
                     Route("/file/{name}", self._file),
+                    Route("/campaign/{name:path}", self._campaign_page),
                     WebSocketRoute("/live", self._live),
                     Mount("/static", StaticFiles(directory=STATIC)),
                 ],
@@ -173,6 +179,8 @@ class Page:
             "check": (_Apply, lambda it: check_files(setup_from(it.setup), self.session.folder)),
             "rig": (_Rig, self._rig),
             "sweep": (_Empty, lambda _: self.session.begin_sweep()),
+            "watch": (_Test, lambda it: self.session.campaign.begin(it.test)),
+            "end_watch": (_Empty, lambda _: self.session.campaign.end()),
             "restart": (_Empty, lambda _: self.session.open()),
         }
 
@@ -260,6 +268,9 @@ class Page:
         task = self.session.tasks.listed.get(request.path_params["number"])
         return JSONResponse(plain(task)) if task else JSONResponse({"error": "there is no such task"}, 404)
 
+    async def _get_tests(self, _: Request) -> Response:
+        return JSONResponse(await asyncio.to_thread(self.session.campaign.tests))
+
     async def _report(self, request: Request) -> Response:
         try:
             path = self.session.folder.file(request.path_params["name"])
@@ -267,9 +278,13 @@ class Page:
             return JSONResponse({"error": str(problem)}, 404)
         if path.suffix != ".html" or not path.is_file():
             return JSONResponse({"error": "there is no such report"}, 404)
-        return FileResponse(
-            path, media_type="text/html; charset=utf-8", headers={"content-security-policy": REPORT_POLICY}
-        )
+        return _shown(path)
+
+    async def _campaign_page(self, request: Request) -> Response:
+        try:
+            return _shown(self.session.campaign.page(request.path_params["name"]))
+        except ValueError as problem:
+            return JSONResponse({"error": str(problem)}, 404)
 
     async def _file(self, request: Request) -> Response:
         try:
@@ -331,6 +346,13 @@ class Page:
                 await serving
             with contextlib.suppress(Exception):
                 await socket.close(1001)
+
+
+def _shown(path: Path) -> Response:
+    """A report, which shows itself and does nothing else."""
+    return FileResponse(
+        path, media_type="text/html; charset=utf-8", headers={"content-security-policy": REPORT_POLICY}
+    )
 
 
 def _download(path: Path) -> Response:

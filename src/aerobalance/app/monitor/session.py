@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 
 from aerobalance.acquisition.setup import Setup, save_setup
 from aerobalance.app.monitor.alarms import Alarms
+from aerobalance.app.monitor.campaigns import CampaignWatch
 from aerobalance.app.monitor.checks import Checks
 from aerobalance.app.monitor.folder import Folder
 from aerobalance.app.monitor.live_source import LiveSource
@@ -78,6 +79,7 @@ class MonitorSession:
         self.records = Records(self.folder, self.source, log=log, lock=self._lock)
         self.checks = Checks(self.source, self.records, log)
         self.tasks = Tasks(self.folder, self.source, self.records, log)
+        self.campaign = CampaignWatch(self.folder, log)
         threading.Thread(target=self._watch_over, daemon=True).start()
 
     # ---- what the buttons do
@@ -201,6 +203,7 @@ class MonitorSession:
         """Numbers of the processes behind the page, for whoever looks after the computer."""
         engine, session, recorder = self.source.engine, self.source.session, self.records.recorder
         running = {"engine": engine.process, "learner": engine.learner, "jobs": self.tasks.process}
+        running["campaign"] = self.campaign.process
         if session is not None:
             running["source"] = session.process
         if recorder is not None:
@@ -214,6 +217,7 @@ class MonitorSession:
         self._closed = True
         limit = time.monotonic() + timeout
         self.tasks.close()
+        self.campaign.close()
         self.source.engine.close()
         # whatever holds the lock (a source that is just starting) has nothing yet that could be lost
         held = self._lock.acquire(timeout=PATIENCE)

@@ -23,6 +23,7 @@ def state_of(session: MonitorSession) -> dict[str, Any]:
         "tasks": [
             {key: value for key, value in task.items() if key != "account"} for task in session.tasks.listed.values()
         ],
+        "campaign": session.campaign.shown,
         "recordings_version": log.listed_version,
         "setup": {
             "name": setup.name,

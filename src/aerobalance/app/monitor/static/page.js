@@ -1,6 +1,7 @@
 // The operator's page: its connection to the server, and what is set for the page alone.
 
 import { listAlarms, showAlarms, wireAlarms } from "./alarms.js";
+import { showCampaign, wireCampaign } from "./campaign.js";
 import { showState, wireControls } from "./controls.js";
 import { $, button } from "./dom.js";
 import { showPause, wireLook } from "./look.js";
@@ -90,6 +91,7 @@ function heard(message) {
     showAlarms();
     if (!$("alarms").hidden) listAlarms();
     showTasks();
+    showCampaign();
   } else if (message.type === "panel") begin(message);
   else if (message.type === "numbers") {
     page.numbers = message;
@@ -211,4 +213,5 @@ wireControls(() => (bestTrip === Infinity ? null : clock() + offset));
 wireAlarms();
 wireLook(send);
 wireRecordings();
+wireCampaign();
 connect();
