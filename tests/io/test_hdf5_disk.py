@@ -229,3 +229,27 @@ def test_a_recording_is_written_whole_whatever_its_length(tmp_path) -> None:
         again = read(tmp_path / "a.h5")
         assert np.array_equal(again.stamps, stamps)
         assert np.array_equal(again.channel("AF").values, original.channel("AF").values)
+
+
+def test_a_damaged_file_with_the_mark_of_a_writer_is_not_waited_for(tmp_path) -> None:
+    """The library waits without end for what does not agree with its checksum in a file that is being written."""
+    file = killed(tmp_path / "killed.h5")
+    content = file.read_bytes()
+    for name, place in (("head", 20), ("root", content.index(b"OHDR") + 30), ("blocks", content.rindex(b"OHDR") + 30)):
+        (tmp_path / f"{name}.h5").write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+    closed = bytearray(content)
+    closed[11] = 0xAC  # of a closed file, a damaged flag
+    (tmp_path / "flag.h5").write_bytes(closed)
+    code = (
+        "import sys; from aerobalance.io import read\n"
+        "for path in sys.argv[1:]:\n    try: print(read(path).samples)\n    except Exception as error: print(error)"
+    )
+    paths = [str(tmp_path / f"{name}.h5") for name in ("head", "root", "blocks", "flag", "killed")]
+    command = [sys.executable, "-W", "ignore", "-c", code, *paths]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    *refused, samples = done.stdout.splitlines()
+    assert samples == "300"
+    assert len(refused) == 4
+    for path, line in zip(paths, refused, strict=False):
+        assert line.startswith(f"{path}: ")
+        assert "damaged" in line

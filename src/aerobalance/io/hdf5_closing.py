@@ -24,6 +24,9 @@ except ImportError:  # no such locks: files are then left as they are
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 """The first bytes of an HDF5 file."""
 
+HEAD: Final = 256
+"""Bytes at the beginning of a file that the mark and its checksum are among."""
+
 _ENDINGS: Final = (".h5", ".hdf5")
 _FLAGGED_VERSION: Final = 3
 _VERSION, _WIDTH, _FLAGS, _END = 8, 9, 11, 28
@@ -86,17 +89,45 @@ def take_mark_off(handle: int) -> bool:
     The end of the file, which the library notes there when it closes only, is set to what the file really has.
     """
     os.lseek(handle, 0, os.SEEK_SET)
-    head = bytearray(os.read(handle, 256))
-    size = 12 + 4 * head[_WIDTH] if marked_as_written(head) and head[_WIDTH] == _ADDRESS else 0
-    if not 0 < size <= len(head) - 4 or struct.unpack_from("<I", head, size)[0] != lookup3(head[:size]):
+    head = unmarked_head(os.read(handle, HEAD), os.fstat(handle).st_size)
+    if head is None:
         return False
-    head[_FLAGS] &= ~_WRITING
-    struct.pack_into("<Q", head, _END, os.fstat(handle).st_size)
-    struct.pack_into("<I", head, size, lookup3(head[:size]))
     os.lseek(handle, 0, os.SEEK_SET)
-    os.write(handle, head[: size + 4])
+    os.write(handle, head)
     os.fsync(handle)
     return True
+
+
+def unmarked_head(given: bytes, end: int) -> bytes | None:
+    """Return the first bytes of a marked file without the mark; None where they are damaged.
+
+    Parameters
+    ----------
+    given
+        The first bytes, `HEAD` of them where there are as many.
+    end
+        Size of the file.
+    """
+    head = bytearray(given)
+    size = 12 + 4 * head[_WIDTH] if marked_as_written(head) and head[_WIDTH] == _ADDRESS else 0
+    if not 0 < size <= len(head) - 4 or struct.unpack_from("<I", head, size)[0] != lookup3(head[:size]):
+        return None
+    head[_FLAGS] &= ~_WRITING
+    struct.pack_into("<Q", head, _END, end)
+    struct.pack_into("<I", head, size, lookup3(head[:size]))
+    return bytes(head[: size + 4])
+
+
+def is_written(path: Path) -> bool:
+    """Return whether somebody writes to a marked file now, as far as the lock on it tells."""
+    if fcntl is None:
+        return True
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return True
+        return False
 
 
 def close_all_broken_off(folder: Path) -> list[str]:

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.io.hdf5_closing import marked_as_written
+from aerobalance.io.hdf5_closing import is_written, marked_as_written
 from aerobalance.io.hdf5_heaps import check_heaps
 from aerobalance.io.hdf5_layout import BLOCK, CHANNELS, EVENT, FORMAT, GAP, STATUS, StoredChannel
+from aerobalance.io.hdf5_marked import UnmarkedFile
 from aerobalance.io.said_by_file import date_of
 from aerobalance.recording.analog_filter import AntiAlias, Kind
 from aerobalance.recording.channel import Channel, Coupling, CrossAxis, unit_inside
@@ -99,13 +100,17 @@ def opened(path: Path) -> Iterator[h5py.File]:
     import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
 
     try:
-        marked = _being_written(path)
-        if not marked:
-            check_heaps(path)
-        # Beside a writer its lock stands in nobody's way, and the library wants both opened in one way in a process.
-        locking = False if marked else "best-effort"
-        with h5py.File(path, "r", swmr=marked, libver="latest", locking=locking) as file:
-            yield file
+        marked = _is_marked(path)
+        if marked and is_written(path):
+            # A lock stands in nobody's way there, and the library wants both opened in one way in a process.
+            with h5py.File(path, "r", swmr=True, libver="latest", locking=False) as file:
+                yield file
+            return
+        check_heaps(path)
+        with contextlib.ExitStack() as stack:
+            source: Any = stack.enter_context(UnmarkedFile(path)) if marked else path
+            settings = {} if marked else {"locking": "best-effort"}
+            yield stack.enter_context(h5py.File(source, "r", libver="latest", **settings))
     except (ReadError, GeneratorExit):
         raise
     except FileNotFoundError:
@@ -117,12 +122,8 @@ def opened(path: Path) -> Iterator[h5py.File]:
         ) from None
 
 
-def _being_written(path: Path) -> bool:
-    """Return whether the file is being written to, or was when its writer was killed: a flag in the superblock.
-
-    Only such a file is opened as beside a writer, as the library then waits for what does not agree with its checksum
-    to be written, which never happens in a damaged file.
-    """
+def _is_marked(path: Path) -> bool:
+    """Return whether the file is being written to, or was when its writer was killed: a flag in the superblock."""
     with path.open("rb") as file:
         return marked_as_written(file.read(12))
 
@@ -166,7 +167,7 @@ def contents_of(path: Path, file: h5py.File) -> Contents:
         reason=_text(status["reason"]),
         origin=int(status["origin"]),
         time_unit=unit,
-        marked=_being_written(path),
+        marked=_is_marked(path),
         epoch=date_of(_attribute(path, file["status"], "epoch")) if "epoch" in file["status"].attrs else None,
     )
 
