@@ -15,7 +15,7 @@ from aerobalance.io.hdf5_closing import SIGNATURE
 from aerobalance.io.hdf5_contents import Contents, contents, contents_of, opened
 from aerobalance.io.hdf5_layout import StoredChannel, checksum
 from aerobalance.io.hdf5_rows import appending
-from aerobalance.io.text_cells import LARGEST, beyond_all_measure
+from aerobalance.io.text_cells import LARGEST, beyond_all_measure, within_measure
 from aerobalance.io.text_layout import Layout
 from aerobalance.recording.channel import Array, SensorSpec
 from aerobalance.recording.errors import ReadError, warn_quality
@@ -61,8 +61,9 @@ def read_blocks(path: Path | str) -> Iterator[tuple[int, Array | None]]:
     file = Path(path)
     with opened(file) as inside:
         found = contents_of(file, inside)
+        data = inside["samples"]
         for number, block in enumerate(found.blocks):
-            yield int(block["tick"]), read_block(inside, found, number)
+            yield int(block["tick"]), read_block(data, found, number)
 
 
 def headings(path: Path) -> tuple[Heading, ...]:
@@ -118,7 +119,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
         ticks, readings, stamps = _samples(path, file, found, labels, remarks)
     for text in (*remarks, *remarks_on(found)):
         warn_quality(f"{path.name}: {text}")
-    columns = [raw_column(found.channels[i], readings[:, k], i + found.timed) for k, i in enumerate(labels)]
+    columns = [raw_column(found.channels[i], readings[k], i + found.timed) for k, i in enumerate(labels)]
     if found.timed:
         time = RawColumn(f"time [{found.time_unit}]", "time", found.time_unit, stamps, 1)
         return RawColumns(path, (time, *columns), range(1, ticks.size + 1), epoch=found.epoch)
@@ -157,11 +158,11 @@ def _not_ended(found: Contents) -> str:
     )
 
 
-def read_block(file: h5py.File, found: Contents, number: int) -> Array | None:
-    """Read one block, shape (n, c); None where it does not agree with its checksum."""
+def read_block(data: h5py.Dataset, found: Contents, number: int) -> Array | None:
+    """Read one block of the samples of a file, shape (n, c); None where it does not agree with its checksum."""
     tick, rows, crc = (int(found.blocks[number][key]) for key in ("tick", "rows", "crc32"))
     first = number * found.slot
-    samples = np.asarray(file["samples"][first : first + rows], dtype=np.float64)
+    samples = np.asarray(data[first : first + rows], dtype=np.float64)
     return samples if samples.shape[0] == rows and checksum(tick, samples) == crc else None
 
 
@@ -183,19 +184,19 @@ def _numbers(path: Path, found: Contents, wanted: Sequence[str | int] | None) ->
 def _samples(
     path: Path, file: h5py.File, found: Contents, columns: list[int], remarks: list[str]
 ) -> tuple[NDArray[np.int64], Array, Array]:
-    """Read the blocks that agree with their checksums: ticks (n,), readings (n, k), time stamps (n,)."""
+    """Read the blocks that agree with their checksums: ticks (n,), readings (k, n), time stamps (n,)."""
     total = int(found.blocks["rows"].sum())
     if total < 2:
         raise ReadError(
             path, "", f"is a recording of {total} sample(s) ({found.reason or 'not ended'}); two are needed"
         )
-    readings = np.empty((total, len(columns)))
+    readings = np.empty((len(columns), total))
     ticks = np.empty(total, dtype=np.int64)
     stamps = np.empty(total if found.timed else 0)
     filled = 0
-    for number, block in enumerate(found.blocks):
-        rows, tick = int(block["rows"]), int(block["tick"])
-        samples = read_block(file, found, number)
+    data, time = file["samples"], file["time"] if found.timed else None
+    for number, (tick, rows) in enumerate(found.blocks[["tick", "rows"]].tolist()):
+        samples = read_block(data, found, number)
         if samples is None:
             remarks.append(
                 f"block {number + 1} of {len(found.blocks)} ({rows} samples from tick {tick}) does not agree with its "
@@ -203,24 +204,36 @@ def _samples(
             )
             continue
         part = slice(filled, filled + rows)
-        readings[part] = samples[:, columns]
+        for row, column in enumerate(columns):
+            readings[row, part] = samples[:, column]
         ticks[part] = np.arange(tick, tick + rows)
-        if found.timed:
+        if time is not None:
             first = number * found.slot
-            stamps[part] = file["time"][first : first + rows]
+            stamps[part] = time[first : first + rows]
         filled += rows
     if filled < 2:
         raise ReadError(path, "blocks", "has no two samples that agree with their checksums: the file is damaged")
     if not found.timed and int(ticks[filled - 1] - ticks[0]) > LARGEST_GAP * filled:
         raise ReadError(path, "gaps", "has gaps of more than 20 times its samples; use the part before or after them")
-    readings = readings[:filled]
-    readings[np.isinf(readings)] = np.nan
-    large = np.argwhere(np.abs(readings) > LARGEST)
-    if large.size:
-        row, column = large[0]
-        remarks.append(beyond_all_measure(len(large), f"{found.channels[columns[column]].name} at tick {ticks[row]}"))
-        readings[np.abs(readings) > LARGEST] = np.nan
+    readings = readings[:, :filled]
+    large = [(ticks[places[0]], columns[row], places.size) for row, places in taken_out(readings)]
+    if large:
+        tick, column, _ = min(large)
+        where = f"{found.channels[column].name} at tick {tick}"
+        remarks.append(beyond_all_measure(sum(size for *_, size in large), where))
     return ticks[:filled], readings, stamps[:filled]
+
+
+def taken_out(readings: Array) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Make readings beyond all measure NaN, shape (c, n); yield the channel and the places of those not infinite."""
+    for row, values in enumerate(readings):
+        if within_measure(values):
+            continue
+        beyond = np.abs(values) > LARGEST
+        places = np.flatnonzero(beyond & ~np.isinf(values))
+        values[beyond] = np.nan
+        if places.size:
+            yield row, places
 
 
 def raw_column(channel: StoredChannel, readings: Array, number: int) -> RawColumn:
@@ -283,4 +296,5 @@ __all__ = [
     "read_blocks",
     "read_columns",
     "remarks_on",
+    "taken_out",
 ]

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from aerobalance.io.clocks import steady_clock_of
 from aerobalance.io.columns import PIECE, RawColumns
 from aerobalance.io.hdf5_contents import Contents, contents_of, opened
-from aerobalance.io.hdf5_file import LARGEST_GAP, raw_column, read_block, remarks_on
+from aerobalance.io.hdf5_file import LARGEST_GAP, raw_column, read_block, remarks_on, taken_out
 from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of_missing
-from aerobalance.io.text_cells import LARGEST, beyond_all_measure
+from aerobalance.io.text_cells import beyond_all_measure
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import ReadError, warn_quality
 from aerobalance.recording.parts import Extent, LateMeans, mean_over
@@ -95,7 +95,7 @@ class Hdf5Record:
         """
         rows, readings, stamps = self._read(begin, end)
         columns = tuple(
-            raw_column(channel, readings[:, place], place + self.found.timed)
+            raw_column(channel, readings[place], place + self.found.timed)
             for place, channel in enumerate(self.found.channels)
         )
         raw = RawColumns(self.path, columns, range(1, rows.size + 1), rate=self.rate, start=self.start)
@@ -124,14 +124,15 @@ class Hdf5Record:
         )
 
     def _read(self, begin: int, end: int) -> tuple[NDArray[np.intp], Array, Array]:
-        """Rows that are there, counted from `begin`, shape (m,), their readings (m, c), and their time stamps (m,)."""
+        """Rows that are there, counted from `begin`, shape (m,), their readings (c, m), and their time stamps (m,)."""
         blocks = self.found.blocks
         first = blocks["tick"] - blocks["tick"][0]
         wanted = np.flatnonzero((first < end) & (first + blocks["rows"] > begin))
-        rows, readings, stamps = [np.zeros(0, np.intp)], [np.zeros((0, len(self.found.channels)))], [np.zeros(0)]
+        rows, readings, stamps = [np.zeros(0, np.intp)], [np.zeros((len(self.found.channels), 0))], [np.zeros(0)]
+        data = self.file["samples"]
         for number in wanted.tolist():
             try:
-                samples = read_block(self.file, self.found, number)
+                samples = read_block(data, self.found, number)
             except (OSError, RuntimeError) as error:
                 raise ReadError(self.path, f"block {number + 1}", f"cannot be read: {error}") from None
             if samples is None:
@@ -143,18 +144,16 @@ class Hdf5Record:
             place = np.arange(samples.shape[0]) + int(first[number])
             kept = slice(*np.searchsorted(place, (begin, end)))
             rows.append(place[kept] - begin)
-            readings.append(samples[kept])
+            readings.append(samples[kept].T)
             if self.found.timed:
                 row = number * self.found.slot
                 stamps.append(np.asarray(self.file["time"][row : row + samples.shape[0]], dtype=np.float64)[kept])
-        table, there = np.concatenate(readings), np.concatenate(rows)
-        table[np.isinf(table)] = np.nan
-        large = np.abs(table) > LARGEST
-        if large.any():
-            row, column = np.argwhere(large)[0]
-            where = f"{self.found.channels[column].name} at sample {there[row] + begin}"
-            warn_quality(f"{self.name}: {beyond_all_measure(int(np.count_nonzero(large)), where)}")
-            table[large] = np.nan
+        table, there = np.concatenate(readings, axis=1), np.concatenate(rows)
+        large = [(there[places[0]] + begin, column, places.size) for column, places in taken_out(table)]
+        if large:
+            sample, column, _ = min(large)
+            where = f"{self.found.channels[column].name} at sample {sample}"
+            warn_quality(f"{self.name}: {beyond_all_measure(sum(size for *_, size in large), where)}")
         if not self.found.timed:
             return there, table, self.start + (there + begin) / self.rate
         change = conversion(self.found.time_unit, expected="s")
@@ -166,8 +165,8 @@ class Hdf5Record:
 
         def read(begin: int, end: int) -> Array:
             _, readings, _ = self._read(begin, end)
-            column = raw_column(self.found.channels[place], readings[:, place], place)
-            raw = RawColumns(self.path, (column,), range(1, len(readings) + 1), rate=self.rate)
+            column = raw_column(self.found.channels[place], readings[place], place)
+            raw = RawColumns(self.path, (column,), range(1, readings.shape[1] + 1), rate=self.rate)
             return table_from(raw, missing_allowed=True).values(name)
 
         return mean_over(self.samples, read, at_once=PIECE)

@@ -11,7 +11,7 @@ import numpy as np
 from aerobalance.io.columns import PIECE
 from aerobalance.io.format_library import library_faults
 from aerobalance.io.series import Series
-from aerobalance.io.text_cells import LARGEST, beyond_all_measure
+from aerobalance.io.text_cells import LARGEST, beyond_all_measure, within_measure
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError, warn_quality
 
@@ -72,16 +72,13 @@ def _seconds(path: Path, series: Series, stamps: Any, begin: int) -> Array:
 
 def without_infinities(path: Path, where: str, values: Array) -> Array:
     """Return samples of which those beyond all measure are missing (NaN), shape (n,)."""
-    flat = np.ascontiguousarray(values)
-    with np.errstate(all="ignore"):
-        power = float(flat @ flat)  # one pass over good samples; all that is not good shows in it
-    if power < LARGEST * LARGEST:
+    if within_measure(values):
         return values
     with np.errstate(all="ignore"):
-        large = np.flatnonzero(np.abs(flat) > LARGEST)
+        large = np.flatnonzero(np.abs(values) > LARGEST)
     if not large.size:
         return values
-    found = flat.copy()
+    found = values.copy()
     infinite = np.isinf(found[large])
     if not infinite.all():
         first = large[~infinite][0]

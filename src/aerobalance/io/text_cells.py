@@ -7,6 +7,9 @@ import re
 from functools import cache
 from typing import Final, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 MISSING: Final = (
     *("", "nan", "na", "n/a", "#n/a", "null", "none", "<na>", "-nan"),
     *(f"{sign}{word}" for sign in ("", "+", "-") for word in ("inf", "infinity")),
@@ -23,6 +26,16 @@ def beyond_all_measure(count: int, where: str) -> str:
         f"{count} number(s) beyond {LARGEST:.0e} either way, which no reading is, the first in {where}: "
         "they count as missing"
     )
+
+
+def within_measure(values: NDArray[np.float64]) -> bool:
+    """Return whether no number is beyond `LARGEST`, by one pass over those that are all there.
+
+    Where some are missing or infinite, or their squares add up to more, it is False without that being so.
+    """
+    flat = np.ascontiguousarray(values).ravel()
+    with np.errstate(all="ignore"):
+        return float(flat @ flat) < LARGEST * LARGEST
 
 
 SEPARATORS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
