@@ -1,11 +1,13 @@
 """Plain CSV: every layout reads the same; what is written reads back."""
 
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aerobalance.io import check_output, column_names, read, read_table, write_recording
+from aerobalance.io import check_output, column_names, read, read_table, text_rows, write_recording
 from aerobalance.io.results_file import force_columns, writing
 from aerobalance.io.text_table import read_text_columns
 from aerobalance.recording.channel import Channel
@@ -194,3 +196,42 @@ def test_lines_are_counted_over_blank_lines(tmp_path):
     path.write_text("a [N],b [N]\n1,2\n")
     with pytest.raises(ReadError, match="no column 'c'"):
         read_text_columns(path, wanted=["c"])
+
+
+PLAIN = {
+    "numbers": ("time [s],AF [N]\n0,1e-3\n0.5,-2.25E2\n1,+.5\n", True),
+    "decimal comma": ("time [s];AF [N]\n0,0;1,5\n0,5;-2,25\n1,0;3,125", True),
+    "an empty cell": ("time [s],AF [N]\n0,1\n0.5,\n1,3\n", False),
+    "a blank line": ("time [s],AF [N]\n0,1\n\n0.5,2\n1,3\n", False),
+    "words": ("time [s],AF [N]\n0,1\n0.5,NaN\n1,-inf\n", False),
+    "spaces": ("time [s], AF [N]\n0, 1\n0.5, 2\n1, 3\n", False),
+    "a number beyond all measure": ("time [s],AF [N]\n0,1\n0.5,1e200\n1,1e999\n", True),
+}
+
+
+@pytest.mark.parametrize("what", PLAIN)
+def test_plain_numbers_are_read_as_any_others_are(tmp_path, monkeypatch, what):
+    text, is_plain = PLAIN[what]
+    path, asked = tmp_path / "a.csv", []
+    path.write_text(text)
+    careful = text_rows._careful
+    monkeypatch.setattr(text_rows, "_careful", lambda *given: asked.append(1) or careful(*given))
+    with warnings.catch_warnings(record=True) as first:
+        warnings.simplefilter("always")
+        found = read(path)
+    assert asked == ([] if is_plain else [1])
+    monkeypatch.setattr(text_rows, "_plain", lambda *_: None)
+    with warnings.catch_warnings(record=True) as second:
+        warnings.simplefilter("always")
+        again = read(path)
+    np.testing.assert_array_equal(found.stamps, again.stamps)
+    np.testing.assert_array_equal(found.channel("AF").values, again.channel("AF").values)
+    assert [str(one.message) for one in first] == [str(one.message) for one in second]
+
+
+@pytest.mark.parametrize("row", ["1", "1,2,3", "1,1-2", "1,e", "1,1.2.3"])
+def test_plain_rows_that_are_wrong_are_named(tmp_path, row):
+    path = tmp_path / "a.csv"
+    path.write_text(f"time [s],AF [N]\n0,1\n0.5,1\n{row}\n")
+    with pytest.raises(ReadError, match="line 4"):
+        read(path)

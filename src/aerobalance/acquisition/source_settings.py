@@ -10,7 +10,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, field_validator, model_validator
 
 from aerobalance.io.channel_settings import NotBelow, Number, Strict
-from aerobalance.io.text_cells import LARGEST
+from aerobalance.io.measure import LARGEST
 from aerobalance.recording.components import COMPONENTS
 
 Above = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]

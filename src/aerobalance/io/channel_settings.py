@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
-from aerobalance.io.text_cells import LARGEST
+from aerobalance.io.measure import LARGEST
 from aerobalance.recording.channel import (
     AXES_BY_NAME,
     IMPACT_FORCE,

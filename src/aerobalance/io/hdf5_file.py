@@ -15,7 +15,7 @@ from aerobalance.io.hdf5_closing import SIGNATURE
 from aerobalance.io.hdf5_contents import Contents, contents, contents_of, opened
 from aerobalance.io.hdf5_layout import StoredChannel, checksum
 from aerobalance.io.hdf5_rows import appending
-from aerobalance.io.text_cells import LARGEST, beyond_all_measure, within_measure
+from aerobalance.io.measure import beyond_all_measure, take_out
 from aerobalance.io.text_layout import Layout
 from aerobalance.recording.channel import Array, SensorSpec
 from aerobalance.recording.errors import ReadError, warn_quality
@@ -216,24 +216,13 @@ def _samples(
     if not found.timed and int(ticks[filled - 1] - ticks[0]) > LARGEST_GAP * filled:
         raise ReadError(path, "gaps", "has gaps of more than 20 times its samples; use the part before or after them")
     readings = readings[:, :filled]
-    large = [(ticks[places[0]], columns[row], places.size) for row, places in taken_out(readings)]
+    taken = enumerate(map(take_out, readings))
+    large = [(ticks[places[0]], columns[row], places.size) for row, places in taken if places.size]
     if large:
         tick, column, _ = min(large)
         where = f"{found.channels[column].name} at tick {tick}"
         remarks.append(beyond_all_measure(sum(size for *_, size in large), where))
     return ticks[:filled], readings, stamps[:filled]
-
-
-def taken_out(readings: Array) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Make readings beyond all measure NaN, shape (c, n); yield the channel and the places of those not infinite."""
-    for row, values in enumerate(readings):
-        if within_measure(values):
-            continue
-        beyond = np.abs(values) > LARGEST
-        places = np.flatnonzero(beyond & ~np.isinf(values))
-        values[beyond] = np.nan
-        if places.size:
-            yield row, places
 
 
 def raw_column(channel: StoredChannel, readings: Array, number: int) -> RawColumn:
@@ -296,5 +285,4 @@ __all__ = [
     "read_blocks",
     "read_columns",
     "remarks_on",
-    "taken_out",
 ]

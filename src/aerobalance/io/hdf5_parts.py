@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from aerobalance.io.clocks import steady_clock_of
 from aerobalance.io.columns import PIECE, RawColumns
 from aerobalance.io.hdf5_contents import Contents, contents_of, opened
-from aerobalance.io.hdf5_file import LARGEST_GAP, raw_column, read_block, remarks_on, taken_out
+from aerobalance.io.hdf5_file import LARGEST_GAP, raw_column, read_block, remarks_on
+from aerobalance.io.measure import beyond_all_measure, take_out
 from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of_missing
-from aerobalance.io.text_cells import beyond_all_measure
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import ReadError, warn_quality
 from aerobalance.recording.parts import Extent, LateMeans, mean_over
@@ -149,7 +149,8 @@ class Hdf5Record:
                 row = number * self.found.slot
                 stamps.append(np.asarray(self.file["time"][row : row + samples.shape[0]], dtype=np.float64)[kept])
         table, there = np.concatenate(readings, axis=1), np.concatenate(rows)
-        large = [(there[places[0]] + begin, column, places.size) for column, places in taken_out(table)]
+        taken = enumerate(map(take_out, table))
+        large = [(there[places[0]] + begin, column, places.size) for column, places in taken if places.size]
         if large:
             sample, column, _ = min(large)
             where = f"{self.found.channels[column].name} at sample {sample}"

@@ -10,8 +10,8 @@ import numpy as np
 
 from aerobalance.io.columns import PIECE
 from aerobalance.io.format_library import library_faults
+from aerobalance.io.measure import beyond_all_measure, take_out, within_measure
 from aerobalance.io.series import Series
-from aerobalance.io.text_cells import LARGEST, beyond_all_measure, within_measure
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError, warn_quality
 
@@ -71,17 +71,11 @@ def _seconds(path: Path, series: Series, stamps: Any, begin: int) -> Array:
 
 
 def without_infinities(path: Path, where: str, values: Array) -> Array:
-    """Return samples of which those beyond all measure are missing (NaN), shape (n,)."""
+    """Return samples of which those beyond all measure are missing (NaN), shape (n,); they stay as they are."""
     if within_measure(values):
         return values
-    with np.errstate(all="ignore"):
-        large = np.flatnonzero(np.abs(values) > LARGEST)
-    if not large.size:
-        return values
     found = values.copy()
-    infinite = np.isinf(found[large])
-    if not infinite.all():
-        first = large[~infinite][0]
-        warn_quality(f"{path.name}: {beyond_all_measure(int((~infinite).sum()), f'{where}, sample {first + 1}')}")
-    found[large] = np.nan
+    places = take_out(found)
+    if places.size:
+        warn_quality(f"{path.name}: {beyond_all_measure(places.size, f'{where}, sample {places[0] + 1}')}")
     return found

@@ -14,8 +14,8 @@ import numpy as np
 
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
 from aerobalance.io.series import kind_fault
+from aerobalance.io.series_values import without_infinities
 from aerobalance.io.tdms_tasks import Stamped, seconds_after, start_stamps
-from aerobalance.io.text_cells import LARGEST, beyond_all_measure
 from aerobalance.io.text_layout import Layout
 from aerobalance.recording.channel import QUANTITIES, Array
 from aerobalance.recording.components import is_gauge
@@ -317,9 +317,7 @@ def _values(path: Path, entry: _Entry) -> Array:
         raise ReadError(
             path, f"channel {entry.label!r}", f"has {filled} of {entry.samples} samples: the file is damaged"
         )
-    if max(abs(float(np.nanmax(values, initial=0.0))), abs(float(np.nanmin(values, initial=0.0)))) > LARGEST:
-        return _without_infinities(path, entry, values)
-    return values
+    return without_infinities(path, f"channel {entry.label!r}", values)
 
 
 def _numbers(part: Any, path: Path, entry: _Entry) -> Array:
@@ -329,18 +327,6 @@ def _numbers(part: Any, path: Path, entry: _Entry) -> Array:
     seconds = np.asarray(part["seconds"], dtype=np.float64) - float(origin.seconds)
     fractions = np.asarray(part["second_fractions"], dtype=np.float64) - float(origin.second_fractions)
     return np.asarray(seconds + fractions * 2.0**-64, dtype=np.float64)
-
-
-def _without_infinities(path: Path, entry: _Entry, values: Array) -> Array:
-    """Make numbers that no reading is missing, infinities among them."""
-    found = values.copy()
-    found[np.isinf(found)] = np.nan
-    large = np.flatnonzero(np.abs(found) > LARGEST)
-    if large.size:
-        where = f"channel {entry.label!r}, sample {large[0] + 1}"
-        warn_quality(f"{path.name}: {beyond_all_measure(large.size, where)}")
-        found[large] = np.nan
-    return found
 
 
 def _stamps(entries: Sequence[_Entry], chosen: Sequence[_Entry]) -> tuple[dict[int, Any], list[str]]:

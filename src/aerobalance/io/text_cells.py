@@ -7,36 +7,13 @@ import re
 from functools import cache
 from typing import Final, Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from aerobalance.io.measure import LARGEST
 
 MISSING: Final = (
     *("", "nan", "na", "n/a", "#n/a", "null", "none", "<na>", "-nan"),
     *(f"{sign}{word}" for sign in ("", "+", "-") for word in ("inf", "infinity")),
 )
 """Cells, in small, capital or mixed letters, that say that a sample is missing."""
-
-LARGEST: Final = 1e100
-"""Cells beyond this are no measurement, and their squares no number."""
-
-
-def beyond_all_measure(count: int, where: str) -> str:
-    """Return the sentence that cells or samples hold numbers beyond `LARGEST`, and what becomes of them."""
-    return (
-        f"{count} number(s) beyond {LARGEST:.0e} either way, which no reading is, the first in {where}: "
-        "they count as missing"
-    )
-
-
-def within_measure(values: NDArray[np.float64]) -> bool:
-    """Return whether no number is beyond `LARGEST`, by one pass over those that are all there.
-
-    Where some are missing or infinite, or their squares add up to more, it is False without that being so.
-    """
-    flat = np.ascontiguousarray(values).ravel()
-    with np.errstate(all="ignore"):
-        return float(flat @ flat) < LARGEST * LARGEST
-
 
 SEPARATORS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 """Column separators that may be named in a channel map."""

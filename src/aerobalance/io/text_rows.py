@@ -6,16 +6,20 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import TYPE_CHECKING, Final, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.io.text_cells import LARGEST, MISSING, beyond_all_measure, number_pattern, split_line
+from aerobalance.io.measure import beyond_all_measure, take_out
+from aerobalance.io.text_cells import MISSING, number_pattern, split_line
 from aerobalance.io.text_layout import TextLayout
 from aerobalance.io.text_limits import check_quotes
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError, warn_quality
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Lines = Sequence[int] | NDArray[np.intp]
 """Line of every row, counted from 1."""
@@ -96,13 +100,66 @@ def read_cells(
     ReadError
         A row has too few or too many cells, or a cell is no number.
     """
-    import pandas as pd  # noqa: PLC0415 - half a second, and only reading text needs it
-
     if not body or body.isspace():
         return {i: np.empty(0) for i in grid.chosen}, {}, range(0)
+    body = _without_last_separators(body)
+    frame = None if texts else _plain(body, grid)
+    lines: Lines
+    if frame is not None:
+        lines = range(grid.first, grid.first + len(frame))
+    else:
+        frame = _careful(path, body, grid, texts)
+        lines = _lines(body, grid.first, len(frame))
+    numbers = {
+        i: frame[i].to_numpy(dtype=np.float64, copy=True, na_value=np.nan) for i in grid.chosen if i not in texts
+    }
+    beyond = [(int(places[0]), i, places.size) for i, cells in numbers.items() if (places := take_out(cells)).size]
+    if beyond:
+        row, number, _ = min(beyond)
+        where = f"line {lines[row]}, column {number + 1} ({grid.found.labels[number]!r})"
+        warn_quality(f"{path.name}: {beyond_all_measure(sum(count for *_, count in beyond), where)}")
+    told = {i: frame[i].astype(object).fillna("").astype(str).to_list() for i in texts}
+    return numbers, told, lines
+
+
+def _plain(body: bytes, grid: Grid) -> pd.DataFrame | None:
+    """Numbers of a table that has no more than digits, signs and as many separators in every row; None of any other.
+
+    That is seen from what is left without the letters of numbers, once through the text. A cell that is empty or no
+    number makes the table another one.
+    """
+    import pandas as pd  # noqa: PLC0415 - half a second, and only reading text needs it
+
+    left = body.translate(None, b"0123456789+-eE" + grid.decimal.encode())
+    left = left if left.endswith(b"\n") else left + b"\n"
+    sign, end = grid.separator.encode(), left.find(b"\n")
+    most, rows = end + 1, len(left) // (end + 1)
+    if sign == b" " or not grid.least <= most <= grid.width or left != (sign * end + b"\n") * rows:
+        return None
+    kept = [i for i in grid.chosen if i < most]
+    try:
+        frame = pd.read_csv(
+            io.BytesIO(body),
+            sep=grid.separator,
+            decimal=grid.decimal,
+            header=None,
+            names=list(range(most)),
+            usecols=kept,
+            index_col=False,
+            dtype=np.float64,
+            na_filter=False,
+        )
+    except (ValueError, pd.errors.ParserError, OverflowError):
+        return None
+    return frame.reindex(columns=grid.chosen) if len(frame) == rows else None
+
+
+def _careful(path: Path, body: bytes, grid: Grid, texts: Sequence[int]) -> pd.DataFrame:
+    """Cells of any table, which is looked at row by row where something is wrong."""
+    import pandas as pd  # noqa: PLC0415 - half a second, and only reading text needs it
+
     if grid.separator != " ":
         check_quotes(path, body, separator=grid.separator, first=grid.first)
-    body = _without_last_separators(body)
     most = _check_shape(path, body, grid)
     kept = [i for i in grid.chosen if i < most]
     try:
@@ -120,21 +177,7 @@ def read_cells(
         )
     except (ValueError, pd.errors.ParserError, OverflowError) as error:
         _find_fault(path, body, grid, [i for i in grid.chosen if i not in texts], str(error))
-    frame = frame.reindex(columns=grid.chosen) if len(kept) < len(grid.chosen) else frame
-    numeric = [i for i in grid.chosen if i not in texts]
-    values = np.asfortranarray(
-        (frame[numeric] if texts else frame).to_numpy(dtype=np.float64, copy=True, na_value=np.nan)
-    )
-    lines = _lines(body, grid.first, values.shape[0])
-    large = np.argwhere(np.abs(values) > LARGEST)
-    if large.size:
-        row, column = large[0]
-        number = numeric[column]
-        where = f"line {lines[row]}, column {number + 1} ({grid.found.labels[number]!r})"
-        warn_quality(f"{path.name}: {beyond_all_measure(len(large), where)}")
-        values[np.abs(values) > LARGEST] = np.nan
-    told = {i: frame[i].astype(object).fillna("").astype(str).to_list() for i in texts}
-    return {i: values[:, j] for j, i in enumerate(numeric)}, told, lines
+    return frame.reindex(columns=grid.chosen)
 
 
 def _without_last_separators(body: bytes) -> bytes:

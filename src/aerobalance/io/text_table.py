@@ -29,6 +29,8 @@ _BOMS: Final = (
     (b"\xff\xfe", "utf-16-le"),
     (b"\xfe\xff", "utf-16-be"),
 )
+_HEAD: Final = 1 << 16
+_NOTHING: Final = b" \t\r\n\x00\xef\xbb\xbf\xff\xfe"
 _CONTROL: Final = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 
 
@@ -172,9 +174,9 @@ def decoded(path: Path, encoding: str | None) -> tuple[bytes, str]:
         The file is missing, empty or no text.
     """
     raw = _bytes(path)
-    if not raw.strip(b" \t\r\n\x00\xef\xbb\xbf\xff\xfe"):
+    if not raw[:_HEAD].strip(_NOTHING) and not raw.strip(_NOTHING):
         raise ReadError(path, "", "is empty; a header line and rows of numbers are needed")
-    found = encoding or guess_encoding(raw[:65536])
+    found = encoding or guess_encoding(raw[:_HEAD])
     if found is None:
         raise ReadError(path, "", "is no text file; a table of numbers in columns is needed")
     for bom, name in _BOMS:
@@ -182,7 +184,8 @@ def decoded(path: Path, encoding: str | None) -> tuple[bytes, str]:
             raw, found = raw[len(bom) :], name
             break
     try:
-        raw.decode(found)
+        if found not in ("utf-8", "ascii") or not raw.isascii():
+            raw.decode(found)
     except (UnicodeDecodeError, LookupError) as error:
         if encoding is not None:
             raise ReadError(

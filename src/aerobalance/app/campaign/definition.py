@@ -36,8 +36,8 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from aerobalance.io.channel_settings import NotBelow, Number, Strict
+from aerobalance.io.measure import LARGEST
 from aerobalance.io.messages import first_fault
-from aerobalance.io.text_cells import LARGEST
 from aerobalance.io.toml_file import read_toml
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import ReadError

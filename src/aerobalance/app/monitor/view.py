@@ -29,7 +29,7 @@ from aerobalance.estimation.live.health import LiveEstimate
 from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
 from aerobalance.estimation.live.platform import LiveChannel
 from aerobalance.io.hdf5_layout import StoredChannel
-from aerobalance.io.text_cells import LARGEST
+from aerobalance.io.measure import LARGEST
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge, si_unit
 from aerobalance.recording.units import Conversion, conversion_for
