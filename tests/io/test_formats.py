@@ -398,3 +398,19 @@ def test_readings_that_look_like_references_to_texts_are_readings(tmp_path) -> N
     with h5py.File(path, "r+") as file:
         file["AF"][10:14] = values
     np.testing.assert_array_equal(read(path).channel("AF").values[10:14], values)
+
+
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+@pytest.mark.parametrize("shape", [(), (3,)])
+def test_texts_longer_than_their_file_are_refused_before_the_library_takes_the_memory(tmp_path, libver, shape) -> None:
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w", libver=libver) as file:
+        file.create_dataset("AF", data=LOAD).attrs["fs"] = RATE
+        file["AF"].attrs["unit"] = np.full(shape, "Newton", dtype=h5py.string_dtype()) if shape else "Newton"
+    content = bytearray(path.read_bytes())
+    heap = content.index(b"GCOL").to_bytes(8, "little")
+    place = content.index(b"\x06\0\0\0" + heap)
+    content[place : place + 6] = (10**9).to_bytes(4, "little") + b"\xff\xff"  # no heap is there
+    path.write_bytes(content)
+    with pytest.raises(ReadError, match=rf"byte {place}: claims 1000000000 letters in a file of {len(content)} bytes"):
+        read(path)

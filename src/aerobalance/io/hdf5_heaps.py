@@ -19,6 +19,14 @@ _MARK: Final = b"GCOL\x01\0\0\0"
 _TEXT: Final = re.compile(rb"[\x19\x29\x39]...\x10\0\0\0[\x10-\x13\x20-\x23\x30-\x33]", re.DOTALL)
 """Type of a text (or list) of any length, and the beginning of that of its letters."""
 
+_LETTERS: Final = re.compile(rb"\x10\0\0\0[\x10-\x13\x20-\x23\x30-\x33]")
+"""Size of a reference to a text, as its type has it, and the beginning of the type of its letters."""
+
+_LISTS: Final = b"\x19\x29\x39"
+"""Beginnings of types of lists of any length, texts among them."""
+
+_REFERENCE: Final = 16
+_MOST_TEXTS: Final = 1024
 _HEAD: Final = 16
 _LOOKED_THROUGH: Final = 1 << 23
 """Bytes at either end that are looked through of a file of more than twice as many."""
@@ -38,10 +46,46 @@ def check_heaps(path: Path) -> None:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as view:
         whole = size <= 2 * _LOOKED_THROUGH
         for begin, end in [(0, size)] if whole else [(0, _LOOKED_THROUGH), (size - _LOOKED_THROUGH, size)]:
+            _check_lengths(path, view, (begin, end))
             at = view.find(_MARK, begin, end)
             while at >= 0:
                 _check_texts(path, view, at, _objects(path, view, at), (begin, end))
                 at = view.find(_MARK, at + 1, end)
+
+
+def _check_lengths(path: Path, view: mmap.mmap, span: tuple[int, int]) -> None:
+    """Refuse attributes whose texts are longer than the file: the library takes the memory before it looks for them.
+
+    In an attribute the type is followed by the shape (version 1 or 2), and that by the texts.
+    """
+    for match in _LETTERS.finditer(view, *span):
+        outer, letters = match.start() - 4, match.end() - 1
+        if outer < 0 or view[outer] not in _LISTS:
+            continue
+        # letters are characters (8 bytes tell it) or whole numbers of a byte (12, or 16 where that is a multiple of 8)
+        for place in (letters + 8, letters + 12, letters + 16):
+            for at in _texts_of_attribute(view, place):
+                (length,) = struct.unpack_from("<I", view, at)
+                if length > len(view):
+                    raise ReadError(
+                        path, f"byte {at}", f"claims {length} letters in a file of {len(view)} bytes: it is damaged"
+                    )
+
+
+def _texts_of_attribute(view: mmap.mmap, place: int) -> range:
+    """Places of the first texts of an attribute, behind its shape; none where there is no shape at this place."""
+    if place + 8 > len(view):
+        return range(0)
+    version, rank, flags = view[place : place + 3]
+    head = {1: 8, 2: 4}.get(version, 0)
+    kind = view[place + 3] if version == 2 else rank  # in version 2 said once more: 0 one number, 1 a list
+    reserved = view[place + 3 : place + 8].strip(b"\0") if version == 1 else b""
+    if not head or rank > 1 or flags > 1 or kind != rank or reserved:
+        return range(0)
+    begin = place + head + 8 * rank * (1 + flags)
+    count = struct.unpack_from("<Q", view, place + head)[0] if rank and place + head + 8 <= len(view) else 1
+    end = min(begin + _REFERENCE * min(count, _MOST_TEXTS), len(view) - 4)
+    return range(begin, end, _REFERENCE)
 
 
 def _objects(path: Path, view: mmap.mmap, at: int) -> dict[int, int]:
