@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import fsspec
@@ -26,10 +27,13 @@ import aerobalance as ab
 from aerobalance.acquisition.processes import start_worker
 from aerobalance.app.campaign import engine as engines
 from aerobalance.app.campaign import work
-from aerobalance.app.campaign.campaign import Campaign, planned, prepared, reduce_runs
+from aerobalance.app.campaign.assignment import Run
+from aerobalance.app.campaign.campaign import Campaign, Prepared, planned, prepared, reduce_runs
+from aerobalance.app.campaign.definition import definition_from
 from aerobalance.app.campaign.engine import Engine
 from aerobalance.app.campaign.places import fingerprint
 from aerobalance.app.campaign.results import Results
+from aerobalance.app.campaign.watching import Watch
 from aerobalance.app.cli.program import main
 from aerobalance.app.commands.campaign import watch
 from aerobalance.estimation.force import estimate_force
@@ -323,6 +327,26 @@ def test_runs_join_the_results_as_they_come_in(files):
     found = watch(str(files.test), str(files.out), seconds=0.0, say=say)  # what is known is shown at once
     assert found["reduced"] == 2
     assert 'http-equiv="refresh"' not in (files.out / "summary.html").read_text(encoding="utf-8")
+
+
+def test_a_file_that_is_replaced_in_a_store_is_seen_by_who_watches():
+    store, looks = fsspec.filesystem("memory"), []
+    test = Prepared(
+        "test", definition_from({"runs": {"files": "x"}, "setups": [{}]}), (Run("a", 1, "memory://seen/a"),)
+    )
+
+    def reduced(ready):
+        looks.append(ready(test.runs[0]))
+        return SimpleNamespace(rows=[], done=())
+
+    watching = Watch(lambda: test, reduced, print)
+    for content in (b"1", b"1", b"2"):
+        store.pipe_file("/seen/a", content)
+        watching.look()
+    assert looks == [True, True]  # the second is as the first
+    store.rm("/seen", recursive=True)
+    watching.look()
+    assert len(looks) == 3  # a file that is gone is seen too
 
 
 def wait_for(out: Path, count: int, alive: Callable[[], bool] = lambda: True) -> None:

@@ -10,7 +10,7 @@ from typing import Final
 
 from aerobalance.app.campaign.assignment import Run
 from aerobalance.app.campaign.campaign import Campaign, Prepared
-from aerobalance.app.campaign.places import is_address
+from aerobalance.app.campaign.places import each_of, fingerprint, is_address
 from aerobalance.app.campaign.rows import REDUCED
 from aerobalance.io.locked_file import is_locked
 from aerobalance.recording.errors import ReadError
@@ -21,8 +21,9 @@ EVERY: Final = 2.0
 SETTLED: Final = 2.0
 """Time that a file has not changed for before it is taken for complete [s]."""
 
-State = dict[str, tuple[int, int]]
-"""Size and time of change of files."""
+Stand = tuple[int, int] | str | None
+State = dict[str, Stand]
+"""What files are like."""
 
 
 def complete(run: Run) -> bool:
@@ -102,15 +103,17 @@ class Watch:
         return False
 
     def _state(self) -> State:
-        """Size and time of change of all files of the runs that there are."""
-        state = {}
-        for place in {place for run in self.prepare().runs for place in run.inputs}:
-            if is_address(place):
-                state[place] = 0, 0
-                continue
-            try:
-                about = Path(place).stat()
-            except OSError:
-                continue
-            state[place] = about.st_size, about.st_mtime_ns
-        return state
+        """What all files of the runs that there are are like now."""
+        places = sorted({place for run in self.prepare().runs for place in run.inputs})
+        return dict(zip(places, each_of(_stand, places, of_store=any(map(is_address, places))), strict=True))
+
+
+def _stand(place: str) -> Stand:
+    """What changes when a file changes: size and time on a disk, whose content would take long to read again."""
+    try:
+        if is_address(place):
+            return fingerprint(place)
+        about = Path(place).stat()
+    except (OSError, ReadError):
+        return None
+    return about.st_size, about.st_mtime_ns
