@@ -349,6 +349,22 @@ def test_a_file_that_is_replaced_in_a_store_is_seen_by_who_watches():
     assert len(looks) == 3  # a file that is gone is seen too
 
 
+def test_of_many_runs_the_first_are_shown_before_all_are_reduced():
+    runs = tuple(Run(f"run_{number}", number, f"memory://many/{number}") for number in range(1, 21))
+    test, shown = Prepared("test", definition_from({"runs": {"files": "x"}, "setups": [{}]}), runs), []
+
+    def reduced(ready):
+        rows = [{"run_name": run.name} for run in runs if ready(run)]
+        shown.append(len(rows))
+        return SimpleNamespace(rows=rows, done=())
+
+    Watch(lambda: test, reduced, print).go(seconds=0)
+    assert shown == [4, 12, 20]  # 4, 8 and the rest
+    shown.clear()
+    Watch(lambda: test, reduced, print, there={run.name for run in runs[:10]}).go(seconds=0)
+    assert shown == [14, 20]
+
+
 def wait_for(out: Path, count: int, alive: Callable[[], bool] = lambda: True) -> None:
     limit = time.monotonic() + 120
     while len(records(out)) < count:

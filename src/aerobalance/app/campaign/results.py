@@ -172,14 +172,16 @@ class Results:
         system, inside = store_of(place)
         return bytes(system.cat_file(inside))
 
+    def recorded(self) -> set[str]:
+        """Return the names of the runs that have a record."""
+        if not is_address(self.out):
+            return {one.stem for one in Path(self.place("runs")).glob("*.json")}
+        system, inside = store_of(self.place("runs"))
+        return {Path(str(one)).stem for one in system.ls(inside, detail=False)} if system.exists(inside) else set()
+
     def keep_only(self, runs: Collection[str]) -> None:
         """Take away the results of runs that are no longer part of the test."""
-        if is_address(self.out):
-            system, inside = store_of(self.place("runs"))
-            there = [Path(str(one)).stem for one in system.ls(inside, detail=False)] if system.exists(inside) else []
-        else:
-            there = [one.stem for one in Path(self.place("runs")).glob("*.json")]
-        for run in sorted(set(there) - set(runs)):
+        for run in sorted(self.recorded() - set(runs)):
             if self._record(run) is not None:
                 self.forget(run)
                 self._remove("reports", f"{run}.html")

@@ -22,6 +22,9 @@ SETTLED: Final = 2.0
 """Time that a file has not changed for before it is taken for complete [s]."""
 
 Stand = tuple[int, int] | str | None
+FIRST: Final = 4
+"""New runs that are reduced before results are shown for the first time; then twice as many, and so on."""
+
 State = dict[str, Stand]
 """What files are like."""
 
@@ -57,12 +60,17 @@ class Watch:
         Takes what there is to say.
     every
         Time between two looks [s].
+    there
+        Names of the runs that have a result from earlier: they are shown at once.
     """
 
     prepare: Callable[[], Prepared]
     reduce: Callable[[Callable[[Run], bool]], Campaign]
     told: Callable[[str], None]
     every: float = EVERY
+    there: set[str] = field(default_factory=set)
+    _room: int = FIRST
+    _most: int = FIRST
     _found: Campaign | None = None
     _known: State | None = None
     _left: list[str] = field(default_factory=list)
@@ -73,6 +81,8 @@ class Watch:
         end = None if seconds is None else time.monotonic() + seconds
         while True:
             self.look()
+            while self._room < 0:  # more have come than were to be reduced before something is shown
+                self.look()
             if end is not None and time.monotonic() + self.every > end:
                 return self._found
             time.sleep(self.every)
@@ -83,14 +93,17 @@ class Watch:
             state = self._state()
             if state == self._known and not self._left:
                 return
-            self._left = []
+            self._left, self._room = [], self._most
             found = self.reduce(self._ready)
         except ReadError as problem:  # there is no run yet, or a file is just being replaced
             if str(problem) != self._said:
                 self._said = str(problem)
                 self.told(f"waiting: {problem}")
+            self._room = 0
             return
         self._known, self._found = state, found
+        self.there |= {row["run_name"] for row in found.rows}
+        self._most *= 2
         for row in found.rows:
             if row["run_name"] in found.done:
                 said = row["verdict"] if row["status"] == REDUCED else f"set aside: {row['reason']}"
@@ -98,7 +111,9 @@ class Watch:
 
     def _ready(self, run: Run) -> bool:
         if complete(run):
-            return True
+            self._room -= run.name not in self.there
+            if self._room >= 0 or run.name in self.there:
+                return True
         self._left.append(run.name)
         return False
 

@@ -192,7 +192,7 @@ def watch(
         return found
 
     with results.held():
-        found = Watch(prepare, reduce, say, every).go(seconds)
+        found = Watch(prepare, reduce, say, every, results.recorded()).go(seconds)
         if found is None:
             return {"test": test, "out": out, "runs": 0, "summary": f"no run came into {test}\n"}
         write_page_of(found)
