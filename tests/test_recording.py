@@ -8,6 +8,7 @@ import pytest
 
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.jitter import following
 from aerobalance.recording.recording import Recording
 
 
@@ -157,6 +158,15 @@ def test_samples_whose_stamps_alone_jitter_stay_as_they_are(sd, rng):
     with pytest.warns(DataQualityWarning, match="evenly spaced: the readings do not follow them"):
         recording = on(stamps, values)
     np.testing.assert_array_equal(recording.channel("AF").values, values)
+
+
+def test_who_jitters_is_told_of_readings_of_any_size(rng):
+    late = 0.2 * rng.standard_normal(2000)
+    values = np.sin(0.3 * (np.arange(2000) + late))
+    first = following([values], late)
+    assert first.share == pytest.approx(1, abs=0.1)
+    for scale in (2.0**300, 2.0**-300):
+        assert following([scale * values], late) == first
 
 
 def test_readings_that_do_not_tell_stay_as_they_are_and_it_is_said(rng):

@@ -89,11 +89,13 @@ def following(columns: Sequence[Array], late: Array) -> JitterCorrection:
         slope[2:-2] = (8 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / 12
         seen, expected = _beside_neighbours(values), _beside_neighbours(slope * fast)
         known = np.isfinite(seen) & np.isfinite(expected)
-        seen, expected = seen[known], expected[known]
+        # by a power of two, which changes no digit: the fourth power of a number that a damaged file holds is none
+        scale = 0.5 ** int(np.frexp(np.abs(expected[known]).max(initial=0.0))[1])
+        seen, expected = scale * seen[known], scale * expected[known]
         power = float(expected @ expected)
         # White noise alone has 130 / 144 of its variance in the slope, and 70 / 36 beside the neighbours: where it may
         # be half of the slope, the slope is not that of the signal.
-        if known.sum() < 100 or power == 0 or np.nanvar(slope) < 0.93 * np.var(seen):
+        if known.sum() < 100 or power == 0 or np.nanvar(scale * slope) < 0.93 * np.var(seen):
             continue
         share = float(expected @ seen) / power
         # readings that are off are off in their neighbours' differences as well, so that scatter counts twice
