@@ -87,13 +87,20 @@ def _parquet(path: Path, stack: contextlib.ExitStack) -> Holdings:
     bounds = np.concatenate([[0], np.cumsum(rows)]).astype(np.int64)
 
     def reader(name: str) -> Any:
+        kept: dict[tuple[int, ...], Any] = {}  # of pieces that are shorter than a row group, which all unpack it
+
         def read(begin: int, end: int) -> Any:
-            wanted = [i for i in range(len(rows)) if bounds[i] < end and bounds[i + 1] > begin]
+            wanted = tuple(i for i in range(len(rows)) if bounds[i] < end and bounds[i + 1] > begin)
             if not wanted:
                 return np.empty(0)
-            table = file.read_row_groups(wanted, columns=[name], use_threads=False)
-            first = int(bounds[wanted[0]])
-            return _numbers(table.column(0))[begin - first : end - first]
+            first, last = int(bounds[wanted[0]]), int(bounds[wanted[-1] + 1])
+            found = kept.get(wanted)
+            if found is None:
+                found = _numbers(file.read_row_groups(list(wanted), columns=[name], use_threads=False).column(0))
+                kept.clear()
+                if (begin, end) != (first, last):
+                    kept[wanted] = found
+            return found[begin - first : end - first]
 
         return read
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time as clock
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -94,56 +94,61 @@ def appending(
         raise ValueError(f"cannot write {path}: {problem}") from problem
 
 
-@dataclass(slots=True)
 class _Rows:
-    """Writes rows to an open file, block by block."""
+    """Writes rows to an open file, block by block: a block is put together where it stays in the processor's cache."""
 
-    file: h5py.File
-    disk: GuardedFile
-    channels: tuple[StoredChannel, ...]
-    rows: int
-    _waiting: list[Array] = field(default_factory=list)
-    _blocks: list[tuple[int, int, int, float]] = field(default_factory=list)
-    _written: int = 0
+    def __init__(self, file: h5py.File, disk: GuardedFile, channels: tuple[StoredChannel, ...], rows: int) -> None:
+        self._file, self._disk, self._channels, self._rows = file, disk, channels, rows
+        self._samples, self._time = file["samples"], file["time"]
+        self._table, self._stamps = np.empty((rows, len(channels))), np.empty(rows)
+        self._filled = self._written = 0
+        self._blocks: list[tuple[int, int, int, float]] = []
 
     def append(self, columns: Mapping[str, Array]) -> None:
         """Take the next rows; whole blocks are written."""
-        if self.disk.failure is not None:
-            raise self.disk.failure
+        if self._disk.failure is not None:
+            raise self._disk.failure
         stamps = next(values for label, values in columns.items() if split_label(label)[0] == "time")
-        table = np.column_stack([stamps, *(columns[one.input] for one in self.channels)])
-        self._waiting.append(table)
-        if sum(len(part) for part in self._waiting) >= self.rows:
-            whole = np.concatenate(self._waiting)
-            cut = whole.shape[0] - whole.shape[0] % self.rows
-            self._write(whole[:cut])
-            self._waiting = [whole[cut:]]
+        given = [columns[one.input] for one in self._channels]
+        ready = self._filled + stamps.size
+        self._grow(self._written + ready - ready % self._rows)
+        at = 0
+        while at < stamps.size and self._disk.failure is None:
+            count = min(self._rows - self._filled, stamps.size - at)
+            own, part = slice(self._filled, self._filled + count), slice(at, at + count)
+            self._stamps[own] = stamps[part]
+            for column, values in enumerate(given):
+                self._table[own, column] = values[part]
+            self._filled, at = own.stop, part.stop
+            if self._filled == self._rows:
+                self._write()
+        self._file.flush()
 
     def finish(self) -> None:
         """Write what is left, and that the record has ended."""
-        if self._waiting:
-            self._write(np.concatenate(self._waiting))
-        if self.disk.failure is not None:
+        if self._filled:
+            self._grow(self._written + self._filled)
+            self._write()
+        if self._disk.failure is not None:
             return
         blocks = np.array(self._blocks, dtype=BLOCK)
-        self.file["blocks"].resize(blocks.shape)
-        self.file["blocks"][...] = blocks
-        self.file["status"][...] = status_row("ended", CONVERTED)
+        self._file["blocks"].resize(blocks.shape)
+        self._file["blocks"][...] = blocks
+        self._file["status"][...] = status_row("ended", CONVERTED)
 
-    def _write(self, table: Array) -> None:
-        n = self._written + table.shape[0]
-        self.file["samples"].resize((n, len(self.channels)))
-        self.file["time"].resize((n,))
-        for first in range(0, table.shape[0], self.rows):
-            part = table[first : first + self.rows]
-            values = np.where(np.isfinite(part[:, 1:]), part[:, 1:], np.nan)
-            place = slice(self._written, self._written + part.shape[0])
-            self.file["samples"][place], self.file["time"][place] = values, part[:, 0]
-            self._blocks.append((place.start, part.shape[0], checksum(place.start, values), clock.time()))
-            self._written = place.stop
-            self.file.flush()
-            if self.disk.failure is not None:
-                return
+    def _grow(self, rows: int) -> None:
+        if rows > self._samples.shape[0]:
+            self._samples.resize((rows, len(self._channels)))
+            self._time.resize((rows,))
+
+    def _write(self) -> None:
+        """Write the block that was put together."""
+        values = self._table[: self._filled]
+        values[~np.isfinite(values)] = np.nan
+        place = slice(self._written, self._written + self._filled)
+        self._samples[place], self._time[place] = values, self._stamps[: self._filled]
+        self._blocks.append((place.start, self._filled, checksum(place.start, values), clock.time()))
+        self._written, self._filled = place.stop, 0
 
 
 def _stored(
