@@ -167,7 +167,8 @@ def test_hdf5_of_1_10_and_later_reads_what_is_written(tmp_path) -> None:
         pytest.skip("h5dump (hdf5-tools) is not installed")
     make(tmp_path / "recorded.h5", [(0, 300)])
     write_recording(tmp_path / "converted.h5", read(tmp_path / "recorded.h5"))
-    for name in ("recorded.h5", "converted.h5"):
+    write_recording(tmp_path / "converted.nc", read(tmp_path / "recorded.h5"))
+    for name in ("recorded.h5", "converted.h5", "converted.nc"):
         subprocess.run(["h5dump", tmp_path / name], stdout=subprocess.DEVNULL, check=True)
 
 

@@ -226,7 +226,8 @@ def appending(
                 waiting.clear()
 
         def append(columns: Mapping[str, Array]) -> None:
-            cells = [pa.array(columns[label], mask=~np.isfinite(columns[label])) for label in labels]
+            there = {label: np.isfinite(columns[label]) for label in labels}
+            cells = [pa.array(columns[one], mask=None if there[one].all() else ~there[one]) for one in labels]
             waiting.append(pa.table(cells, schema=schema))
             if sum(part.num_rows for part in waiting) >= _GROUP:
                 flush()

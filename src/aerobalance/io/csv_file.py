@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.io.columns import Append, Heading, RawColumns
+from aerobalance.io.measure import without_infinities
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.table import Table, table_from
 from aerobalance.io.text_clock import ALIKE
@@ -234,7 +235,7 @@ def appending(
             table.to_csv(file, header=header, index=False, sep=separator, lineterminator="\n")
 
         def append(columns: Mapping[str, Array]) -> None:
-            finite = {label: np.where(np.isfinite(columns[label]), columns[label], np.nan) for label in labels}
+            finite = {label: without_infinities(columns[label]) for label in labels}
             write(pd.DataFrame(finite), header=False)
 
         write(pd.DataFrame(columns=list(labels)), header=True)

@@ -128,8 +128,9 @@ class Hdf5Record:
         blocks = self.found.blocks
         first = blocks["tick"] - blocks["tick"][0]
         wanted = np.flatnonzero((first < end) & (first + blocks["rows"] > begin))
-        rows, readings, stamps = [np.zeros(0, np.intp)], [np.zeros((len(self.found.channels), 0))], [np.zeros(0)]
-        data = self.file["samples"]
+        table, there = np.empty((len(self.found.channels), end - begin)), np.empty(end - begin, dtype=np.intp)
+        stamps, filled = np.empty(end - begin if self.found.timed else 0), 0
+        data, time = self.file["samples"], self.file["time"] if self.found.timed else None
         for number in wanted.tolist():
             try:
                 samples = read_block(data, self.found, number)
@@ -141,14 +142,17 @@ class Hdf5Record:
                     "agree with its checksum: it is left out, and its samples count as missing"
                 )
                 continue
-            place = np.arange(samples.shape[0]) + int(first[number])
-            kept = slice(*np.searchsorted(place, (begin, end)))
-            rows.append(place[kept] - begin)
-            readings.append(samples[kept].T)
-            if self.found.timed:
+            since = int(first[number]) - begin
+            kept = slice(max(0, -since), min(samples.shape[0], end - begin - since))
+            part = slice(filled, filled + kept.stop - kept.start)
+            there[part] = np.arange(since + kept.start, since + kept.stop)
+            for column in range(len(table)):
+                table[column, part] = samples[kept, column]
+            if time is not None:
                 row = number * self.found.slot
-                stamps.append(np.asarray(self.file["time"][row : row + samples.shape[0]], dtype=np.float64)[kept])
-        table, there = np.concatenate(readings, axis=1), np.concatenate(rows)
+                stamps[part] = time[row + kept.start : row + kept.stop]
+            filled = part.stop
+        table, there = table[:, :filled], there[:filled]
         taken = enumerate(map(take_out, table))
         large = [(there[places[0]] + begin, column, places.size) for column, places in taken if places.size]
         if large:
@@ -158,7 +162,7 @@ class Hdf5Record:
         if not self.found.timed:
             return there, table, self.start + (there + begin) / self.rate
         change = conversion(self.found.time_unit, expected="s")
-        return there, table, np.asarray(change.inside(np.concatenate(stamps)))
+        return there, table, np.asarray(change.inside(stamps[:filled]))
 
     def _mean(self, name: str) -> float:
         """Mean of a channel over the whole record."""

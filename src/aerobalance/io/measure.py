@@ -31,6 +31,11 @@ def within_measure(values: Array) -> bool:
         return float(flat @ flat) < LARGEST * LARGEST
 
 
+def without_infinities(values: Array) -> Array:
+    """Return numbers of which infinities are missing (NaN), shape (n,): themselves where there is none."""
+    return values if np.isfinite(values).all() else np.where(np.isfinite(values), values, np.nan)
+
+
 def take_out(values: Array) -> NDArray[np.intp]:
     """Make numbers beyond `LARGEST` and infinities missing (NaN) where they are, shape (n,).
 

@@ -12,6 +12,7 @@ import numpy as np
 from aerobalance.io.columns import Append, split_label, time_label
 from aerobalance.io.format_library import library_to_write
 from aerobalance.io.hdf5_layout import StoredChannel
+from aerobalance.io.measure import without_infinities
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.sensor_text import KEY, sensor_text
 from aerobalance.recording.channel import Array
@@ -102,7 +103,7 @@ def appending(
             end = written + columns[time].size
             file.resize_dimension("time", end)
             for label, variable in variables.items():
-                variable[written:end] = np.where(np.isfinite(columns[label]), columns[label], np.nan)
+                variable[written:end] = without_infinities(columns[label])
             written = end
 
         yield append

@@ -58,7 +58,9 @@ def channel_column(channel: Channel, recording: Recording, rows: slice = ALL) ->
     """Return a channel as a column of the rows of its recording, in the unit it had in its file."""
     unit = channel.file_unit or edge_unit(channel.name, channel.unit)
     change = conversion_for(channel.name, unit) if unit != channel.unit else None
-    values = channel.values[recording.rows[rows]]
+    there = recording.rows
+    # where no row is missing, rows are samples, and need not be picked out
+    values = channel.values[rows] if there.size == channel.values.size else channel.values[there[rows]]
     return {f"{channel.name} [{unit}]": values if change is None else as_it_went_in(values, change)}
 
 

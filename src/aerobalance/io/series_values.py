@@ -57,7 +57,7 @@ def read_values(path: Path, series: Series, begin: int = 0, end: int | None = No
         values = given if given.dtype == np.float64 else given.astype(np.float64)
     if values.shape != (end - begin,):
         raise ReadError(path, where, f"has {values.size} of {end - begin} samples: the file is damaged")
-    return without_infinities(path, where, values)
+    return within_reason(path, where, values)
 
 
 def _seconds(path: Path, series: Series, stamps: Any, begin: int) -> Array:
@@ -70,7 +70,7 @@ def _seconds(path: Path, series: Series, stamps: Any, begin: int) -> Array:
     return seconds
 
 
-def without_infinities(path: Path, where: str, values: Array) -> Array:
+def within_reason(path: Path, where: str, values: Array) -> Array:
     """Return samples of which those beyond all measure are missing (NaN), shape (n,); they stay as they are."""
     if within_measure(values):
         return values

@@ -14,7 +14,7 @@ import numpy as np
 
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
 from aerobalance.io.series import kind_fault
-from aerobalance.io.series_values import without_infinities
+from aerobalance.io.series_values import within_reason
 from aerobalance.io.tdms_tasks import Stamped, seconds_after, start_stamps
 from aerobalance.io.text_layout import Layout
 from aerobalance.recording.channel import QUANTITIES, Array
@@ -317,7 +317,7 @@ def _values(path: Path, entry: _Entry) -> Array:
         raise ReadError(
             path, f"channel {entry.label!r}", f"has {filled} of {entry.samples} samples: the file is damaged"
         )
-    return without_infinities(path, f"channel {entry.label!r}", values)
+    return within_reason(path, f"channel {entry.label!r}", values)
 
 
 def _numbers(part: Any, path: Path, entry: _Entry) -> Array:

@@ -272,6 +272,10 @@ def _clipped(values: Array, sign: float) -> tuple[NDArray[np.bool_], int]:
     finite = np.isfinite(values)
     if not finite.any():
         return flags, 0
+    known = values if finite.all() else values[finite]
+    at = np.flatnonzero(values == (known.max() if sign > 0 else known.min()))
+    if not (np.diff(at) == 1).any():  # as in most records: no run
+        return flags, 0
     signal = np.where(finite, sign * values, np.nan)
     limit = np.max(signal[finite])
     spread = limit - np.min(signal[finite])
