@@ -100,6 +100,11 @@ def test_one_component_as_the_documentation_shows_it(rng):
     (rows,) = ab.budget(force).values()
     assert sum(row.share for row in rows) == pytest.approx(1)
     checked = ab.monte_carlo(force, draws=20)["AF"]
+    planned = ab.plan(spring, rate=rate, noise=2.0, force=200.0)
+    shown = {"u of a sample": force["AF"], "4000 readings": run.channel("AF"), "drawn": checked, " Hz: u = ": planned}
+    for words, result in shown.items():
+        assert words in repr(result)
+        assert "array(" not in repr(result)
     assert checked.deviation.shape == (count,)
     again = ab.Recording.from_xarray(force.to_xarray()[["AF"]])
     np.testing.assert_allclose(again.channel("AF").values, force["AF"].values)

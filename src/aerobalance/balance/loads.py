@@ -113,6 +113,11 @@ class Loads:
     ready: bool
     doubts: tuple[Doubt, ...] = ()
 
+    def __repr__(self) -> str:
+        means = zip(self.components, np.nanmean(self.values, axis=0), self.units, strict=True)
+        told = ", ".join(f"{name} {mean:.6g} {unit}" for name, mean, unit in means)
+        return f"balance loads of {self.name}, {self.samples} samples; means {told}"
+
     @property
     def noise(self) -> Array:
         """Standard uncertainty of one reading from the noise of the gauges, shape (c,) [N, N*m]."""

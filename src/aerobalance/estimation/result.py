@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
@@ -13,7 +14,11 @@ from aerobalance.estimation.spectra.line_noise import Line
 from aerobalance.estimation.steps import Step
 from aerobalance.estimation.sums import ForceSums, SpectrumSums
 from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Assumption, Doubt, Size
+
+SHOWN: Final = 5
+"""Steps that a force names when it is shown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,6 +131,13 @@ class ComponentForce:
     doubts: tuple[Doubt, ...] = ()
     assumed: tuple[Assumption, ...] = ()
     found_motion: Array | None = None
+
+    def __repr__(self) -> str:
+        unit, u = si_unit(self.component), float(np.sqrt(np.mean(self.uncertainty**2)))
+        size = f"mean {np.mean(self.values):.6g}, rms about it {np.std(self.values):.6g}, u of a sample {u:.2g} {unit}"
+        rows = [f"force {self.component}, {self.values.size} samples: {size}", self.method]
+        rows += [f"step of {one.height:.6g} {unit} at {one.instant:.6g} s" for one in self.steps[:SHOWN]]
+        return "\n  ".join(rows + [f"and {len(self.steps) - SHOWN} steps more"] * (len(self.steps) > SHOWN))
 
 
 def with_balance(

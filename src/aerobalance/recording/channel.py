@@ -181,6 +181,9 @@ class Channel(SensorSpec):
     unit: str
     file_unit: str = field(default="", kw_only=True)
 
+    def __repr__(self) -> str:
+        return f"{self.name} [{self.unit}]: {self.values.size} readings, {np.count_nonzero(self.missing)} missing"
+
     def __post_init__(self) -> None:
         expected = ("mV/V", "V") if is_gauge(self.name) else (unit_inside(self.name) or self.unit,)
         if self.unit not in expected:

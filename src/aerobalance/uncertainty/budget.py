@@ -302,9 +302,8 @@ class BudgetLine:
     assumed: bool = False
 
     def __repr__(self) -> str:
-        kind = "assumed, not counted: " if self.assumed else ""
-        part = "" if self.assumed else f", {100 * self.share:.2g} % of the variance"
-        return f"{kind}{self.name} ({self.source}): {self.rms:.2g} rms{part}"
+        part = ", not counted" if self.assumed else f", {100 * self.share:.2g} % of the variance"
+        return f"{self.name} ({self.source}): {self.rms:.2g} rms{part}"
 
 
 def budget(force: Mapping[str, ComponentForce]) -> dict[str, tuple[BudgetLine, ...]]:

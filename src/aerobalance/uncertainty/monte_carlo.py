@@ -152,6 +152,11 @@ class MonteCarlo:
     scalars: tuple[Compared, ...]
     doubts: tuple[str, ...] = field(default=())
 
+    def __repr__(self) -> str:
+        known = [one for one in self.scalars if np.isfinite(one.analytic)]
+        rows = [f"{one.name}: u = {one.drawn:.3g} drawn, {one.analytic:.3g} to first order" for one in known]
+        return "\n  ".join([f"{self.draws} draws, seed {self.seed}", *rows, *self.doubts])
+
 
 def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, MonteCarlo]:
     """Check of the uncertainty of a force [N], by component, by drawing everything that it depends on.

@@ -79,6 +79,10 @@ class ComponentPlan:
     at_other_rates: tuple[Attainable, ...]
     live_lag: float
 
+    def __repr__(self) -> str:
+        rows = [f"to {one.bandwidth:.4g} Hz: u = {one.total:.3g} {self.unit}" for one in self.table]
+        return "\n  ".join([f"plan for {self.component}", *rows, self.advice])
+
     @property
     def advice(self) -> str:
         """One sentence on what limits the uncertainty through resonance, and what helps against it."""
@@ -110,6 +114,9 @@ class Plan:
     angular_acceleration_noise: float
     components: Mapping[str, ComponentPlan]
     parameters_left_out: bool
+
+    def __repr__(self) -> str:
+        return "\n".join([f"at {self.rate:.6g} Hz", *(repr(one) for one in self.components.values())])
 
     def __getitem__(self, component: str) -> ComponentPlan:
         """Plan of one component."""

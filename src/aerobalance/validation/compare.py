@@ -51,6 +51,14 @@ class Comparison(Mapping[str, Sequence[BaselineEstimate]]):
     truths: Mapping[str, Truth]
     loads: Loads | None = None
 
+    def __repr__(self) -> str:
+        rows = [
+            f"{name}: {one.name} ({one.lacking or one.settings}{', tuned on the truth' if one.oracle else ''})"
+            for name, ones in self.estimates.items()
+            for one in ones
+        ]
+        return "\n  ".join([f"comparison on {self.recording.name}", *rows])
+
     def __getitem__(self, component: str) -> Sequence[BaselineEstimate]:
         return self.estimates[component]
 

@@ -166,6 +166,10 @@ class LiveEstimate:
     uncertainty: Array
     load: Array
 
+    def __repr__(self) -> str:
+        last = f"; the last {self.force[-1]:.6g} (u = {self.uncertainty[-1]:.2g})" if self.force.size else ""
+        return f"{self.force.size} final samples from reading {self.first} on{last}"
+
     @property
     def time(self) -> Array:
         """Instants since the first reading pushed, shape (m,) [s]."""
