@@ -19,7 +19,7 @@ from helpers.pages import PAGES, README, ROOT, commands, python
 API = (ROOT / "docs/api.md").read_text(encoding="utf-8")
 DOCUMENTED = re.findall(r"auto(?:function|class|exception):: ([\w.]+)$", API, re.MULTILINE)
 
-UNIT = re.compile(r"\[[^\]]+\]|in the (same )?units?\b|in `unit`|^See `")
+UNIT = re.compile(r"\[[^\]]+\]|in\s+the (same )?units?\b|in `unit`|^See `")
 """What tells the unit of a number, or where it is told."""
 
 

@@ -120,7 +120,7 @@ class Frame:
     pitch, roll, yaw
         Its angles [rad].
     covariance
-        Covariance of point and angles in the order of `PLACEMENT`, shape (6, 6); all zero where not given.
+        Covariance of point and angles in the order of `PLACEMENT` [m, rad], shape (6, 6); all zero where not given.
     """
 
     point: Array = field(default_factory=lambda: np.zeros(3))

@@ -110,6 +110,11 @@ def scalars(estimate: ComponentForce | ForceSummary) -> tuple[Scalar, ...]:
     """Return mean, rms about it, largest and least value of a force, with their standard uncertainties [N, N*m].
 
     Largest and least are the force at the instants where the estimate is largest and least.
+
+    Parameters
+    ----------
+    estimate
+        The force along one component, or what sums it up.
     """
     return _scalars(_sums_of(estimate))
 

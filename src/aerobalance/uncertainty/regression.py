@@ -100,8 +100,9 @@ def regress(
     estimate
         The force.
     regressors
-        By name, the values at every sample of the force, shape (n,), or one value for all of them. A constant must be
-        among them if the force has one. They are taken as known exactly.
+        By name, the values at every sample of the force, shape (n,), or one value for all of them; a coefficient is in
+        the unit of the force over that of its regressor. A constant must be among them if the force has one. They are
+        taken as known exactly.
     span
         The window of samples to use, a slice without a step; all of them if left out.
 
