@@ -14,6 +14,7 @@ import typer
 
 import aerobalance as ab
 from aerobalance.app.cli.program import app
+from helpers.full_names import at
 from helpers.pages import PAGES, README, ROOT, commands, python
 
 API = (ROOT / "docs/api.md").read_text(encoding="utf-8")
@@ -21,13 +22,6 @@ DOCUMENTED = re.findall(r"auto(?:function|class|exception):: ([\w.]+)$", API, re
 
 UNIT = re.compile(r"\[[^\]]+\]|in\s+the (same )?units?\b|in `unit`|^See `")
 """What tells the unit of a number, or where it is told."""
-
-
-def at(path: str) -> Any:
-    """The object of a full name."""
-    from test_equations import at as found_at
-
-    return found_at(path)
 
 
 def sections(thing: Any) -> dict[str, dict[str, str]]:

@@ -2,10 +2,11 @@
 
 import inspect
 import re
-from importlib import import_module
 from pathlib import Path
 
 import pytest
+
+from helpers.full_names import at
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/equations.md").read_text(encoding="utf-8")
@@ -20,20 +21,6 @@ def cited(text):
     for first, how, last in CITED.findall(text):
         found |= set(range(int(first), int(last) + 1)) if how == "to" else {int(first), int(last or first)}
     return found
-
-
-def at(path):
-    """Find an object by its full name."""
-    parts = path.split(".")
-    for count in range(len(parts) - 1, 0, -1):
-        try:
-            found = import_module(".".join(parts[:count]))
-        except ModuleNotFoundError:
-            continue
-        for name in parts[count:]:
-            found = getattr(found, name)
-        return found
-    raise AssertionError(path)
 
 
 def test_every_equation_has_one_home() -> None:
