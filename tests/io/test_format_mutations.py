@@ -20,7 +20,7 @@ def told(words: list[str]) -> list[str]:
 def test_damaged_files_are_refused_or_read_within_bounds(tmp_path, seed) -> None:
     for given in FILES:
         given.make(tmp_path / given.name)
-    count = trials(120, 1000)
+    count = trials(40, 1000)
     found = trial([tmp_path / name for name in CHOSEN], tmp_path / "damaged", count=count, seed=seed)
     assert found.faults == []
     assert found.read + found.refused == count * len(CHOSEN)

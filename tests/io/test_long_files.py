@@ -11,6 +11,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -32,6 +33,10 @@ from helpers.cable_cut import T128
 RATE = 5000.0
 SAMPLES, PART = 72_000, 40_960
 """Samples of a record, and of its parts in most of these tests."""
+
+
+BEGAN = np.datetime64("2024-03-12T10:15:00.125", "ns")
+"""Date and time of time zero of one record."""
 
 
 def load(seed: int, count: int = SAMPLES) -> np.ndarray:
@@ -122,7 +127,6 @@ def test_short_and_foreign_files_are_read_whole(tmp_path, seed):
 
 
 def test_a_damaged_block_is_missing_in_its_part_only(tmp_path, seed):
-    h5py = pytest.importorskip("h5py")
     path = ticking(tmp_path / "run.h5", load(seed), rows=1000)
     with h5py.File(path, "r+") as file:
         file["samples"][55_500, 0] += 1.0
@@ -170,6 +174,8 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("long")
     values = load(7)
     ticking(path / "run.h5", values, rows=8192)
+    with h5py.File(path / "run.h5", "r+") as file:
+        file["status"].attrs["epoch"] = str(BEGAN)
     ticking(path / "other_blocks.h5", values, rows=3000)
     write_dynamics(path / "dynamics.json", {"AF": T128}, found={}, inputs=[], warnings=[])
     return path
@@ -201,6 +207,7 @@ def test_the_command_writes_what_the_call_gives(folder, in_parts, tmp_path, caps
     tolerance = 0.0 if ending == "h5" else 1e-3 * force.uncertainty.min()
     np.testing.assert_allclose(written.channel("AF").values, force.values, rtol=0, atol=tolerance)
     np.testing.assert_allclose(written.channel("u_AF").values, force.uncertainty, rtol=0, atol=tolerance)
+    assert written.epoch == (BEGAN if ending == "h5" else None)
     assert account["mean"] == pytest.approx(force.values.mean(), rel=1e-9)
     assert account["largest"] == force.values.max()
     assert account["instant_of_largest"] == pytest.approx(1000 / RATE + np.argmax(force.values) / RATE)
