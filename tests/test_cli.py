@@ -11,6 +11,7 @@ import pytest
 from scipy.signal import butter, filtfilt
 
 from aerobalance.app.cli import main
+from aerobalance.app.cli.program import with_files
 
 MASS, STIFFNESS, DAMPING = 177.87, 3.4e7, 3000.0
 RATE, COUNT, RELEASE, HELD = 1600.0, 2400, 0.3, 5000.0
@@ -366,3 +367,17 @@ def test_treadmill_moment_is_freed_of_the_belt(trial, limit, tmp_path, monkeypat
             assert code == 0, err
             slow = filtfilt(*low_pass, np.loadtxt("f.csv", delimiter=",", skiprows=1)[:, 1])
             assert np.sqrt(np.mean(slow**2)) <= limit, method
+
+
+def test_patterns_of_files_are_those_files_where_a_shell_leaves_them(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("cut_2.csv", "cut_1.csv", "other.csv"):
+        Path(name).touch()
+    assert with_files(["weigh", "cut_*.csv", "no_*.csv", "-o", "m.json"]) == [
+        "weigh",
+        "cut_1.csv",
+        "cut_2.csv",
+        "no_*.csv",
+        "-o",
+        "m.json",
+    ]

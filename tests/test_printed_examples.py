@@ -7,14 +7,13 @@ import signal
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import typer
 
 from aerobalance.app.cli import main
-from aerobalance.app.cli.program import app
+from aerobalance.app.cli.program import app, with_files
 from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.simulation.published import CABLE_CUT
 from helpers.pages import README, ROOT, commands, python
@@ -73,11 +72,7 @@ def folder(tmp_path_factory, demo_run):
 
 def words_of(line):
     """Words as a shell gives them."""
-    return [
-        name
-        for word in shlex.split(line)[1:]
-        for name in (sorted(path.name for path in Path.cwd().glob(word)) if "*" in word else [word])
-    ]
+    return with_files(shlex.split(line)[1:])
 
 
 def test_quickstart_leads_from_the_recorders_files_to_the_force(folder, monkeypatch, capsys):

@@ -102,12 +102,27 @@ def main(arguments: list[str] | None = None) -> int:
         warnings.simplefilter("always", DataQualityWarning)
         warnings.showwarning = warn  # at once, as `record` runs for hours
         try:
-            return _run(sys.argv[1:] if arguments is None else arguments)
+            return _run(_typed() if arguments is None else arguments)
         except BrokenPipeError:  # whoever reads the answer has seen enough of it
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
         finally:
             streams.clean_up()
+
+
+def _typed() -> list[str]:
+    """Words after the program's name; shells of Windows leave patterns of files to the program."""
+    return sys.argv[1:] if os.name != "nt" else with_files(sys.argv[1:])
+
+
+def with_files(words: Sequence[str]) -> list[str]:
+    """Return words with the files in the place of each pattern that some match, such as pitch_*.txt."""
+    given: list[str] = []
+    for word in words:
+        pattern = Path(word)
+        files = sorted(str(path) for path in pattern.parent.glob(pattern.name)) if {"*", "?"} & set(word) else []
+        given += files or [word]
+    return given
 
 
 def _run(words: Sequence[str]) -> int:
