@@ -99,13 +99,11 @@ def identify(
         loads = identification_loads(outputs, balance, zero=zero, weighing=weighing)
     records = [one.recording for one in loads] or [corrected(one) for one in outputs]
     names = _names(records, components)
+    weighed = _weighed(mass, names)
     if excitation == "impact":
-        return _tapped(records, names, loads, mass=mass, modes=modes, half_range=half_range, points=points)
+        return _tapped(records, names, loads, mass=weighed, modes=modes, half_range=half_range, points=points)
     if len(names) == 1:
-        return _one(records, names[0], loads, mass=mass, excitation=excitation, modes=modes)
-    weighed = (weighing.mass, weighing.u_mass) if isinstance(mass, Weighing) and weighing is not None else mass
-    if isinstance(weighed, Weighing):
-        raise TypeError("a weighing has become a mass by now")
+        return _one(records, names[0], loads, mass=weighed, excitation=excitation, modes=modes)
     if excitation == "base":
         if modes is not None and modes != "auto":
             raise ValueError("modes cannot be given for several components that are shaken")
@@ -127,14 +125,12 @@ def _tapped(
     names: tuple[str, ...],
     loads: Sequence[Loads],
     *,
-    mass: Mass | None,
+    mass: float | tuple[float, float] | None,
     modes: int | Literal["auto"] | None,
     half_range: Mapping[str, float] | None,
     points: TapPoint | Sequence[TapPoint | None] | None,
 ) -> ImpactFit | ImpactIdentification:
     """Dynamics of one component or of several, from taps."""
-    if isinstance(mass, Weighing):
-        mass = _mass_of(mass, names[0]) if len(names) == 1 else (mass.mass, mass.u_mass)
     errors = [one.matrix_errors for one in loads] if len(names) > 1 else []
     where = [points] * len(recordings) if points is None or isinstance(points, TapPoint) else points
     number = modes if modes is not None else ("auto" if len(names) > 1 else 1)
@@ -143,11 +139,16 @@ def _tapped(
     )
 
 
-def _mass_of(weighing: Weighing, component: str) -> tuple[float, float]:
-    """Mass of one component with its standard uncertainty."""
-    if component not in weighing.masses:
-        raise ValueError(f"the weighing has no mass of {component}; it has {', '.join(weighing.masses)}")
-    return weighing.masses[component].mass, weighing.masses[component].u
+def _weighed(mass: Mass | None, names: tuple[str, ...]) -> float | tuple[float, float] | None:
+    """Mass, with its standard uncertainty where it was weighed: that of one component, or of the whole model."""
+    if not isinstance(mass, Weighing):
+        return mass
+    if len(names) != 1:
+        return mass.mass, mass.u_mass
+    (component,) = names
+    if component not in mass.masses:
+        raise ValueError(f"the weighing has no mass of {component}; it has {', '.join(mass.masses)}")
+    return mass.masses[component].mass, mass.masses[component].u
 
 
 def _names(recordings: Sequence[Recording], components: Sequence[str] | None) -> tuple[str, ...]:
@@ -167,7 +168,7 @@ def _one(
     component: str,
     loads: Sequence[Loads],
     *,
-    mass: Mass | None,
+    mass: float | tuple[float, float] | None,
     excitation: Excitation,
     modes: int | Literal["auto"] | None,
 ) -> DecayFit | RigFit:
@@ -175,8 +176,6 @@ def _one(
     if len(recordings) != 1:
         raise ValueError(f"one component is identified from one recording at a time, not from {len(recordings)}")
     (recording,) = recordings
-    if isinstance(mass, Weighing):
-        mass = _mass_of(mass, component)
     number = 1 if modes is None else modes
     if excitation == "base":
         if loads:
