@@ -8,53 +8,26 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from aerobalance.balance.load_checks import check_iteration, check_range, check_rows, doubts_of_zero
 from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_forms
 from aerobalance.balance.load_variance import load_variances
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.matrix_errors import MatrixErrors
 from aerobalance.balance.zeros import SAY_HOW_READ, GaugeZero, gauge_table
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import COMPONENTS, is_gauge, si_unit
+from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.noise import channel_noise, noise_correlation
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
-
-
-@dataclass(frozen=True, slots=True)
-class LoadSettings:
-    """Thresholds of the warnings about balance loads.
-
-    Attributes
-    ----------
-    beyond
-        Excess over the calibrated range, over the range, from which it is warned.
-    nearly_diverging
-        Contraction of the iteration from which it is warned: at 1 the plain iteration no longer converges.
-    most_points
-        Rows up to which a recording may be averaged points.
-    points_apart
-        Noise from row to row, over the scatter of the calibration's readings, from which rows are doubted to be
-        samples.
-    """
-
-    beyond: float = 0.02
-    nearly_diverging: float = 0.5
-    most_points: int = 500
-    points_apart: float = 20.0
-
-
-SETTINGS: Final = LoadSettings()
-"""Thresholds that are used."""
-
 
 SHARED_PITCH: Final = np.radians(0.2)
 """Difference of the mean pitch up to which a wind-off recording is at the same attitude [rad]."""
@@ -276,15 +249,15 @@ def loads_of_outputs(
             "gauge output. Check units, zeros and the order of the bridges"
         )
     if lost:
-        _warn(
+        warn_quality(
             f"{recording.name}: {lost} of {table.shape[0]} samples have no loads that give their gauge outputs; they "
             "are missing in the result. The outputs lie far outside the calibration"
         )
     native = solution.loads
-    beyond = _check_range(recording, balance, native[known])
-    contraction = _check_iteration(recording, balance, native[known])
+    beyond = check_range(recording, balance, native[known])
+    contraction = check_iteration(recording, balance, native[known])
     noise = np.array([_noise(channel) for channel in channels])
-    _check_rows(recording, balance, channels, noise)
+    check_rows(recording, balance, channels, noise)
     middle = balance.sensitivity(np.median(native[known], axis=0)[None, :])[0]
     components, moments, T = _form_of(balance, form)
     slope = T @ middle
@@ -309,33 +282,11 @@ def loads_of_outputs(
         balance=balance,
         recording=recording,
         ready=tare is None and (zero.model_on is False or bool(zero.weight.any())),
-        doubts=tuple(_doubts_of_zero(zero, components, slope)),
+        doubts=tuple(doubts_of_zero(zero, components, slope)),
     )
     for text in dict.fromkeys(str(doubt) for doubt in loads.doubts):  # one sentence for all components
-        _warn(f"{recording.name}: {text}")
+        warn_quality(f"{recording.name}: {text}")
     return replace(loads, recording=_with_loads(recording, loads))
-
-
-def _doubts_of_zero(zero: GaugeZero, components: Sequence[str], slope: Array) -> Iterator[Doubt]:
-    """What zeros say against loads that change with the gauge outputs by a slope, shape (c, c) [N V/mV]."""
-    units = [si_unit(name) if name in COMPONENTS else "N" for name in components]
-    known: list[tuple[Array, str, str]] = []
-    if zero.moved.any():
-        text = "moves while it is read, more than bridges drift, by {}: it is no zero, or the wind was on"
-        known.append((np.abs(slope) @ zero.moved, text, "give a record of the balance at rest"))
-    if zero.drifted:
-        text = (
-            "and the zero after the run differ by more than bridges drift; it is taken as a steady change, and a jump "
-            "leaves {}"
-        )
-        left = np.abs(slope @ zero.drift) / np.sqrt(12)  # rms of a jump in the middle of the run from a straight line
-        known.append((left, text, "look for a contact, a loose part or a cable that moved"))
-    for effects, text, advice in known:
-        sizes = ", ".join(
-            f"{size:.3g} {unit} of {name}" for size, unit, name in zip(effects, units, components, strict=True)
-        )
-        for name, unit, effect in zip(components, units, effects.tolist(), strict=True):
-            yield Doubt("zero", name, f"{zero.source} {text.format(sizes)} (rms)", advice, effect, unit)
 
 
 def _form_of(balance: BalanceMatrix, form: Form | None) -> tuple[tuple[str, ...], Sequence[bool], Array]:
@@ -346,22 +297,18 @@ def _form_of(balance: BalanceMatrix, form: Form | None) -> tuple[tuple[str, ...]
     return FORMS[chosen], FORM_MOMENTS[chosen], between_forms(balance.components, chosen, balance.geometry)
 
 
-def _warn(text: str) -> None:
-    warn_quality(text)
-
-
 def _calibration_zero(recording: Recording, balance: BalanceMatrix) -> GaugeZero:
     """Zeros of the calibration, for want of those of the run; or none."""
     c = len(balance.components)
     if balance.natural_zero is not None:
-        _warn(
+        warn_quality(
             f"{recording.name}: no zero was given; the natural zeros of the calibration are taken. What the bridges' "
             "zeros have moved since goes into the loads in full"
         )
         return GaugeZero(
             balance.natural_zero, np.zeros(c), "natural zeros of the calibration", np.zeros(c), model_on=False
         )
-    _warn(
+    warn_quality(
         f"{recording.name}: no zero was given and the calibration has none; the gauge outputs are taken as they are. "
         "Whatever they read without load goes into the loads in full; give a recording of the unloaded balance as zero"
     )
@@ -382,78 +329,12 @@ def _at_reference_temperature(outputs: Array, recording: Recording, balance: Bal
     return np.asarray((outputs - zero * moved) / (1 + gain * change))
 
 
-def beyond_range(balance: BalanceMatrix, native: Array) -> dict[str, int]:
-    """Samples outside the calibrated range, by the balance's own components; only those that have any.
-
-    Parameters
-    ----------
-    balance
-        The matrix.
-    native
-        Loads in its own components, shape (n, c); NaN where missing.
-    """
-    excess = _excess(balance, native)
-    counts = np.count_nonzero(excess > SETTINGS.beyond, axis=0).tolist()
-    return {name: count for name, count in zip(balance.components, counts, strict=True) if count}
-
-
-def _excess(balance: BalanceMatrix, native: Array) -> Array:
-    """How far loads lie outside the calibrated range, over that range, shape (n, c); negative within."""
-    least, most = balance.calibrated
-    return np.asarray(np.maximum(native - most, least - native) / (most - least))
-
-
-def _check_range(recording: Recording, balance: BalanceMatrix, native: Array) -> dict[str, int]:
-    """Count the samples outside the calibrated range, and warn."""
-    least, most = balance.calibrated
-    beyond, counts = _excess(balance, native), beyond_range(balance, native)
-    for i, name in enumerate(balance.components):
-        if name in counts:
-            _warn(
-                f"{recording.name}: {name} leaves the calibrated range ({least[i]:.4g} to {most[i]:.4g}) in "
-                f"{counts[name]} of {native.shape[0]} samples, by up to {100 * beyond[:, i].max():.3g} % of it; the "
-                "matrix is extrapolated there"
-            )
-    return counts
-
-
-def _check_iteration(recording: Recording, balance: BalanceMatrix, native: Array) -> float:
-    """Largest contraction factor, looked for where each load is least and largest."""
-    extremes = np.unique(np.concatenate([native.argmin(axis=0), native.argmax(axis=0)]))
-    factor = float(np.max(balance.contraction(native[extremes])))
-    if factor > SETTINGS.nearly_diverging:
-        _warn(
-            f"{recording.name}: the interactions are so strong at the largest loads that the iteration shrinks an "
-            f"error only by {factor:.2g} a step (at 1 it diverges and loads are not unique); check zeros and units"
-        )
-    return factor
-
-
 def _noise(channel: Channel) -> float:
     """Standard uncertainty of one reading of a bridge [mV/V]."""
     if channel.noise is not None:
         return channel.noise
     known = channel.values[~channel.missing]
     return channel_noise(channel) if known.size >= 8 and float(np.ptp(known)) > 0 else 0.0
-
-
-def _check_rows(recording: Recording, balance: BalanceMatrix, channels: Sequence[Channel], noise: Array) -> None:
-    """Warn where rows look like averaged points at several loads: what their outputs differ by is no noise."""
-    scatter = balance.residual_deviation * balance.output_scale  # of the iterative way, and near enough of the other
-    if recording.samples > SETTINGS.most_points or not scatter.any():
-        return
-    uneven = [
-        channel.name
-        for channel, own, usual in zip(channels, noise, scatter, strict=True)
-        if channel.noise is None and own > SETTINGS.points_apart * usual > 0
-    ]
-    if uneven:
-        _warn(
-            f"{recording.name}: from row to row {', '.join(uneven)} change by more than {SETTINGS.points_apart:g} "
-            "times what readings of the calibration scatter, and that is taken for noise. If the rows are averaged "
-            "points at several loads, it is far too large, and the uncertainty with it: say the noise of a row in a "
-            'channel map (noise = ... under [channels.rNAME], with "aerobalance map")'
-        )
 
 
 def _apart(

@@ -21,8 +21,9 @@ from aerobalance.app.commands.shared import (
     table_text,
 )
 from aerobalance.balance.inversion import TOLERANCE
+from aerobalance.balance.load_checks import beyond_range
 from aerobalance.balance.load_formats import Form
-from aerobalance.balance.loads import Loads, beyond_range
+from aerobalance.balance.loads import Loads
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.io import check_output

@@ -1,0 +1,132 @@
+"""What loads from gauge outputs are warned of: range, iteration, rows that are averaged points, zeros."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.zeros import GaugeZero
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import COMPONENTS, si_unit
+from aerobalance.recording.doubts import Doubt
+from aerobalance.recording.errors import warn_quality
+from aerobalance.recording.recording import Recording
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSettings:
+    """Thresholds of the warnings about balance loads.
+
+    Attributes
+    ----------
+    beyond
+        Excess over the calibrated range, over the range, from which it is warned.
+    nearly_diverging
+        Contraction of the iteration from which it is warned: at 1 the plain iteration no longer converges.
+    most_points
+        Rows up to which a recording may be averaged points.
+    points_apart
+        Noise from row to row, over the scatter of the calibration's readings, from which rows are doubted to be
+        samples.
+    """
+
+    beyond: float = 0.02
+    nearly_diverging: float = 0.5
+    most_points: int = 500
+    points_apart: float = 20.0
+
+
+SETTINGS: Final = LoadSettings()
+"""Thresholds that are used."""
+
+
+def beyond_range(balance: BalanceMatrix, native: Array) -> dict[str, int]:
+    """Samples outside the calibrated range, by the balance's own components; only those that have any.
+
+    Parameters
+    ----------
+    balance
+        The matrix.
+    native
+        Loads in its own components, shape (n, c); NaN where missing.
+    """
+    excess = _excess(balance, native)
+    counts = np.count_nonzero(excess > SETTINGS.beyond, axis=0).tolist()
+    return {name: count for name, count in zip(balance.components, counts, strict=True) if count}
+
+
+def _excess(balance: BalanceMatrix, native: Array) -> Array:
+    """How far loads lie outside the calibrated range, over that range, shape (n, c); negative within."""
+    least, most = balance.calibrated
+    return np.asarray(np.maximum(native - most, least - native) / (most - least))
+
+
+def check_range(recording: Recording, balance: BalanceMatrix, native: Array) -> dict[str, int]:
+    """Count the samples outside the calibrated range, and warn."""
+    least, most = balance.calibrated
+    beyond, counts = _excess(balance, native), beyond_range(balance, native)
+    for i, name in enumerate(balance.components):
+        if name in counts:
+            warn_quality(
+                f"{recording.name}: {name} leaves the calibrated range ({least[i]:.4g} to {most[i]:.4g}) in "
+                f"{counts[name]} of {native.shape[0]} samples, by up to {100 * beyond[:, i].max():.3g} % of it; the "
+                "matrix is extrapolated there"
+            )
+    return counts
+
+
+def check_iteration(recording: Recording, balance: BalanceMatrix, native: Array) -> float:
+    """Largest contraction factor, looked for where each load is least and largest."""
+    extremes = np.unique(np.concatenate([native.argmin(axis=0), native.argmax(axis=0)]))
+    factor = float(np.max(balance.contraction(native[extremes])))
+    if factor > SETTINGS.nearly_diverging:
+        warn_quality(
+            f"{recording.name}: the interactions are so strong at the largest loads that the iteration shrinks an "
+            f"error only by {factor:.2g} a step (at 1 it diverges and loads are not unique); check zeros and units"
+        )
+    return factor
+
+
+def check_rows(recording: Recording, balance: BalanceMatrix, channels: Sequence[Channel], noise: Array) -> None:
+    """Warn where rows look like averaged points at several loads: what their outputs differ by is no noise."""
+    scatter = balance.residual_deviation * balance.output_scale  # of the iterative way, and near enough of the other
+    if recording.samples > SETTINGS.most_points or not scatter.any():
+        return
+    uneven = [
+        channel.name
+        for channel, own, usual in zip(channels, noise, scatter, strict=True)
+        if channel.noise is None and own > SETTINGS.points_apart * usual > 0
+    ]
+    if uneven:
+        warn_quality(
+            f"{recording.name}: from row to row {', '.join(uneven)} change by more than {SETTINGS.points_apart:g} "
+            "times what readings of the calibration scatter, and that is taken for noise. If the rows are averaged "
+            "points at several loads, it is far too large, and the uncertainty with it: say the noise of a row in a "
+            'channel map (noise = ... under [channels.rNAME], with "aerobalance map")'
+        )
+
+
+def doubts_of_zero(zero: GaugeZero, components: Sequence[str], slope: Array) -> Iterator[Doubt]:
+    """What zeros say against loads that change with the gauge outputs by a slope, shape (c, c) [N V/mV]."""
+    units = [si_unit(name) if name in COMPONENTS else "N" for name in components]
+    known: list[tuple[Array, str, str]] = []
+    if zero.moved.any():
+        text = "moves while it is read, more than bridges drift, by {}: it is no zero, or the wind was on"
+        known.append((np.abs(slope) @ zero.moved, text, "give a record of the balance at rest"))
+    if zero.drifted:
+        text = (
+            "and the zero after the run differ by more than bridges drift; it is taken as a steady change, and a jump "
+            "leaves {}"
+        )
+        left = np.abs(slope @ zero.drift) / np.sqrt(12)  # rms of a jump in the middle of the run from a straight line
+        known.append((left, text, "look for a contact, a loose part or a cable that moved"))
+    for effects, text, advice in known:
+        sizes = ", ".join(
+            f"{size:.3g} {unit} of {name}" for size, unit, name in zip(effects, units, components, strict=True)
+        )
+        for name, unit, effect in zip(components, units, effects.tolist(), strict=True):
+            yield Doubt("zero", name, f"{zero.source} {text.format(sizes)} (rms)", advice, effect, unit)
