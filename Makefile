@@ -14,13 +14,17 @@ ROUNDS ?= 3
 BENCH := OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks -o addopts="" --benchmark-disable -q
 TEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
-.PHONY: demo test soak check bench faults docs pins clean
+.PHONY: demo test soak check bench faults docs pins clean prepared
 
 demo: $(COMPILED)
 	$(BIN)/aerobalance demo --out build/demo
 
 test: $(TEST_READY) $(COMPILED)
 	$(TEST)$(if $(SEED), --seed $(SEED))
+
+# Loops compiled and the bytecode of all tests made once: otherwise each process of the tests makes it.
+prepared: $(TEST_READY) $(COMPILED)
+	$(BIN)/python -m pytest --collect-only -p no:xdist > build/collected.txt
 
 soak: $(TEST_READY) $(COMPILED)
 	@failed=""; \
