@@ -174,6 +174,7 @@ def test_a_fault_of_the_accelerometer_is_named_with_its_size(name, kind, told):
     "name", ["0-100 Hz, 200 N, shaken", "step, shaken", "soft 30 Hz, 100 N, pitching", "two steps", "constant"]
 )
 @pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.soak(first=5)
 def test_a_sound_record_is_fit_for_use(name, seed):
     force, _ = tried(CASES[name], seed)
     assert force.doubts == ()
@@ -202,6 +203,7 @@ def test_the_command_says_it_in_fields_and_at_the_top(tmp_path: Path, monkeypatc
 
 
 @pytest.mark.parametrize("name", ["0.4 N", "0.2 N", "sine of 0.4 N at 20 Hz", "sine of 0.2 N at 20 Hz"])
+@pytest.mark.soak(first=2)
 def test_a_force_that_the_noise_hides_is_in_the_uncertainty(name):
     """Over some records the mean square error is that which is said."""
     (case,) = [one for one in CASES.values() if one.group == "faint" and one.name.startswith(name)]

@@ -59,7 +59,7 @@ def windy(rng: np.random.Generator, *, rms: float, band: tuple[float, float]) ->
 @pytest.mark.parametrize(
     ("rms", "band"), [(10.0, (0.0, 200.0)), (50.0, (0.0, 200.0)), (50.0, (0.0, 800.0)), (20.0, (50.0, 80.0))]
 )
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_wind_is_in_the_uncertainty(rms, band, rng):
     draws = trials(5, 40)
     scores = []
@@ -130,7 +130,7 @@ def test_a_long_decay_is_used_as_a_whole(drift, harmonic, rng):
 
 @pytest.mark.parametrize("power", [-1, 1, 2])
 @pytest.mark.parametrize("drift", [0.0, 0.01])
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_damping_that_depends_on_the_amplitude_is_a_law_at_any_rate(power, drift, rng):
     ratios = (4e-4, 5e-4) if power < 0 else (4e-4, 2e-3)
     recording = slow(rng, seconds=300, ratios=ratios, power=power, drift=drift)

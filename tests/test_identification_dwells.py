@@ -21,6 +21,7 @@ def shake(drive, generator, *, load=0.05, acceleration=0.05):
 
 
 @pytest.mark.parametrize("hold", [0.4, 0.9])
+@pytest.mark.soak(first=1)
 def test_dwells_are_found_and_fitted(hold: float, rng):
     dwells = find_dwells(shake(SteppedSine(STEPS, settle=0.1, hold=hold), rng))
     frequency, load, ground, live = amplitudes(dwells)

@@ -13,7 +13,7 @@ from seeds import trials
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # the gaps are told
 @pytest.mark.parametrize(("channel", "milliseconds"), [("PM", 1), ("AF", 2), ("PM", 4)])
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_gaps_under_broad_loads_are_covered(channel: str, milliseconds: int, rng) -> None:
     inside, after, errors = [], [], []
     records = trials(1, 4)

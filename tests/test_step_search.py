@@ -90,6 +90,7 @@ def test_the_response_is_the_same_where_it_has_ended(dynamics, instant, duration
 
 
 @pytest.mark.parametrize("noise", [2.0, 10.0])
+@pytest.mark.soak(first=1)
 def test_every_edge_of_a_square_wave_is_found(noise, rng):
     edges = [(0.1 * k + rng.uniform(0.05, 0.05 + 1 / RATE), 700.0 * (-1) ** k, 0.0) for k in range(19)]
     steps, learned = find_steps(reading_of(edges, rng, noise=noise))
