@@ -101,14 +101,14 @@ class StepSearch:
         columns = columns_of(steps, reading)
         learned = refine_edges(reading, fit_prior(reading, columns=columns), columns=columns)
         faint, tested = 0, list[Step]()
-        if np.count_nonzero(learned.spectrum.levels) > LINES:
-            # what returns, such as a square wave, is expected by such a prior, and no change shows
-            smooth = fit_prior(reading, columns=columns, before=learned, smooth=True)
-            steps, learned = self._proposed(learned, steps, prior=smooth, less=LESS) or (steps, learned)
+        steps, learned = self._returning(learned, steps) or (steps, learned)
+        returns = bool(steps)
         while max(len(steps), rounds) < self.most and not self.end:
             rounds += 1
             PROGRESS.note(f"{len(steps)} found so far" if steps else "")
             found = self._proposed(learned, steps, prior=learned)
+            if found is None and returns:
+                found = self._returning(learned, steps)
             if found is None and steps and tested != steps and learned.spectrum.levels.any():
                 # what is taken for a fluctuating force may be what a ramp leaves that was fitted as a sudden step
                 found = self._with_ramps(learned, steps)
@@ -166,6 +166,17 @@ class StepSearch:
 
     def _scan(self, learned: SpectralPrior, steps: Sequence[Step]) -> Scan:
         return Scan.of(self.reading, self.filter(learned), columns_of(steps, self.reading))
+
+    def _returning(self, learned: SpectralPrior, steps: list[Step]) -> Found | None:
+        """Return the steps with further ones of a force that returns, and the new prior; None if there are none.
+
+        What returns, such as a square wave, is expected by a prior of many narrow parts, and no change shows.
+        """
+        if np.count_nonzero(learned.spectrum.levels) <= LINES:
+            return None
+        columns = columns_of(steps, self.reading)
+        smooth = fit_prior(self.reading, columns=columns, before=learned, smooth=True)
+        return self._proposed(learned, steps, prior=smooth, less=0.0 if steps else LESS)
 
     def _proposed(
         self, learned: SpectralPrior, steps: list[Step], *, prior: SpectralPrior, less: float = 0.0

@@ -305,17 +305,22 @@ def misfit_of(
         return Misfit(dynamics.component)
     reading, within = seen
     known = record.load
+
+    def beside_steps(other: Dynamics, some: Sequence[Step]) -> Array:
+        return _without_tones(_without_steps(replace(reading, dynamics=other), some))
+
     spoken = spoken_for(
         _without_tones(reading.values),
         dynamics,
         interval=reading.interval,
         least_noise=max(reading.least_noise, 1e-3 * noise),
         learned=learned,
-        stepped=bool(within),
+        steps=within,
+        beside_steps=beside_steps,
     )
     if spoken is not None and spoken.probability == 1:
         return _spoken(spoken, dynamics)
-    left = _without_tones(_without_steps(reading, within))
+    left = beside_steps(dynamics, within)
     found = _possible(
         _in_spectrum(left, dynamics, interval=reading.interval, noise=noise), most=float(np.nanstd(known))
     )
