@@ -24,6 +24,7 @@ from aerobalance.estimation.checks.ground_channels import (
 from aerobalance.estimation.checks.mains_hum import hum_doubts
 from aerobalance.estimation.checks.model_error import as_noise
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error, step_of
+from aerobalance.estimation.checks.unexplained import excess_of, missed_force
 from aerobalance.estimation.direct import band_limited, central_differences, missed
 from aerobalance.estimation.error_sources import Contribution
 from aerobalance.estimation.force_smoother import (
@@ -57,8 +58,8 @@ SAME_RATE: Final = 1e-3
 FREQUENCIES: Final = 4097
 """Frequencies from zero to half the sampling rate at which spectra are compared."""
 
-EXPLAINED_BLOCK: Final = 256
-"""Samples over which it is looked whether the readings are explained."""
+NOT_EXPLAINED: Final = "force that the model does not explain"
+"""Name of the error where readings show a force that the model of the load leaves out."""
 
 BEYOND_THE_BAND: Final = "force beyond the band, and at the ends"
 """Name of the error of a direct inverse where the force is too fast for it or its past or future is not recorded."""
@@ -223,9 +224,9 @@ class Fitted:
             doubts.append(_search_ended(signal.ended))
         white = fit.innovations
         if record.shared is None:
-            level, strange = _unexplained(record, white)
+            level, strange, missed_there = _unexplained(record, fit, white)
         else:  # what is noisier by what is not known there is no fault of the model
-            level, strange = _unexplained(record, np.where(record.shared.level > 1, 0.0, white))
+            level, strange, missed_there = _unexplained(record, fit, np.where(record.shared.level > 1, 0.0, white))
             level = np.maximum(record.shared.level, level)
         doubts += strange
         lines = fit.sized(signal.hum)
@@ -255,6 +256,9 @@ class Fitted:
             for doubt, error in ground_doubts(record, fit, through, errors=tuple(errors)):
                 doubts.append(doubt)
                 errors.append(error)
+        if missed_there.any():
+            period = 1 / record.dynamics.natural_frequency
+            errors.append(as_noise(missed_there, name=NOT_EXPLAINED, period=period, interval=record.interval))
         for told, unseen in self._unseen(errors):
             errors.append(unseen)
             doubts += told
@@ -393,35 +397,26 @@ def _tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, driven: tu
             )
 
 
-def _unexplained(record: ComponentRecord, white: Array) -> tuple[Array, list[Doubt]]:
-    """Variance of the innovations over what is expected, 1 where chance explains it, shape (n,), and what it says."""
-    count = max(white.size // EXPLAINED_BLOCK, 1)
-    size, larger = divmod(white.size, count)
-    sizes = np.where(np.arange(count) < larger, size + 1, size)
-    level = np.add.reduceat(white**2, np.cumsum(sizes) - sizes) / sizes
-    # the mean square over m samples scatters by sqrt(2 / m); eight times that is never reached by chance
-    strange = np.flatnonzero(level > 1 + 8 * np.sqrt(2 * count / white.size))
-    doubts = []
-    if strange.size:
-        worst = int(strange[np.argmax(level[strange])])
-        start, stop = (
-            record.recording.start + edge * white.size / count * record.interval for edge in (worst, worst + 1)
-        )
-        name = record.dynamics.component
-        doubts = [
-            Doubt(
-                "unexplained",
-                name,
-                f"in {strange.size} of {count} stretches the readings of {name} "
-                f"depart from what the model of balance and load expects, most between {start:.4g} and {stop:.4g} s "
-                f"({np.sqrt(level[worst]):.2g} times the chance scatter); the uncertainty from noise is raised by as "
-                "much there, but an error that the model makes everywhere is not in it",
-                unit=si_unit(name),
-            )
-        ]
-    raised = np.ones(count)
-    raised[strange] = level[strange]
-    return np.repeat(raised, sizes), doubts
+def _unexplained(record: ComponentRecord, fit: SmootherResult, white: Array) -> tuple[Array, list[Doubt], Array]:
+    """Variance of the innovations over what is expected, what it says, and the force that is missed, (n,) [N]."""
+    level, edges = excess_of(white)
+    raised = np.repeat(level, np.diff(edges))
+    strange = np.flatnonzero(level > 1)
+    if not strange.size:
+        return raised, [], np.zeros(white.size)
+    missed = missed_force(fit.reading, fit.learned, residuals=fit.residuals, strange=raised > 1)
+    worst = int(strange[np.argmax(level[strange])])
+    start, stop = (record.recording.start + float(edge) * record.interval for edge in edges[worst : worst + 2])
+    name, unit = record.dynamics.component, si_unit(record.dynamics.component)
+    size = float(np.sqrt(np.mean(missed**2)))
+    shown = f"the force that the readings show beyond it, {size:.3g} {unit} rms, is" if size else "that of noise is"
+    text = (
+        f"in {strange.size} of {level.size} stretches the readings of {name} "
+        f"depart from what the model of balance and load expects, most between {start:.4g} and {stop:.4g} s "
+        f"({np.sqrt(level[worst]):.2g} times the chance scatter); {shown} in the uncertainty there, but an error that "
+        "the model makes everywhere is not"
+    )
+    return raised, [Doubt("unexplained", name, text, unit=unit)], missed
 
 
 def _resolved_bandwidth(reading: Observation, learned: SpectralPrior) -> float:

@@ -1,0 +1,88 @@
+"""Stretches of a record that the model of balance and load does not explain, and the force that it misses in them.
+
+The smoother's answer to a reading is that of the whole record: of a load that changes, such as a chirp, a part of the
+record has force at frequencies at which the prior has none. What the force lacks there is left in the residuals: with
+H from the force in the reading to the force that is found, and G the balance, they are (1 - H) G F. So they are worked
+back, (1 - H) F, where they stand out of the noise of their surroundings; noise that is stronger for a while does not.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.recording.channel import Array
+from aerobalance.recording.fourier import hann
+
+BLOCK: Final = 256
+"""Samples over which it is looked whether the readings are explained."""
+
+CHANCE: Final = 8.0
+"""Deviations of the mean square of the innovations that are never reached by chance."""
+
+STANDS_OUT: Final = 12.0
+"""Power of a residual over that of the noise, of the block's own where that is stronger, that chance does not reach:
+e^-12 for each of some hundred frequencies."""
+
+
+def excess_of(white: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Variance of the innovations over what is expected, 1 where chance explains it, and the edges of the blocks.
+
+    Parameters
+    ----------
+    white
+        Innovations over their expected deviation, shape (n,).
+
+    Returns
+    -------
+    level
+        By block, shape (b,) [1].
+    edges
+        First sample of each block and the end of the last, shape (b + 1,).
+    """
+    count = max(white.size // BLOCK, 1)
+    size, larger = divmod(white.size, count)
+    edges = np.concatenate([[0], np.cumsum(np.where(np.arange(count) < larger, size + 1, size))])
+    level = np.add.reduceat(white**2, edges[:-1]) / np.diff(edges)
+    # the mean square over m samples scatters by sqrt(2 / m)
+    return np.where(level > 1 + CHANCE * np.sqrt(2 * count / white.size), level, 1.0), edges
+
+
+def missed_force(
+    reading: Observation, learned: SpectralPrior, *, residuals: Array, strange: NDArray[np.bool_]
+) -> Array:
+    """Return what the residuals show of a force that the model misses, shape (n,) [N]; 0 where they show none.
+
+    Parameters
+    ----------
+    reading, learned
+        The record and its prior.
+    residuals
+        What the smoother leaves of the readings, shape (n,) [N].
+    strange
+        Samples that are not explained, shape (n,).
+    """
+    count, h = residuals.size, reading.interval
+    length = 2 * BLOCK
+    if count < length:
+        return np.zeros(count)
+    window = hann(length)
+    frequency = np.asarray(np.fft.rfftfreq(length, h), dtype=np.float64)
+    response = reading.dynamics.response(frequency)
+    noise = learned.noise_density(frequency, interval=h) + np.abs(response) ** 2 * reading.input_density
+    expected = noise / h * float(np.sum(window**2))
+    padded = np.concatenate([np.zeros(BLOCK), residuals, np.zeros(length)])
+    out = np.zeros(padded.size)
+    for begin in range(0, count + BLOCK, BLOCK):  # half of each block overlaps the next: the windows add to one
+        if not strange[max(begin - BLOCK, 0) : begin + BLOCK].any():
+            continue
+        spectrum = np.fft.rfft(window * padded[begin : begin + length])
+        ratio = np.abs(spectrum) ** 2 / np.maximum(expected, 1e-300)
+        own = max(1.0, float(np.median(ratio)) / np.log(2))
+        shown = ratio > STANDS_OUT * own
+        shown |= np.roll(shown, 1) | np.roll(shown, -1)  # the window gives a line to its neighbours
+        out[begin : begin + length] += np.fft.irfft(np.where(shown, spectrum / response, 0.0), length)
+    return out[BLOCK : BLOCK + count]
