@@ -117,9 +117,7 @@ def test_line_of_how_to_runs_as_printed(line, folder, monkeypatch, capsys):
 @pytest.mark.parametrize("line", [line for line in from_help() if line.split()[1] not in {*ENDLESS, "record", "demo"}])
 def test_example_of_help_runs_as_printed(line, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
-    # processes beside this one take ten seconds of processor to start, and have tests of their own
-    alone = ["--workers", "0"] if line.split()[1] == "campaign" else []
-    assert main([*words_of(line), *alone]) == 0, capsys.readouterr().err
+    assert main(words_of(line)) == 0, capsys.readouterr().err
     out = capsys.readouterr().out
     assert out.strip()
     if " -o " in line:

@@ -43,8 +43,8 @@ PATIENCE: Final = 120.0
 ANSWER: Final = 10.0
 """How long the first answer of a scheduler is waited for [s]."""
 
-FEW: Final = 2
-"""Runs up to which no processes are started for them, which takes some seconds."""
+FEW: Final = 8
+"""Runs up to which no processes are started for them: two processes take as long to start as five short runs take."""
 
 LOSSES: Final = 2
 """Workers that a run may cost before it is set aside."""
