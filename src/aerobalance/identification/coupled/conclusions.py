@@ -1,4 +1,4 @@
-"""What follows from fitted matrices: what excited the modes, what the fit leaves, and the rigid mass behind A."""
+"""What is asked of recordings, and what follows from fitted matrices."""
 
 from __future__ import annotations
 
@@ -16,7 +16,22 @@ from aerobalance.identification.coupled.internal_coordinates import quasi_static
 from aerobalance.identification.coupled.least_squares import whitener_of
 from aerobalance.identification.rigid_body import RigidMassFit, rigid_mass_of
 from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError
+from aerobalance.recording.recording import Recording
+
+
+def check_recordings(
+    recordings: Sequence[Recording], names: tuple[str, ...], components: Sequence[str], *, of: str
+) -> None:
+    """Refuse no recordings, components that are not known or named twice, and several sampling rates."""
+    if not recordings:
+        raise ValueError(f"at least one recording of {of} is needed")
+    if not names or len(names) != len(components):
+        raise ValueError(f"components must be some of {', '.join(COMPONENTS)}, each once, not {', '.join(components)}")
+    rates = [recording.rate for recording in recordings]
+    if max(rates) > 1.001 * min(rates):
+        raise ValueError(f"the recordings must have one sampling rate, not {min(rates):g} to {max(rates):g} Hz")
 
 
 def excitation_of(parts: Sequence[tuple[Complex, Array]], motion: FreeMotion, noise: Array) -> tuple[Array, Array]:

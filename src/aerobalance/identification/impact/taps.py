@@ -19,7 +19,7 @@ from aerobalance.identification.coupled.combinations import (
     combination_text,
     first_release_for,
 )
-from aerobalance.identification.coupled.conclusions import colour_of, rigid_of
+from aerobalance.identification.coupled.conclusions import check_recordings, colour_of, rigid_of
 from aerobalance.identification.coupled.modes import ModeTable
 from aerobalance.identification.coupled.result import colour_warnings, common_parts, force_error_warnings
 from aerobalance.identification.coupled.units import Units, dynamics_of
@@ -185,13 +185,7 @@ def _check_call(
     mass: float | tuple[float, float] | None,
     points: Sequence[TapPoint | None],
 ) -> None:
-    if not recordings:
-        raise ValueError("at least one recording of taps is needed")
-    if not names or len(names) != len(components):
-        raise ValueError(f"components must be some of {', '.join(COMPONENTS)}, each once, not {', '.join(components)}")
-    rates = [recording.rate for recording in recordings]
-    if max(rates) > 1.001 * min(rates):
-        raise ValueError(f"the recordings must have one sampling rate, not {min(rates):g} to {max(rates):g} Hz")
+    check_recordings(recordings, names, components, of="taps")
     if points and len(points) != len(recordings):
         raise ValueError(f"a point is needed for each of {len(recordings)} recordings, not {len(points)}")
     if len(names) == 1 and mass is None:

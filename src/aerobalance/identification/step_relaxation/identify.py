@@ -20,7 +20,7 @@ from aerobalance.identification.coupled.combinations import (
     combination_text,
     first_release_for,
 )
-from aerobalance.identification.coupled.conclusions import colour_of, residual_size, rigid_of
+from aerobalance.identification.coupled.conclusions import check_recordings, colour_of, residual_size, rigid_of
 from aerobalance.identification.coupled.result import APPLIED, common_parts
 from aerobalance.identification.coupled.units import Units, dynamics_of
 from aerobalance.identification.step_relaxation.calibration_errors import covariance_of_calibration
@@ -128,13 +128,7 @@ def _check_call(
     release_share: float,
     modes: int | Literal["auto"],
 ) -> None:
-    if not recordings:
-        raise ValueError("at least one recording of a release is needed")
-    if not names or len(names) != len(components):
-        raise ValueError(f"components must be some of {', '.join(COMPONENTS)}, each once, not {', '.join(components)}")
-    rates = [recording.rate for recording in recordings]
-    if max(rates) > 1.001 * min(rates):
-        raise ValueError(f"the recordings must have one sampling rate, not {min(rates):g} to {max(rates):g} Hz")
+    check_recordings(recordings, names, components, of="a release")
     if mass is not None and names != COMPONENTS:
         raise ValueError(f"a mass matrix needs all of {', '.join(COMPONENTS)}; leave the mass out")
     if modes != "auto" and not len(names) <= modes <= len(names) + MOST:
