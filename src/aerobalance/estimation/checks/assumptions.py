@@ -90,8 +90,8 @@ def assumptions_of(record: ComponentRecord, fit: SmootherResult, through: Throug
     if aside is not None:
         item, channel = aside
         text = (
-            f"{channel} reads nothing across its axis: one degree aside, and a motion across as large as along it, "
-            "would change the force by {}"
+            f"what moves across its axis is taken to be no part of {channel}: one degree aside, and a motion across "
+            "as large as along it, would change the force by {}"
         )
         yield _told("cross-axis", name, text, effect_of(record.felt_under(item)), unit)
 
