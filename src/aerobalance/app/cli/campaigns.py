@@ -23,7 +23,10 @@ Scheduler = Annotated[
     str | None, typer.Option("--scheduler", help="Address of a Dask scheduler; this machine's processors if left out.")
 ]
 Workers = Annotated[
-    int | None, typer.Option("--workers", help="Processes of this machine; one a processor if left out.", min=0)
+    int | None,
+    typer.Option(
+        "--workers", help="Processes of this machine; if left out one a processor, and none for up to 8 runs.", min=0
+    ),
 ]
 
 
