@@ -181,6 +181,17 @@ def test_a_sound_record_is_fit_for_use(name, seed):
     assert force.verdict is Verdict.FIT
 
 
+@pytest.mark.parametrize("seed", [1, 0, 2, 3])
+@pytest.mark.soak(first=1)
+def test_the_lines_of_a_square_wave_are_no_resonance_and_all_its_edges_are_found(seed):
+    force, found = tried(CASES["square wave of 5 Hz, 200 N"], seed)
+    assert force.doubts == ()
+    instants = np.array([step.instant for step in force["AF"].steps])
+    # two a period in 2.5 s; an edge may be found as two halves beside each other, which adds nothing to the force
+    assert 1 + np.count_nonzero(np.diff(instants) > 2e-3) == round(5 * 2 * 2.5)
+    assert found["error"] < 0.01 * 200  # an edge that is missing, or a prior of its lines, gives 15 to 19 N
+
+
 def test_the_command_says_it_in_fields_and_at_the_top(tmp_path: Path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     case = CASES["accelerometer 1 ms late, 0-60 Hz"]
