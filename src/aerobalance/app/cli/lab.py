@@ -216,7 +216,10 @@ def identify_decay(
     channel_map: Map = None,
     manner: Manner,
 ) -> None:
-    """Identify from a free decay: a load that is held and released."""
+    """Identify from a free decay: a load that is held and released.
+
+    With --component all and --balance, what the calibration of the balance leaves in A and D is counted.
+    """
     files = gauges.files
     if component == "all":
         from aerobalance.app.commands import identify_coupled
