@@ -2,7 +2,9 @@
 
 import json
 import struct
+import tracemalloc
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +13,11 @@ from nptdms.reader import TdmsReader
 
 from aerobalance.app.cli import main
 from aerobalance.io import column_names, load_channel_map, read, template
-from aerobalance.io.tdms_file import round_interval
+from aerobalance.io.long_record import open_record
+from aerobalance.io.series_record import SeriesRecord
+from aerobalance.io.tdms_tasks import round_interval
 from aerobalance.recording.errors import DataQualityWarning, ReadError
+from aerobalance.recording.recording import Recording
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "internal-balance"
 
@@ -230,6 +235,51 @@ def test_only_the_channels_wanted_are_read(tmp_path, monkeypatch, interleaved):
     assert "c59" in template(path)
     assert column_names(path)[59] == "run/c59"
     assert asked == []
+
+
+@pytest.mark.parametrize("interleaved", [False, True])
+@pytest.mark.parametrize("rows", [[100_000], [70_000, 30_000], [3_000] * 20 + [40_000]])
+def test_parts_of_a_file_are_parts_of_what_is_read_whole(tmp_path, rng, interleaved, rows):
+    scaled = {"NI_Number_Of_Scales": 1, "NI_Scale[0]_Scale_Type": "Linear", "NI_Scale[0]_Linear_Slope": 0.5}
+    scaled |= {"NI_Scale[0]_Linear_Y_Intercept": 3.0, "NI_Scale[0]_Linear_Input_Source": 0xFFFFFFFF}
+    segments = []
+    for count in rows:
+        counts = rng.integers(-1000, 1000, count).astype("<i2")
+        parts = {"run/AF": wave(rng.normal(size=count), wf_start_offset=2.0)}
+        parts |= {"run/NF": wave(counts, wf_start_offset=2.0, **scaled), "run/x": wave(counts, "V", rate=500.0)}
+        segments.append(segment(parts, interleaved=interleaved))
+    path = written(tmp_path, *segments)
+    (tmp_path / "map.toml").write_text("[file]\n" + channel("AF", "AF") + channel("NF", "NF"), encoding="utf-8")
+    chosen = load_channel_map(tmp_path / "map.toml")
+    whole = read(path, channel_map=chosen)
+    with open_record(path, channel_map=chosen) as record:
+        assert isinstance(record, SeriesRecord)
+        for begin, end in ((0, 10), (2_990, 6_010), (59_990, 99_990), (69_990, 70_010), (99_995, 100_000)):
+            part, same = record.part(begin, end), whole.part(begin, end)
+            assert (part.start, part.rate, part.channels.keys()) == (same.start, same.rate, same.channels.keys())
+            for name, one in part.channels.items():
+                np.testing.assert_array_equal(one.values, same.channel(name).values)
+
+
+def test_a_long_chunk_is_not_read_for_a_short_part(tmp_path, rng):
+    channels = {f"run/{name}": wave(rng.normal(size=500_000)) for name in ("AF", "NF", "SF")}
+    path = written(tmp_path, segment(channels))
+    with open_record(path) as record:
+        record.part(0, 10)  # libraries are loaded
+        tracemalloc.start()
+        record.part(200_000, 210_000)
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert most < 2_000_000  # a channel is 4 MB, the part 0.24 MB
+
+
+def test_a_file_of_two_clocks_or_cut_off_is_read_whole(tmp_path, rng):
+    values = rng.normal(size=100_000)
+    two = segment({"run/AF": wave(values), "run/NF": wave(values[:50_000], rate=500.0)})
+    for data in (two, segment({"run/AF": wave(values)})[:-1000]):
+        said = nullcontext() if data is two else pytest.warns(DataQualityWarning, match="cut off")
+        with said, open_record(written(tmp_path, data)) as record:
+            assert isinstance(record, Recording)
 
 
 @pytest.mark.parametrize(

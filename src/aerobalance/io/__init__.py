@@ -121,7 +121,7 @@ class Format(Protocol):
         """Writes columns under their headers, some rows at a time; None for a format that is read only."""
 
 
-WRITTEN_AT_ONCE: Final = 1 << 19
+WRITTEN_AT_ONCE: Final = 1 << 17
 """Samples of a record that are read and written at once."""
 
 FORMATS: Final[tuple[Format, ...]] = (

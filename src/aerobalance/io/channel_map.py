@@ -161,6 +161,11 @@ class ChannelMap:
         )
 
     @property
+    def needs_all(self) -> bool:
+        """Whether a part of a record cannot be made of a part of its file: a channel is derived, or times are read."""
+        return self.file.time is not None or any(channel.derivative for channel in self.channels.values())
+
+    @property
     def wanted(self) -> list[str | int]:
         """The columns of the foreign file that are used; the others may hold anything."""
         time = [] if self.file.time is None or self.file.rate is not None else [self.file.time]

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Final
 
-from aerobalance.io import format_of, hdf5_file, read
+from aerobalance.io import Format, format_of, hdf5_file, read, tdms_file
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.hdf5_parts import opened_record
 from aerobalance.io.series_format import SeriesFormat
-from aerobalance.io.series_record import opened_series
+from aerobalance.io.series_record import SeriesRecord, opened_series
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.parts import LongRecord
 from aerobalance.recording.recording import Recording
@@ -52,11 +52,10 @@ def open_record(path: Path | str, *, channel_map: ChannelMap | None = None) -> I
             if record is not None and record.samples > SHORT:
                 yield record
                 return
-    if isinstance(form, SeriesFormat):
-        with opened_series(file, form.reader, channel_map) as series:
-            if series is not None and series.samples > SHORT:
-                yield series
-                return
+    with _series(file, form, channel_map) as series:
+        if series is not None and series.samples > SHORT:
+            yield series
+            return
     size = file.stat().st_size
     if size > LARGE:
         warn_quality(
@@ -64,3 +63,12 @@ def open_record(path: Path | str, *, channel_map: ChannelMap | None = None) -> I
             "`aerobalance convert` it to .h5 once, which is read in parts"
         )
     yield read(file, channel_map=channel_map)
+
+
+def _series(path: Path, form: Format, channel_map: ChannelMap | None) -> AbstractContextManager[SeriesRecord | None]:
+    """Open a file of another program to read parts of it; None where it must be read whole."""
+    if isinstance(form, SeriesFormat):
+        return opened_series(path, form.reader, channel_map)
+    if form is tdms_file:
+        return tdms_file.opened_parts(path, channel_map)
+    return nullcontext()

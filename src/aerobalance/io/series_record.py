@@ -147,8 +147,7 @@ def opened_series(path: Path, reader: Reader, channel_map: ChannelMap | None) ->
 
 def _record(path: Path, found: Holdings, channel_map: ChannelMap | None) -> SeriesRecord | None:
     given = None if channel_map is None else channel_map.file
-    derived = channel_map is not None and any(one.derivative for one in channel_map.channels.values())
-    if derived or (given is not None and given.time is not None):
+    if channel_map is not None and channel_map.needs_all:
         return None
     chosen = tuple(chosen_series(path, found, None if channel_map is None else channel_map.wanted))
     if any(one.fault or one.samples != chosen[0][1].samples for _, one in chosen):

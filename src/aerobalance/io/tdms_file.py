@@ -12,10 +12,14 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 import numpy as np
 
+from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns, split_label
-from aerobalance.io.series import kind_fault
+from aerobalance.io.opening import opened_file
+from aerobalance.io.series import Series, kind_fault
+from aerobalance.io.series_record import SeriesRecord
 from aerobalance.io.series_values import within_reason
-from aerobalance.io.tdms_tasks import Stamped, seconds_after, start_stamps
+from aerobalance.io.tdms_parts import part_reader
+from aerobalance.io.tdms_tasks import Stamped, round_interval, seconds_after, start_stamps
 from aerobalance.io.text_layout import Layout
 from aerobalance.recording.channel import QUANTITIES, Array
 from aerobalance.recording.components import is_gauge
@@ -42,6 +46,7 @@ _SHORTEST: Final = 1e-12
 _LONGEST: Final = 1e6
 _SCALES: Final = "NI_Number_Of_Scales"
 _MOST_SCALES: Final = 1000
+_CUT_OFF: Final = "the file was cut off while it was written; what was complete is used, and the end is missing"
 _UNITS: Final = ("unit_string", "NI_UnitDescription")
 
 
@@ -80,17 +85,9 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
         The file was cut off while it was written; the start times of one task differ.
     """
     del layout
-    with _opened(path) as file:
+    with _opened(path) as (file, _):
         entries = _entries(path, file)
-        if wanted is None:
-            chosen = _described(path, entries)
-        else:
-            bare = tuple(_column(entry, np.empty(0), None) for entry in entries)
-            stub = RawColumns(path, bare, range(0))
-            numbers = {stub.find(key, where="channels").number for key in wanted}
-            chosen = [entry for entry in entries if entry.number in numbers]
-        for entry in chosen:
-            _check_usable(path, entry)
+        chosen = _chosen(path, entries, wanted)
         stamps, remarks = _stamps(entries, chosen)
         origin = _origin([stamps.get(entry.number) for entry in chosen])
         columns = tuple(
@@ -101,6 +98,66 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
         warn_quality(f"{path.name}: {text}")
     rows = range(1, max((column.values.size for column in columns), default=0) + 1)
     return RawColumns(path, columns, rows, epoch=date_after_1904(origin))
+
+
+@contextlib.contextmanager
+def opened_parts(path: Path, channel_map: ChannelMap | None) -> Iterator[SeriesRecord | None]:
+    """Open a file to read parts of it; None where it must be read whole.
+
+    It is read whole where its channels have different clocks or none that is stated, where the map has the time as a
+    column or derives a channel, where parts cost as much as all, and where the file was cut off.
+
+    Raises
+    ------
+    ReadError
+        The file is damaged, or has not the channels.
+    """
+    reading = contextlib.ExitStack()
+    try:
+        file, said = reading.enter_context(_opened(path))
+        stream = reading.enter_context(opened_file(path))
+        yield None if said else _record(path, file, stream, channel_map)
+    finally:
+        reading.close()  # what went wrong with the record's parts is no fault of the file
+
+
+def _record(path: Path, file: TdmsFile, stream: BinaryIO, channel_map: ChannelMap | None) -> SeriesRecord | None:
+    given = None if channel_map is None else channel_map.file
+    if channel_map is not None and channel_map.needs_all:
+        return None
+    entries = _entries(path, file)
+    chosen = _chosen(path, entries, None if channel_map is None else channel_map.wanted)
+    stamps, remarks = _stamps(entries, chosen)
+    origin = _origin([stamps.get(entry.number) for entry in chosen])
+    clocks = {_clock(path, entry, stamps.get(entry.number), origin) for entry in chosen}
+    clock = Clock(0.0, 1 / given.rate) if given is not None and given.rate is not None else next(iter(clocks))
+    readers = [part_reader(file, entry.channel, stream) for entry in chosen]
+    series = []
+    for entry, reads in zip(chosen, readers, strict=True):
+        if reads is None or entry.channel.dtype.kind == "M" or entry.samples != chosen[0].samples:
+            return None
+        bare = _column(entry, np.empty(0), clock)
+        one = Series(entry.label, entry.name, bare.unit, entry.samples, reads, alias=bare.alias, clock=clock)
+        series.append((entry.number, one))
+    if clock is None or (len(clocks) > 1 and (given is None or given.rate is None)):
+        return None
+    for text in remarks:
+        warn_quality(f"{path.name}: {text}")
+    return SeriesRecord(path, tuple(series), clock, None, channel_map, date_after_1904(origin))
+
+
+def _chosen(path: Path, entries: Sequence[_Entry], wanted: Sequence[str | int] | None) -> list[_Entry]:
+    """Channels that are wanted; each can be read as numbers."""
+    if wanted is None:
+        chosen = _described(path, entries)
+    else:
+        bare = tuple(_column(entry, np.empty(0), None) for entry in entries)
+        stub = RawColumns(path, bare, range(0))
+        numbers = {stub.find(key, where="channels").number for key in wanted}
+        chosen = [entry for entry in entries if entry.number in numbers]
+    for entry in chosen:
+        _check_usable(path, entry)
+    return chosen
 
 
 def date_after_1904(stamp: Any) -> np.datetime64 | None:
@@ -122,7 +179,7 @@ def headings(path: Path) -> tuple[Heading, ...]:
     ReadError
         The file is damaged.
     """
-    with _opened(path) as file:
+    with _opened(path) as (file, _):
         found = []
         for entry in _entries(path, file):
             clock = _clock(path, entry, None, None)
@@ -156,8 +213,11 @@ class _Entry:
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[TdmsFile]:
-    """Open a file; turn whatever its reader fails with into a `ReadError`, and what it says into remarks."""
+def _opened(path: Path) -> Iterator[tuple[TdmsFile, list[str]]]:
+    """Open a file; turn whatever its reader fails with into a `ReadError`, and what it says into remarks.
+
+    What it has said so far comes with the file; at the end it becomes warnings.
+    """
     from nptdms import TdmsFile  # noqa: PLC0415 - a third of a second, and only TDMS files need it
 
     said: list[str] = []
@@ -166,7 +226,9 @@ def _opened(path: Path) -> Iterator[TdmsFile]:
         with path.open("rb") as stream, _listening(said), np.errstate(all="ignore"):
             cut_off = _cut_off(stream)
             with TdmsFile.open(stream, raw_timestamps=True) as file:
-                yield file
+                if cut_off:
+                    said.insert(0, _CUT_OFF)
+                yield file, said
     except ReadError:
         raise
     except OSError as error:
@@ -179,7 +241,7 @@ def _opened(path: Path) -> Iterator[TdmsFile]:
             path, "its segments", f"is a damaged TDMS file, or of a kind that cannot be read: {text[:200]}"
         ) from None
     if cut_off:
-        said = ["the file was cut off while it was written; what was complete is used, and the end is missing"]
+        said = [_CUT_OFF]
     for text in dict.fromkeys(said):
         warn_quality(f"{path.name}: {text}")
 
@@ -386,20 +448,3 @@ def _clock(path: Path, entry: _Entry, stamp: Any, origin: Any) -> Clock | None:
     if origin is not None and stamp is not None:
         start += seconds_after(stamp, origin)
     return Clock(start, interval)
-
-
-def round_interval(value: float) -> float:
-    """Return the round number that a sampling interval stands for, where it went through single precision.
-
-    0.0010000000474974513 is what single precision makes of 0.001, and over 600 s at 25 kHz the difference is more
-    than a sample. A value that is exactly a single-precision number is taken as the number of at most six digits, or
-    as one over such a number (a round rate), which single precision rounds to it: float32(round) == value. Any other
-    value, a measured double-precision interval for one, stays as it is.
-    """
-    single = np.float32(value)
-    if value <= 0 or float(single) != value:
-        return value
-    for candidate in (float(f"{value:.6g}"), 1 / float(f"{1 / value:.6g}")):
-        if np.float32(candidate) == single:
-            return candidate
-    return value

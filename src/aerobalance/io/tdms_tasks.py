@@ -1,4 +1,4 @@
-"""Which channels of a TDMS file were sampled together, although the start times written for them differ.
+"""Which channels of a TDMS file were sampled together, although the start times written for them differ; and how fast.
 
 LabVIEW writes `wf_start_time` channel by channel from the computer's clock. Where that clock ticks over between two
 channels of one task (by 1 ms, or 16 ms on older systems), their stamps differ while their samples do not.
@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
+
+import numpy as np
 
 CLOCK_TICK: Final = 0.02
 """Largest difference of stamps that the computer's clock explains [s]: a little more than its longest tick."""
@@ -95,3 +97,20 @@ def _sentence(used: Sequence[Stamped], late: Mapping[int, float]) -> str:
         f"{used[0].group!r}, though rate and number of samples are the same: the computer's clock ticked over while "
         "they were written. The channels are taken as sampled together; tasks that were not belong into two groups"
     )
+
+
+def round_interval(value: float) -> float:
+    """Return the round number that a sampling interval stands for, where it went through single precision.
+
+    0.0010000000474974513 is what single precision makes of 0.001, and over 600 s at 25 kHz the difference is more
+    than a sample. A value that is exactly a single-precision number is taken as the number of at most six digits, or
+    as one over such a number (a round rate), which single precision rounds to it: float32(round) == value. Any other
+    value, a measured double-precision interval for one, stays as it is.
+    """
+    single = np.float32(value)
+    if value <= 0 or float(single) != value:
+        return value
+    for candidate in (float(f"{value:.6g}"), 1 / float(f"{1 / value:.6g}")):
+        if np.float32(candidate) == single:
+            return candidate
+    return value
