@@ -11,7 +11,7 @@ from aerobalance.io import check_output, column_names, read, read_table, text_ro
 from aerobalance.io.results_file import force_columns, writing
 from aerobalance.io.text_table import read_text_columns
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.errors import ReadError
+from aerobalance.recording.errors import DataQualityWarning, ReadError
 from aerobalance.recording.recording import Recording
 
 ROWS = [(0.0, -1.5, 0.25), (0.625, 2.0, -3.5e-3), (1.25, 1234.5678, 1.0), (1.875, -0.125, 2.0)]
@@ -235,3 +235,34 @@ def test_plain_rows_that_are_wrong_are_named(tmp_path, row):
     path.write_text(f"time [s],AF [N]\n0,1\n0.5,1\n{row}\n")
     with pytest.raises(ReadError, match="line 4"):
         read(path)
+
+
+WAYS = (".7f", ".6e", ".3g", "+.4E", ".12g", ".0f", ".17g", ".25f")
+"""How numbers are written: the last two with more digits than a float has."""
+
+
+@pytest.mark.parametrize("ways", [WAYS[:6], WAYS], ids=["plain", "long"])
+@pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", ","), ("\t", ".")])
+def test_numbers_of_a_long_text_are_right_to_the_last_digit(tmp_path, rng, ways, separator, decimal):
+    numbers = rng.normal(size=(30_000, 3)) * 10.0 ** rng.integers(-9, 9, (30_000, 3))
+    way = rng.integers(len(ways), size=numbers.shape)
+    cells = [[format(x, ways[i]) for x, i in zip(*row, strict=True)] for row in zip(numbers, way, strict=True)]
+    rows = [separator.join([f"{i}e-3", *row]).replace(".", decimal) for i, row in enumerate(cells)]
+    head = separator.join(["time [s]", "AF [N]", "NF [N]", "SF [N]"])
+    (tmp_path / "run.csv").write_text("\n".join([head, *rows, ""]))
+    found = read(tmp_path / "run.csv")
+    for place, name in enumerate(("AF", "NF", "SF")):
+        assert found.channel(name).values.tolist() == [float(row[place]) for row in cells]
+
+
+@pytest.mark.parametrize("cell", ["", "nan", "1,5", "1-2", "1e", ".", "+", "1.2.3", "0x1"])
+def test_a_cell_that_is_no_number_is_found_far_down_in_a_long_text(tmp_path, cell):
+    rows = [f"{i}e-3,{i % 7}.25" for i in range(40_000)]
+    rows[39_000] = f"39000e-3,{cell}"
+    (tmp_path / "run.csv").write_text("\n".join(["time [s],AF [N]", *rows]))
+    if cell in ("", "nan"):
+        with pytest.warns(DataQualityWarning, match="1 of 40000 samples of AF are missing"):
+            assert np.flatnonzero(read(tmp_path / "run.csv").channel("AF").missing).tolist() == [39_000]
+        return
+    with pytest.raises(ReadError, match="line 39002"):
+        read(tmp_path / "run.csv")

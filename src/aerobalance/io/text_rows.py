@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 Lines = Sequence[int] | NDArray[np.intp]
 """Line of every row, counted from 1."""
 
+BLOCK: Final = 1 << 21
+"""Bytes of a table that are worked on at once."""
+
+LITTLE: Final = 1 << 18
+"""Bytes of a table up to which no loop is compiled for it, as that takes a second."""
+
 _SPELT: Final = tuple(
     {spelt for word in MISSING for spelt in (word, word.upper(), word.title(), word.replace("nan", "NaN"))}
 )
@@ -103,47 +109,84 @@ def read_cells(
     if not body or body.isspace():
         return {i: np.empty(0) for i in grid.chosen}, {}, range(0)
     body = _without_last_separators(body)
-    frame = None if texts else _plain(body, grid)
     lines: Lines
-    if frame is not None:
-        lines = range(grid.first, grid.first + len(frame))
+    numbers = None if texts else _plain(body, grid)
+    frame = None
+    if numbers is not None:
+        lines = range(grid.first, grid.first + (next(iter(numbers.values())).size if numbers else 0))
     else:
         frame = _careful(path, body, grid, texts)
         lines = _lines(body, grid.first, len(frame))
-    numbers = {
-        i: frame[i].to_numpy(dtype=np.float64, copy=True, na_value=np.nan) for i in grid.chosen if i not in texts
-    }
+        numbers = {
+            i: frame[i].to_numpy(dtype=np.float64, copy=True, na_value=np.nan) for i in grid.chosen if i not in texts
+        }
     beyond = [(int(places[0]), i, places.size) for i, cells in numbers.items() if (places := take_out(cells)).size]
     if beyond:
         row, number, _ = min(beyond)
         where = f"line {lines[row]}, column {number + 1} ({grid.found.labels[number]!r})"
         warn_quality(f"{path.name}: {beyond_all_measure(sum(count for *_, count in beyond), where)}")
-    told = {i: frame[i].astype(object).fillna("").astype(str).to_list() for i in texts}
+    told = {} if frame is None else {i: frame[i].astype(object).fillna("").astype(str).to_list() for i in texts}
     return numbers, told, lines
 
 
-def _plain(body: bytes, grid: Grid) -> pd.DataFrame | None:
+def _plain(body: bytes, grid: Grid) -> dict[int, Array] | None:
     """Numbers of a table that has no more than digits, signs and as many separators in every row; None of any other.
 
-    That is seen from what is left without the letters of numbers, once through the text. A cell that is empty or no
-    number makes the table another one.
+    A cell that is empty or no number makes the table another one. The text is worked through in blocks that stay in
+    the processor's cache: by a compiled loop, and where a number has too many digits for it, as the others are.
     """
-    import pandas as pd  # noqa: PLC0415 - half a second, and only reading text needs it
-
-    left = body.translate(None, b"0123456789+-eE" + grid.decimal.encode())
-    left = left if left.endswith(b"\n") else left + b"\n"
-    sign, end = grid.separator.encode(), left.find(b"\n")
-    most, rows = end + 1, len(left) // (end + 1)
-    if sign == b" " or not grid.least <= most <= grid.width or left != (sign * end + b"\n") * rows:
+    sign = grid.separator.encode()
+    most = body.count(sign, 0, body.find(b"\n") % (len(body) + 1)) + 1
+    if sign == b" " or not grid.chosen or not grid.least <= most <= grid.width:
         return None
     kept = [i for i in grid.chosen if i < most]
+    there = np.empty((len(kept), body.count(b"\n") + 1))
+    rows = begin = 0
+    while begin < len(body):
+        end = body.rfind(b"\n", begin, begin + BLOCK) + 1 or len(body)
+        found = _fill(memoryview(body)[begin:end], grid, most, kept, there[:, rows:])
+        if found < 0:
+            return None
+        rows, begin = rows + found, end
+    numbers = dict(zip(kept, there[:, :rows], strict=True))
+    return {i: numbers[i] if i in numbers else np.full(rows, np.nan) for i in grid.chosen}
+
+
+def _fill(block: memoryview, grid: Grid, width: int, kept: list[int], there: Array) -> int:
+    """Put the numbers of a block into an array, shape (columns, n); the number of its rows, below zero for none."""
+    if len(block) > LITTLE:
+        from aerobalance.io._text_kernels import plain_numbers  # noqa: PLC0415 - compiled loops take time to load
+
+        places = np.full(width, -1)
+        places[kept] = np.arange(len(kept))
+        cells = np.frombuffer(block, dtype=np.uint8)
+        rows = plain_numbers(cells, ord(grid.separator), ord(grid.decimal), places, there)
+        if rows >= 0:
+            return rows
+    frame = _plain_block(bytes(block), grid, width, kept)
+    if frame is None:
+        return -1
+    for place, i in enumerate(kept):
+        there[place, : len(frame)] = frame[i].to_numpy()
+    return len(frame)
+
+
+def _plain_block(block: bytes, grid: Grid, width: int, kept: list[int]) -> pd.DataFrame | None:
+    """Cells of a plain block, as is seen from what is left without the letters of numbers; None of any other."""
+    import pandas as pd  # noqa: PLC0415 - half a second, and only reading text needs it
+
+    left = block.translate(None, b"0123456789+-eE" + grid.decimal.encode())
+    left = left if left.endswith(b"\n") else left + b"\n"
+    rows = len(left) // width
+    if left != (grid.separator.encode() * (width - 1) + b"\n") * rows:
+        return None
     try:
         frame = pd.read_csv(
-            io.BytesIO(body),
+            io.BytesIO(block),
             sep=grid.separator,
             decimal=grid.decimal,
             header=None,
-            names=list(range(most)),
+            names=list(range(width)),
             usecols=kept,
             index_col=False,
             dtype=np.float64,
@@ -151,7 +194,7 @@ def _plain(body: bytes, grid: Grid) -> pd.DataFrame | None:
         )
     except (ValueError, pd.errors.ParserError, OverflowError):
         return None
-    return frame.reindex(columns=grid.chosen) if len(frame) == rows else None
+    return frame if len(frame) == rows else None
 
 
 def _careful(path: Path, body: bytes, grid: Grid, texts: Sequence[int]) -> pd.DataFrame:

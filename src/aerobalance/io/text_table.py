@@ -183,8 +183,9 @@ def decoded(path: Path, encoding: str | None) -> tuple[bytes, str]:
         if raw.startswith(bom) and found.replace("_", "-").lower().startswith(name[:6]):
             raw, found = raw[len(bom) :], name
             break
+    plain = raw.isascii()
     try:
-        if found not in ("utf-8", "ascii") or not raw.isascii():
+        if found not in ("utf-8", "ascii") or not plain:
             raw.decode(found)
     except (UnicodeDecodeError, LookupError) as error:
         if encoding is not None:
@@ -207,7 +208,7 @@ def decoded(path: Path, encoding: str | None) -> tuple[bytes, str]:
         line = raw.count(b"\n", 0, nul) + 1
         raise ReadError(path, f"line {line}", "holds zero bytes: the file is damaged, or no text; allowed: numbers")
     # what is plain in all encodings does not tell which one the other files of the same recorder have
-    return raw, "ascii" if found == "utf-8" and raw.isascii() else found
+    return raw, "ascii" if found == "utf-8" and plain else found
 
 
 def _decodes(raw: bytes, encoding: str) -> bool:

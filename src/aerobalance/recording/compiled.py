@@ -29,6 +29,7 @@ SOURCES: Final = (
     "estimation/live/_live_kernels.py",
     "estimation/spectra/_kernels.py",
     "estimation/statespace/_kernels.py",
+    "io/_text_kernels.py",
     "recording/compiled.py",
 )
 """Files that decide on what is compiled; the types of arguments are defined in them too."""
