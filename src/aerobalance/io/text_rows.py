@@ -77,7 +77,7 @@ class Grid:
 
 
 def read_cells(
-    path: Path, body: bytes, grid: Grid, *, texts: Sequence[int] = ()
+    path: Path, text: bytes, grid: Grid, *, begin: int = 0, texts: Sequence[int] = ()
 ) -> tuple[dict[int, Array], dict[int, list[str]], Lines]:
     """Read the cells of the chosen columns.
 
@@ -85,10 +85,12 @@ def read_cells(
     ----------
     path
         The file, for messages.
-    body
+    text
         The rows, in UTF-8.
     grid
         Which columns, and how they are laid out.
+    begin
+        Where the rows begin in the text.
     texts
         Columns whose cells are wanted as they stand; those of the others have to be numbers.
 
@@ -106,15 +108,16 @@ def read_cells(
     ReadError
         A row has too few or too many cells, or a cell is no number.
     """
-    if not body or body.isspace():
+    if not text[begin : begin + 4096].strip() and not text[begin:].strip():
         return {i: np.empty(0) for i in grid.chosen}, {}, range(0)
-    body = _without_last_separators(body)
+    end = _without_last_separators(text, begin)
     lines: Lines
-    numbers = None if texts else _plain(body, grid)
+    numbers = None if texts else _plain(text, begin, end, grid)
     frame = None
     if numbers is not None:
         lines = range(grid.first, grid.first + (next(iter(numbers.values())).size if numbers else 0))
     else:
+        body = text[begin:end]
         frame = _careful(path, body, grid, texts)
         lines = _lines(body, grid.first, len(frame))
         numbers = {
@@ -129,22 +132,23 @@ def read_cells(
     return numbers, told, lines
 
 
-def _plain(body: bytes, grid: Grid) -> dict[int, Array] | None:
+def _plain(text: bytes, begin: int, last: int, grid: Grid) -> dict[int, Array] | None:
     """Numbers of a table that has no more than digits, signs and as many separators in every row; None of any other.
 
     A cell that is empty or no number makes the table another one. The text is worked through in blocks that stay in
     the processor's cache: by a compiled loop, and where a number has too many digits for it, as the others are.
     """
     sign = grid.separator.encode()
-    most = body.count(sign, 0, body.find(b"\n") % (len(body) + 1)) + 1
+    line = text.find(b"\n", begin, last)
+    most = text.count(sign, begin, last if line < 0 else line) + 1
     if sign == b" " or not grid.chosen or not grid.least <= most <= grid.width:
         return None
     kept = [i for i in grid.chosen if i < most]
-    there = np.empty((len(kept), body.count(b"\n") + 1))
-    rows = begin = 0
-    while begin < len(body):
-        end = body.rfind(b"\n", begin, begin + BLOCK) + 1 or len(body)
-        found = _fill(memoryview(body)[begin:end], grid, most, kept, there[:, rows:])
+    there = np.empty((len(kept), text.count(b"\n", begin, last) + 1))
+    rows = 0
+    while begin < last:
+        end = text.rfind(b"\n", begin, min(begin + BLOCK, last)) + 1 or last
+        found = _fill(memoryview(text)[begin:end], grid, most, kept, there[:, rows:])
         if found < 0:
             return None
         rows, begin = rows + found, end
@@ -223,13 +227,13 @@ def _careful(path: Path, body: bytes, grid: Grid, texts: Sequence[int]) -> pd.Da
     return frame.reindex(columns=grid.chosen)
 
 
-def _without_last_separators(body: bytes) -> bytes:
-    """Leave out last rows that hold nothing but separators, as spreadsheets write them."""
-    end = len(body)
+def _without_last_separators(text: bytes, begin: int) -> int:
+    """Where the rows end, without last ones that hold nothing but separators, as spreadsheets write them."""
+    end = len(text)
     while True:
-        last = body.rfind(b"\n", 0, max(0, end - 1)) + 1
-        if last == 0 or body[last:end].strip(b' ;,\t"\n'):
-            return body if end == len(body) else body[:end]
+        last = text.rfind(b"\n", begin, max(begin, end - 1)) + 1
+        if last == 0 or text[last:end].strip(b' ;,\t"\n'):
+            return end
         end = last
 
 

@@ -101,8 +101,8 @@ def read_text_table(
     found = _recognised(path, text, layout, encoding)
     if found.header_line == 0 and layout.header_line is None and wanted is None:
         _no_header(path, text, found)
-    body = text[_offset(text, found.first) :]
-    found = found if found.decimal else replace(found, decimal=_decimal(body, found.separator))
+    begin = _offset(text, found.first)
+    found = found if found.decimal else replace(found, decimal=_decimal(text[begin:], found.separator))
     empty = np.empty(0)
     heads = [
         RawColumn(label, name, unit, empty, i + 1)
@@ -116,7 +116,7 @@ def read_text_table(
     kept = [i for i in chosen if i not in dropped or i in late]
     grid = Grid(found, tuple(kept))
     stamps = [i for i in kept if found.kinds[i] == "stamp" and not found.is_number(i)]
-    numbers, told, lines = read_cells(path, body, grid, texts=(*late, *stamps))
+    numbers, told, lines = read_cells(path, text, grid, begin=begin, texts=(*late, *stamps))
     columns = {i: replace(heads[i], values=values) for i, values in numbers.items()}
     epoch: np.datetime64 | None = None
     for i, cells in told.items():
