@@ -19,7 +19,7 @@ from aerobalance.app.cli import main
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.estimation.force import ForceWork, estimate_force
 from aerobalance.estimation.force_parts import DIVISION, Division
-from aerobalance.io import read, write_recording
+from aerobalance.io import load_channel_map, read, write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
 from aerobalance.io.hdf5_parts import opened_record
@@ -115,6 +115,79 @@ def test_a_file_with_another_time_column_is_read_whole(tmp_path, seed, fault):
         with open_record(tmp_path / "run.h5") as record:
             assert isinstance(record, Recording)
             same(record, read(tmp_path / "run.h5"))
+
+
+@pytest.fixture
+def short_texts_are_long(monkeypatch):
+    monkeypatch.setattr("aerobalance.io.text_parts.LONG", 1000)
+    monkeypatch.setattr("aerobalance.io.text_parts.AT_ONCE", 50_000)
+
+
+def long_rows(seed: int, *, separator: str = ",", count: int = 70_000) -> list[str]:
+    """Rows of a text: the sample, the time in ms, two channels."""
+    values = np.random.default_rng(seed).normal(size=(count, 2))
+    return [separator.join([str(i), f"{i / 2:g}", f"{x:.5f}", f"{y:.3e}"]) for i, (x, y) in enumerate(values.tolist())]
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_long_text_is_read_in_parts(tmp_path, seed, short_texts_are_long, end):
+    rows = long_rows(seed)
+    rows[60_000] = "60000,30000,,2.5"
+    (tmp_path / "run.csv").write_text(
+        end.join(["time [ms],AF [N],NF [N]", *(row.split(",", 1)[1] for row in rows)]), newline=""
+    )
+    whole = quiet(lambda: read(tmp_path / "run.csv"))
+    with open_record(tmp_path / "run.csv") as record:
+        assert not isinstance(record, Recording)
+        assert (record.samples, record.rate) == (whole.samples, pytest.approx(whole.rate, rel=1e-13))
+        assert record.part(0, 10).time_unit == "ms"
+        for begin, end_of in ((0, 1500), (59_000, 61_000), (69_990, 70_000)):
+            same(quiet(lambda b=begin, e=end_of: record.part(b, e)), whole.part(begin, end_of))
+
+
+def test_a_long_text_with_a_channel_map_is_read_in_parts(tmp_path, seed, short_texts_are_long):
+    head = "Satz;Zeit [ms];Kraft ö [lbf];Auftrieb"
+    rows = [row.replace(".", ",") for row in long_rows(seed, separator=";")]
+    (tmp_path / "run.csv").write_text("\n".join(["\ufeffMessung 7", "", head, *rows, ";;;"]), encoding="utf-8")
+    channels = '[channels.AF]\ncolumn = "Kraft ö"\nsign = -1\n[channels.NF]\ncolumn = 4\nunit = "N"\n'
+    for number, file in enumerate(("", "[file]\nrate = 2010\n")):
+        (tmp_path / f"{number}.toml").write_text(file + channels, encoding="utf-8")
+        chosen = load_channel_map(tmp_path / f"{number}.toml")
+        whole = read(tmp_path / "run.csv", channel_map=chosen)
+        with open_record(tmp_path / "run.csv", channel_map=chosen) as record:
+            assert not isinstance(record, Recording)
+            assert whole.rate == pytest.approx((2000, 2010)[number])
+            same(record.part(65_000, 70_000), whole.part(65_000, 70_000))
+
+
+@pytest.mark.parametrize("fault", ["dates", "gap", "carriage returns", "other letters"])
+def test_a_text_out_of_the_common_is_read_whole(tmp_path, seed, short_texts_are_long, fault):
+    rows = [row.split(",", 1)[1] for row in long_rows(seed)]
+    head, end, encoding = "time [ms],AF [N],NF [N]", "\n", "utf-8"
+    if fault == "dates":
+        head, rows = "date," + head, [f"2024-03-12 10:15:{i / 2000 % 60:09.6f},{row}" for i, row in enumerate(rows)]
+    elif fault == "gap":
+        del rows[65_000:65_010]
+    elif fault == "carriage returns":
+        end = "\r"
+    else:
+        head, encoding = head + ",ö [N]", "cp1252"
+        rows = [row + ",1" for row in rows]
+    (tmp_path / "run.csv").write_text(end.join([head, *rows]), encoding=encoding, newline="")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        with open_record(tmp_path / "run.csv") as record:
+            assert isinstance(record, Recording)
+            same(record, read(tmp_path / "run.csv"))
+
+
+@pytest.mark.parametrize("cell", ["1.5.2", "1.5,7"])
+def test_a_fault_far_down_in_a_long_text_is_named_by_its_line(tmp_path, seed, short_texts_are_long, cell):
+    rows = [row.split(",", 1)[1] for row in long_rows(seed)]
+    rows[66_666] = rows[66_666].rsplit(",", 1)[0] + "," + cell
+    (tmp_path / "run.csv").write_text("\n".join(["time [ms],AF [N],NF [N]", *rows]))
+    with pytest.raises(ReadError, match="line 66668"), open_record(tmp_path / "run.csv"):
+        pass
 
 
 def test_short_and_foreign_files_are_read_whole(tmp_path, seed):

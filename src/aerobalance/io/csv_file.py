@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from aerobalance.io.columns import Append, Heading, RawColumns
+from aerobalance.io.channel_map import ChannelMap
+from aerobalance.io.clocks import steady_clock_of
+from aerobalance.io.columns import Append, Clock, Heading, RawColumns
 from aerobalance.io.measure import without_infinities
 from aerobalance.io.safe_write import replacing
+from aerobalance.io.series import Matrix, Series
+from aerobalance.io.series_record import SeriesRecord, seconds
 from aerobalance.io.table import Table, table_from
 from aerobalance.io.text_clock import ALIKE
 from aerobalance.io.text_layout import Layout, TextLayout
-from aerobalance.io.text_table import describe_text, guess_encoding, read_text_columns, read_text_table
+from aerobalance.io.text_parts import long_text
+from aerobalance.io.text_table import (
+    chosen_columns,
+    describe_text,
+    guess_encoding,
+    heads_of,
+    read_text_columns,
+    read_text_table,
+)
 from aerobalance.io.toml_file import quoted
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError, warn_quality
@@ -66,11 +78,66 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
     raw, found = read_text_table(
         path, layout, wanted=wanted, texts_dropped=wanted is None, clock_wanted=not given.clocked
     )
-    _compare_clocks(path, found, given)
-    plain = any(column.name == "time" and not column.stamped for column in raw.columns) and wanted is None
+    return _with_clock(raw, found, given, named=wanted is None)
+
+
+@contextmanager
+def opened_parts(path: Path, channel_map: ChannelMap | None) -> Iterator[SeriesRecord | None]:
+    """Read a long file into one of its numbers, to read parts of that; None where it must be read whole.
+
+    It is read whole where a column holds anything but numbers, where its clock is not steady, and where the map has
+    the time as a column or derives a channel.
+
+    Raises
+    ------
+    ReadError
+        The file is no table of numbers, or its clock is not certain.
+    """
+    with ExitStack() as stack:
+        yield None if channel_map is not None and channel_map.needs_all else _record(path, channel_map, stack)
+
+
+def _record(path: Path, channel_map: ChannelMap | None, stack: ExitStack) -> SeriesRecord | None:
+    layout, wanted = (Layout(), None) if channel_map is None else (channel_map.layout, channel_map.wanted)
+    long = long_text(path, layout)
+    if long is None or (long.found.header_line == 0 and layout.header_line is None and wanted is None):
+        return None
+    found = long.found
+    chosen = chosen_columns(path, found, wanted, clock_wanted=not layout.clocked)
+    if any(found.kinds[i] != "number" for i in chosen):
+        return None
+    table = stack.enter_context(long.table(chosen))
+    if table is None or table.shape[0] < 2:
+        return None
+    heads = heads_of(found)
+    bare = RawColumns(path, tuple(heads[i] for i in chosen), range(1, table.shape[0] + 1))
+    raw = _with_clock(bare, found, layout, named=wanted is None)
+    times = [column.number for column in raw.columns if column.name == "time"] if raw.rate is None else []
+    number = raw.time or next(iter(times), None)
+    matrix = Matrix(table)
+    series = {
+        column.number: Series(
+            column.label, column.name, column.unit, table.shape[0], matrix.reader(chosen.index(column.number - 1))
+        )
+        for column in raw.columns
+    }
+    rate = layout.rate or raw.rate
+    axis = series.pop(number, None) if number is not None and rate is None else None
+    clock = Clock(0.0 if layout.rate else raw.start, 1 / rate) if rate else None
+    if axis is not None and axis.unit:
+        clock = steady_clock_of(lambda begin, end: seconds(path, axis, begin, end), axis.samples)
+    if clock is None or not series:
+        return None
+    return SeriesRecord(path, tuple(series.items()), clock, axis, channel_map, None)
+
+
+def _with_clock(raw: RawColumns, found: TextLayout, given: Layout, *, named: bool) -> RawColumns:
+    """Give columns the clock of their file, unless somebody says it or they have a column that is called time."""
+    _compare_clocks(raw.path, found, given)
+    plain = any(column.name == "time" and not column.stamped for column in raw.columns) and named
     if given.clocked or plain:
         return raw
-    return _clocked(raw, found, named=wanted is None)
+    return _clocked(raw, found, named=named)
 
 
 def _compare_clocks(path: Path, found: TextLayout, given: Layout) -> None:

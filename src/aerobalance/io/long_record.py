@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Final
 
-from aerobalance.io import Format, format_of, hdf5_file, read, tdms_file
+from aerobalance.io import Format, csv_file, format_of, hdf5_file, read, tdms_file
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.hdf5_parts import opened_record
 from aerobalance.io.series_format import SeriesFormat
@@ -71,4 +71,6 @@ def _series(path: Path, form: Format, channel_map: ChannelMap | None) -> Abstrac
         return opened_series(path, form.reader, channel_map)
     if form is tdms_file:
         return tdms_file.opened_parts(path, channel_map)
+    if form is csv_file:
+        return csv_file.opened_parts(path, channel_map)
     return nullcontext()

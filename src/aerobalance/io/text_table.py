@@ -103,14 +103,8 @@ def read_text_table(
         _no_header(path, text, found)
     begin = _offset(text, found.first)
     found = found if found.decimal else replace(found, decimal=_decimal(text[begin:], found.separator))
-    empty = np.empty(0)
-    heads = [
-        RawColumn(label, name, unit, empty, i + 1)
-        for i, (label, name, unit) in enumerate(zip(found.labels, found.names, found.units, strict=True))
-    ]
-    chosen = _chosen(path, heads, found, wanted)
-    if clock_wanted and found.clock is not None:
-        chosen = sorted({*chosen, found.clock.column})
+    heads = heads_of(found)
+    chosen = chosen_columns(path, found, wanted, clock_wanted=clock_wanted)
     dropped = [i for i in chosen if texts_dropped and _droppable(found, i)]
     late = [i for i in dropped if found.kinds[i] == "missing"]
     kept = [i for i in chosen if i not in dropped or i in late]
@@ -279,14 +273,26 @@ def _offset(text: bytes, line: int) -> int:
     return position
 
 
-def _chosen(
-    path: Path, heads: Sequence[RawColumn], found: TextLayout, wanted: Sequence[str | int] | None
+def heads_of(found: TextLayout) -> list[RawColumn]:
+    """Return the columns of a text file, without their cells."""
+    empty = np.empty(0)
+    return [
+        RawColumn(label, name, unit, empty, i + 1)
+        for i, (label, name, unit) in enumerate(zip(found.labels, found.names, found.units, strict=True))
+    ]
+
+
+def chosen_columns(
+    path: Path, found: TextLayout, wanted: Sequence[str | int] | None, *, clock_wanted: bool
 ) -> list[int]:
+    """Return the columns that are wanted, counted from 0; all where left out, and the clock if it is wanted."""
+    heads = heads_of(found)
     if wanted is None:
         return list(range(len(heads)))
     stub = RawColumns(path, tuple(heads), range(0))
     where = f"line {max(found.header_line, 1)}"
-    return sorted({stub.find(key, where=where).number - 1 for key in wanted})
+    chosen = {stub.find(key, where=where).number - 1 for key in wanted}
+    return sorted(chosen | ({found.clock.column} if clock_wanted and found.clock is not None else set()))
 
 
 def _droppable(found: TextLayout, i: int) -> bool:
