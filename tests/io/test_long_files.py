@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from aerobalance.app.cli import main
+from aerobalance.app.commands.recordings import info
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.estimation.force import ForceWork, estimate_force
 from aerobalance.estimation.force_parts import DIVISION, Division
@@ -231,6 +232,22 @@ def test_temperature_is_less_its_mean_over_the_whole_record(tmp_path):
         found = record.part(10, 20).extent.means["temperature"]
     assert found == pytest.approx(25.0, rel=1e-12)
     assert made.part(10, 20).extent.means["temperature"] == pytest.approx(25.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("lost", [(50_000, 50_500), (59_800, 60_100), (60_000, 60_300)])
+def test_info_of_a_long_record_is_that_of_its_parts(tmp_path, seed, monkeypatch, lost):
+    path = ticking(tmp_path / "run.h5", load(seed), rows=8192, lost=lost)
+    whole = quiet(lambda: info(path))
+    monkeypatch.setattr("aerobalance.app.commands.recordings.LOOKED_AT_ONCE", 30_000)
+    parts = quiet(lambda: info(path))
+    one, other = whole["channels"].pop("AF"), parts["channels"].pop("AF")
+    assert [gap["length"] for gap in parts["gaps"]] == [pytest.approx((lost[1] - lost[0]) / RATE)]
+    for key in ("file", "duration", "rate", "samples", "start", "epoch", "channels"):
+        assert parts[key] == whole[key]
+    assert [gap["start"] for gap in parts["gaps"]] == pytest.approx([gap["start"] for gap in whole["gaps"]])
+    assert (other["least"], other["largest"], other["missing"]) == (one["least"], one["largest"], one["missing"])
+    assert other["mean"] == pytest.approx(one["mean"], rel=1e-12)
+    assert other["noise"] == pytest.approx(one["noise"], rel=0.05)  # some 30 000 readings tell a noise to 1 %
 
 
 # --- forces

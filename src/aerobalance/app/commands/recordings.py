@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, cast
 
@@ -29,7 +29,8 @@ from aerobalance.recording.channel import Channel, SensorSpec
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.joining import account, join
 from aerobalance.recording.noise import channel_noise
-from aerobalance.recording.parts import LongRecord
+from aerobalance.recording.part_warnings import PartWarnings
+from aerobalance.recording.parts import LongRecord, parts_of
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import conversion_for, edge_unit
 
@@ -40,33 +41,97 @@ NO_TIME: Final = 1e-12
 """Share of the length of a recording below which an instant is zero but for rounding."""
 
 
+LOOKED_AT_ONCE: Final = 1 << 19
+"""Samples of a record that are looked at at once."""
+
+
 def info(path: Path, *, channel_map: Path | None = None) -> Result:
     """Channels, units, rate, duration, gaps and saturation of a recording."""
-    with collected_warnings() as collected:
-        recording = raw_recording(path, channel_map)
-    result: Result = {
-        "file": path.name,
-        "duration": recording.duration,
-        "rate": recording.rate,
-        "samples": recording.samples,
-        "start": recording.start if abs(recording.start) > NO_TIME * recording.duration else 0.0,
-        "epoch": None if recording.epoch is None else str(recording.epoch),
-        "gaps": [{"start": start, "length": length} for start, length in recording.gaps],
-        "channels": {channel.name: _channel_result(channel) for channel in recording},
-        "warnings": collected,
-    }
+    with collected_warnings() as collected, opened(path, channel_map) as record:
+        told, gaps = PartWarnings(record), _Gaps(record.rate)
+        found: dict[str, list[_Looked]] = {}
+        for part in parts_of(record.samples, length=LOOKED_AT_ONCE, margin=0):
+            with told.of(part):
+                recording = record.part(part.first, part.stop)
+            gaps.add(recording, part.first)
+            for channel in recording:
+                found.setdefault(channel.name, []).append(_Looked.at(channel))
+        told.tell()
+        duration = (record.samples - 1) / record.rate
+        result: Result = {
+            "file": path.name,
+            "duration": duration,
+            "rate": record.rate,
+            "samples": record.samples,
+            "start": record.start if abs(record.start) > NO_TIME * duration else 0.0,
+            "epoch": None if record.epoch is None else str(record.epoch),
+            "gaps": [{"start": start, "length": length} for start, length in gaps.found],
+            "channels": {channel.name: _channel_result(channel, found[channel.name]) for channel in recording},
+            "warnings": collected,
+        }
     return {**result, "summary": summary(result)}
 
 
-def _channel_result(channel: Channel) -> Result:
-    """Plain data on a channel, in the unit of the file; under ``si`` the same in the unit that is calculated with."""
-    known = channel.values[~channel.missing]
-    enough = known.size >= 8 and float(np.ptp(known)) > 0
-    noise = channel_noise(channel) if enough else None
+@dataclass(slots=True)
+class _Gaps:
+    """Gaps of a record of which the parts come one after the other: start and length of each [s]."""
+
+    rate: float
+    found: list[tuple[float, float]] = field(default_factory=list)
+    _last: tuple[int, float] | None = None
+
+    def add(self, recording: Recording, begin: int) -> None:
+        """Take the next part, which begins at a sample."""
+        rows = recording.rows + begin
+        if not rows.size:
+            return
+        if self._last is not None and rows[0] - self._last[0] > 1:
+            self.found.append((self._last[1], float((rows[0] - self._last[0] - 1) / self.rate)))
+        self.found += recording.gaps
+        self._last = int(rows[-1]), float(recording.stamps[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class _Looked:
+    """What a part of a channel is, in the unit that is calculated with; None where it has no or too few readings."""
+
+    count: int
+    least: float | None
+    mean: float | None
+    largest: float | None
+    noise: float | None
+    missing: int
+    saturated: int
+
+    @classmethod
+    def at(cls, channel: Channel) -> _Looked:
+        """Look at it."""
+        known = channel.values[~channel.missing]
+        there = known.size > 0
+        return cls(
+            known.size,
+            float(known.min()) if there else None,
+            float(known.mean()) if there else None,
+            float(known.max()) if there else None,
+            channel_noise(channel) if known.size >= 8 and float(np.ptp(known)) > 0 else None,
+            int(channel.missing.sum()),
+            int(channel.saturated.sum()),
+        )
+
+
+def _channel_result(channel: Channel, looked: Sequence[_Looked]) -> Result:
+    """Plain data on a channel, in the unit of the file; under ``si`` the same in the unit that is calculated with.
+
+    The noise is the median of those of its parts.
+    """
+    noises = [one.noise for one in looked if one.noise is not None]
+    noise = float(np.median(noises)) if noises else None
+    known = [one for one in looked if one.count]
+    total = sum(one.count for one in known)
     inside: Result = {
-        "least": float(known.min()) if known.size else None,
-        "mean": float(known.mean()) if known.size else None,
-        "largest": float(known.max()) if known.size else None,
+        "least": min((one.least for one in known if one.least is not None), default=None),
+        "mean": sum(one.count / total * one.mean for one in known if one.mean is not None) if known else None,
+        "largest": max((one.largest for one in known if one.largest is not None), default=None),
     }
     unit = channel.file_unit or edge_unit(channel.name, channel.unit)
     change = conversion_for(channel.name, unit) if unit != channel.unit else None
@@ -80,8 +145,8 @@ def _channel_result(channel: Channel) -> Result:
         **outside,
         "noise": noise if change is None or noise is None else noise / abs(change.factor),
         "si": {"unit": channel.unit, **inside, "noise": noise},
-        "missing": int(channel.missing.sum()),
-        "saturated": int(channel.saturated.sum()),
+        "missing": sum(one.missing for one in looked),
+        "saturated": sum(one.saturated for one in looked),
     }
 
 
