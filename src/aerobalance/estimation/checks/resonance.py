@@ -23,8 +23,8 @@ from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.force_smoother import instant_columns
 from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares, periodogram_of
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
-from aerobalance.estimation.spectra.periodogram import LONGEST
-from aerobalance.estimation.spectra.whittle import fit_spectrum
+from aerobalance.estimation.spectra.periodogram import LONGEST, Periodogram
+from aerobalance.estimation.spectra.whittle import SpectrumFit, fit_spectrum, refit_spectrum
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.steps import Step, response_to
 from aerobalance.recording.channel import Array
@@ -174,18 +174,31 @@ class Evidence:
     white: float | None = None
     color: ColoredNoise | ShapedNoise | None = None
     rising: bool = False
-    _known: dict[tuple[float, ...], float] = field(default_factory=dict)
+    _known: dict[tuple[float, ...], SpectrumFit] = field(default_factory=dict)
 
     def of(self, dynamics: Dynamics) -> float:
         """Logarithm of the likelihood of the reading with dynamics, less the price of the force's spectrum."""
+        return self._fit(dynamics).evidence
+
+    def nearly(self, dynamics: Dynamics, start: Dynamics) -> float:
+        """The same, at most, of dynamics nearly like others: with a spectrum of the kind that is best with those."""
+        periodogram = self._periodogram(dynamics)
+        return refit_spectrum(
+            periodogram, self._fit(start), noise_density=self.white, floor=self.floor, rising=self.rising
+        ).evidence
+
+    def _fit(self, dynamics: Dynamics) -> SpectrumFit:
         key = tuple(number for mode in dynamics.modes for number in (*_numbers(mode),))
         if key not in self._known:
-            reading = Observation(self.values, self.interval, dynamics, color=self.color)
-            periodogram = periodogram_of(reading, self.values, share=1.0)
+            periodogram = self._periodogram(dynamics)
             self._known[key] = fit_spectrum(
                 periodogram, noise_density=self.white, floor=self.floor, rising=self.rising
-            ).evidence
+            )
         return self._known[key]
+
+    def _periodogram(self, dynamics: Dynamics) -> Periodogram:
+        reading = Observation(self.values, self.interval, dynamics, color=self.color)
+        return periodogram_of(reading, self.values, share=1.0)
 
     def peaks(self, dynamics: Dynamics) -> list[float]:
         """Frequencies of narrow peaks that are no known mode's, the highest over its surroundings first [Hz]."""
@@ -404,7 +417,7 @@ def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamic
 
     def loss(point: Array) -> float:
         try:
-            return -evidence.of(made(point * scale * size))
+            return -evidence.nearly(made(point * scale * size), start)
         except ValueError:  # outside what dynamics can be
             return 1e12
 

@@ -69,8 +69,8 @@ def without_tones(loads: Array, *, above: float = 0.0) -> Array:
 def _nearest_sine(spectrum: NDArray[np.complex128], place: int, count: int) -> tuple[float, float]:
     """Frequency of the sine nearest to a peak [rad/sample], and the power that it leaves of that.
 
-    The ordinates about the peak, turned back into a slow complex series, have all that a sine shows: some sixty numbers
-    in the place of the record.
+    The ordinates about the peak, turned back into a slow complex series, have all that a sine shows: some sixty
+    numbers in the place of the record.
 
     Parameters
     ----------
