@@ -26,8 +26,11 @@ HERE = Path(__file__).parent
 RATE = 25_000.0
 CHANNELS = ("NF", "PM", "SF", "YM", "RM", "AF", "rNF", "rPM", "rSF", "rYM", "rRM", "rAF")
 UNITS = ("N", "N*m", "N", "N*m", "N*m", "N", *["mV/V"] * 6)
-SMALLER = {"MATLAB 7.3": 5, "UFF 58": 100, "UFF 58b": 10, "text (CSV)": 50}
+SMALLER = {"MATLAB 7.3": 5, "UFF 58": 100, "UFF 58b": 10, "text (CSV)": 10}
 """Formats of which files are shorter by so much, as the library alone takes minutes, or the file is text."""
+
+SMALL = {"text (CSV)": 150_000}
+"""Samples of the files that are read first, where it takes so many that all libraries are loaded."""
 
 HEAD = """# Formats
 
@@ -352,7 +355,7 @@ def row(name: str, samples: int, folder: Path) -> dict[str, Any]:
     file, library, lazy, write, _, _ = FORMATS[name]
     samples //= SMALLER.get(name, 1)
     path = folder / file
-    for place, count in ((path, samples), (folder / f"small-{file}", 1000)):
+    for place, count in ((path, samples), (folder / f"small-{file}", SMALL.get(name, 1000))):
         if place.is_dir():
             shutil.rmtree(place)
         place.unlink(missing_ok=True)

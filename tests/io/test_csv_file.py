@@ -220,7 +220,7 @@ def test_plain_numbers_are_read_as_any_others_are(tmp_path, monkeypatch, what):
         warnings.simplefilter("always")
         found = read(path)
     assert asked == ([] if is_plain else [1])
-    monkeypatch.setattr(text_rows, "_plain", lambda *_: None)
+    monkeypatch.setattr(text_rows, "_plain", lambda *_, **__: None)
     with warnings.catch_warnings(record=True) as second:
         warnings.simplefilter("always")
         again = read(path)
@@ -237,12 +237,18 @@ def test_plain_rows_that_are_wrong_are_named(tmp_path, row):
         read(path)
 
 
+@pytest.fixture
+def short_texts_are_long(monkeypatch):
+    monkeypatch.setattr(text_rows, "LONG", 1000)
+
+
 WAYS = (".7f", ".6e", ".3g", "+.4E", ".12g", ".0f", ".17g", ".25f")
 """How numbers are written: the last two with more digits than a float has."""
 
 
 @pytest.mark.parametrize("ways", [WAYS[:6], WAYS], ids=["plain", "long"])
 @pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", ","), ("\t", ".")])
+@pytest.mark.usefixtures("short_texts_are_long")
 def test_numbers_of_a_long_text_are_right_to_the_last_digit(tmp_path, rng, ways, separator, decimal):
     numbers = rng.normal(size=(30_000, 3)) * 10.0 ** rng.integers(-9, 9, (30_000, 3))
     way = rng.integers(len(ways), size=numbers.shape)
@@ -256,6 +262,7 @@ def test_numbers_of_a_long_text_are_right_to_the_last_digit(tmp_path, rng, ways,
 
 
 @pytest.mark.parametrize("cell", ["", "nan", "1,5", "1-2", "1e", ".", "+", "1.2.3", "0x1"])
+@pytest.mark.usefixtures("short_texts_are_long")
 def test_a_cell_that_is_no_number_is_found_far_down_in_a_long_text(tmp_path, cell):
     rows = [f"{i}e-3,{i % 7}.25" for i in range(40_000)]
     rows[39_000] = f"39000e-3,{cell}"

@@ -18,11 +18,8 @@ import numpy as np
 from aerobalance.io.opening import opened_file
 from aerobalance.io.text_layout import HEAD, Layout, TextLayout, recognise
 from aerobalance.io.text_limits import check_columns, check_lines
-from aerobalance.io.text_rows import Grid, read_cells
+from aerobalance.io.text_rows import LONG, Grid, read_cells
 from aerobalance.recording.errors import ReadError
-
-LONG: Final = 1 << 24
-"""Size of a text from which on it is read in parts [bytes]."""
 
 AT_ONCE: Final = 1 << 22
 """Bytes of a text that are read at once."""
@@ -101,7 +98,7 @@ class LongText:
                 if not block.strip(_NOTHING):
                     return not given  # the end of the text, or a hole in it
                 grid = Grid(replace(self.found, first=line), tuple(chosen))
-                numbers, _, _ = read_cells(self.path, block, grid)
+                numbers, _, _ = read_cells(self.path, block, grid, long=True)
                 try:
                     held.write(np.column_stack([numbers[i] for i in chosen]).tobytes())
                 except OSError:  # no place on the disk, which is no fault of the file that is read

@@ -27,8 +27,8 @@ Lines = Sequence[int] | NDArray[np.intp]
 BLOCK: Final = 1 << 21
 """Bytes of a table that are worked on at once."""
 
-LITTLE: Final = 1 << 18
-"""Bytes of a table up to which no loop is compiled for it, as that takes a second."""
+LONG: Final = 1 << 24
+"""Size of a text from which on a compiled loop reads it, which takes half a second to load [bytes]."""
 
 _SPELT: Final = tuple(
     {spelt for word in MISSING for spelt in (word, word.upper(), word.title(), word.replace("nan", "NaN"))}
@@ -77,7 +77,7 @@ class Grid:
 
 
 def read_cells(
-    path: Path, text: bytes, grid: Grid, *, begin: int = 0, texts: Sequence[int] = ()
+    path: Path, text: bytes, grid: Grid, *, begin: int = 0, texts: Sequence[int] = (), long: bool = False
 ) -> tuple[dict[int, Array], dict[int, list[str]], Lines]:
     """Read the cells of the chosen columns.
 
@@ -93,6 +93,8 @@ def read_cells(
         Where the rows begin in the text.
     texts
         Columns whose cells are wanted as they stand; those of the others have to be numbers.
+    long
+        Whether they are some of the rows of a long text.
 
     Returns
     -------
@@ -112,7 +114,7 @@ def read_cells(
         return {i: np.empty(0) for i in grid.chosen}, {}, range(0)
     end = _without_last_separators(text, begin)
     lines: Lines
-    numbers = None if texts else _plain(text, begin, end, grid)
+    numbers = None if texts else _plain(text, begin, end, grid, long=long or len(text) > LONG)
     frame = None
     if numbers is not None:
         lines = range(grid.first, grid.first + (next(iter(numbers.values())).size if numbers else 0))
@@ -132,11 +134,11 @@ def read_cells(
     return numbers, told, lines
 
 
-def _plain(text: bytes, begin: int, last: int, grid: Grid) -> dict[int, Array] | None:
+def _plain(text: bytes, begin: int, last: int, grid: Grid, *, long: bool) -> dict[int, Array] | None:
     """Numbers of a table that has no more than digits, signs and as many separators in every row; None of any other.
 
     A cell that is empty or no number makes the table another one. The text is worked through in blocks that stay in
-    the processor's cache: by a compiled loop, and where a number has too many digits for it, as the others are.
+    the processor's cache: of a long one by a compiled loop, unless a number has too many digits for it.
     """
     sign = grid.separator.encode()
     line = text.find(b"\n", begin, last)
@@ -148,7 +150,7 @@ def _plain(text: bytes, begin: int, last: int, grid: Grid) -> dict[int, Array] |
     rows = 0
     while begin < last:
         end = text.rfind(b"\n", begin, min(begin + BLOCK, last)) + 1 or last
-        found = _fill(memoryview(text)[begin:end], grid, most, kept, there[:, rows:])
+        found = _fill(memoryview(text)[begin:end], grid, most, kept, there[:, rows:], long=long)
         if found < 0:
             return None
         rows, begin = rows + found, end
@@ -156,9 +158,9 @@ def _plain(text: bytes, begin: int, last: int, grid: Grid) -> dict[int, Array] |
     return {i: numbers[i] if i in numbers else np.full(rows, np.nan) for i in grid.chosen}
 
 
-def _fill(block: memoryview, grid: Grid, width: int, kept: list[int], there: Array) -> int:
+def _fill(block: memoryview, grid: Grid, width: int, kept: list[int], there: Array, *, long: bool) -> int:
     """Put the numbers of a block into an array, shape (columns, n); the number of its rows, below zero for none."""
-    if len(block) > LITTLE:
+    if long:
         from aerobalance.io._text_kernels import plain_numbers  # noqa: PLC0415 - compiled loops take time to load
 
         places = np.full(width, -1)
