@@ -299,7 +299,7 @@ FORMATS: dict[str, Way] = {
     "Zarr": ("a.zarr", "zarr", "chunk", write_zarr, with_zarr, "AF"),
     "MDF 4": ("a.mf4", "asammdf", "part", write_mdf, with_asammdf, "1/AF"),
     "WAV": ("a.wav", "scipy", "part", write_wav, with_wavfile, "channel 6"),
-    "LabVIEW TDMS": ("a.tdms", "npTDMS", "channel", write_tdms, with_nptdms, "run/AF"),
+    "LabVIEW TDMS": ("a.tdms", "npTDMS", "part", write_tdms, with_nptdms, "run/AF"),
     "UFF 58b": ("b.uff", "pyuff", "part", write_recording, with_pyuff, "AF"),
     "UFF 58": ("t.uff", "pyuff", "data set", write_uff, with_pyuff, "AF"),
     "text (CSV)": ("a.csv", "pandas", "-", write_recording, with_pandas, "AF"),
