@@ -21,7 +21,7 @@ from aerobalance.identification.free_decay.event import first_look
 from aerobalance.identification.free_decay.law import AmplitudeLaw
 from aerobalance.identification.free_decay.ring_fit import fit_ring
 from aerobalance.identification.free_decay.waveform import Ring, ring_up_to
-from aerobalance.identification.free_decay.window import MOST_LINES, Account, account
+from aerobalance.identification.free_decay.window import MOST_LINES, Account, account, decays
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.doubts import Doubt, Size, Verdict, verdict_of
 from aerobalance.recording.errors import FitError, warn_quality
@@ -193,8 +193,8 @@ def _check(ring: Ring, name: str, component: str) -> None:
             f"{name}: {component} rings for {periods:.1f} periods above the noise; at least "
             f"{SETTINGS.fewest_periods:g} are needed: record a larger release, or sample for longer"
         )
-    u_decay = float(np.sqrt(ring.covariance[0, 0]))
-    if not ring.decay > 2 * u_decay:
+    if not decays(ring):
+        u_decay = float(np.sqrt(ring.covariance[0, 0]))
         raise FitError(
             f"{name}: the ringing of {component} does not clearly decay ({ring.decay:.3g} 1/s, u = {u_decay:.2g}; "
             f"from {ring.start:.6g} s to {ring.time[-1]:.6g} s of the record{_beside(ring)}): record it for longer, "
@@ -203,9 +203,10 @@ def _check(ring: Ring, name: str, component: str) -> None:
 
 
 def _beside(ring: Ring) -> str:
-    """Return the lines that are fitted beside a ringing."""
+    """Return what is fitted beside a ringing."""
     lines = ", ".join(f"{line.frequency:.4g}" for line in ring.lines)
-    return f", beside lines at {lines} Hz" if lines else ""
+    driven = "" if ring.force is None else ", beside a force that acts all along, as wind does"
+    return driven + (f", beside lines at {lines} Hz" if lines else "")
 
 
 def _kept_modes(ring: Ring, modes: int | Literal["auto"], name: str) -> list[int]:

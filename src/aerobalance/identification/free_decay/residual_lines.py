@@ -19,6 +19,9 @@ NARROWEST: Final = 32
 FALSE_ALARM: Final = 1e-6
 """Probability that white noise shows a line somewhere in the spectrum of the residuals."""
 
+SHORTEST: Final = 64
+"""Readings in the shortest part of a record that is looked at: a mode of some percent of damping dies in as many."""
+
 
 def smooth_level(power: Array) -> Array:
     """Level of a spectrum without its lines, shape (k,): medians over bands a part of their frequency wide.
@@ -67,11 +70,12 @@ def _strongest_line(ring: Ring) -> float | None:
     """
     first = int(np.searchsorted(ring.time, ring.start))
     after = ring.time.size - first
-    stretches = [slice(0, ring.time.size), *(slice(first, first + after // part) for part in (4, 16))]
+    counts = (max(after // part, SHORTEST) for part in (4, 16, 64))
+    stretches = [slice(0, ring.time.size), *(slice(first, first + count) for count in counts)]
     best: tuple[float, float] | None = None
     for stretch in stretches:
         left = ring.residuals[stretch]
-        if left.size < 64:
+        if left.size < SHORTEST:
             continue
         duration = left.size / ring.rate
         power = np.abs(np.fft.rfft(left - left.mean(), 2 * left.size)) ** 2

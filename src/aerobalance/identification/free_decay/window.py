@@ -42,7 +42,11 @@ CLEAR_OF: Final = 3.0
 """Periods after the release from which on the ringing is free."""
 
 FORCE_EVIDENCE: Final = 3.0
-"""Gain in the logarithm of the likelihood from which a force is believed to act while the load rings."""
+"""Gain in the logarithm of the likelihood from which a force is believed to act while the load rings; where nothing
+else explains the readings, loss up to which it is."""
+
+CLEARLY: Final = 2.0
+"""Standard uncertainties that a decay rate is above zero at least."""
 
 STRUCK: Final = 4.0
 """Mean square of a block of whitened residuals over the usual one from which something else happened in it."""
@@ -89,10 +93,11 @@ def account(ring: Ring, time: Array, values: Array, *, onset: float) -> Account:
     found = freed(_widened(_shortened(_complete(_shortened(first))), first))
     forced = None
     if found.colour > COLOURED:
-        forced = quick
-        if found.time.size < ring.time.size and quick is None:
+        # nothing else explains it: a force does, unless the readings speak against one
+        forced = quick or _forced(ring, ring, (time, values), onset, evidence=-FORCE_EVIDENCE)
+        if found.time.size < ring.time.size and forced is None:
             part = fit_ring(found.time, found.values, found, lines=(), bent=False)
-            forced = _forced(part, found, (found.time, found.values), onset)
+            forced = _forced(part, found, (found.time, found.values), onset, evidence=-FORCE_EVIDENCE)
     if forced is not None:
         return Account(forced, None, None, close=False, whole=whole)
     dependence, found = amplitude_dependence(found, bent=bent if found is ring else None)
@@ -101,7 +106,14 @@ def account(ring: Ring, time: Array, values: Array, *, onset: float) -> Account:
         found = by_a_law(found)
     if found.law is not None:
         found, law, dependence = levelled(found)
+    if quick is not None and not decays(found):  # a law or a second mode that leads nowhere
+        return Account(quick, None, None, close=False, whole=whole)
     return Account(found, dependence, law, close=close and len(found.lines) > 0, whole=whole)
+
+
+def decays(ring: Ring) -> bool:
+    """Whether the decay of a ringing is clearly more than its uncertainty."""
+    return ring.decay > CLEARLY * float(np.sqrt(ring.covariance[0, 0]))
 
 
 def _richer(ring: Ring) -> tuple[Ring, bool, Ring]:
@@ -119,15 +131,20 @@ def _richer(ring: Ring) -> tuple[Ring, bool, Ring]:
     return law, False, bent
 
 
-def _believed(forced: Ring, other: Ring) -> bool:
-    """Whether a force explains a record better than another fit of the same readings does."""
+def _believed(forced: Ring, other: Ring, evidence: float) -> bool:
+    """Whether a force explains a record better, by this evidence, than another fit of the same readings does.
+
+    The other fit is given noise of any level near the ringing, so that it is no worse where that noise is a force.
+    """
     if forced.force is None:
         return False
+    if other.decay <= 0 and other.colour > COLOURED:  # no ringing of a release, and not what was read
+        return True
     left = other.residuals[np.isin(other.time, forced.time)]
     if left.size < forced.time.size:  # it leaves out what the force explains
         return True
     rival = Band(forced).minus_log_likelihood(left)
-    return forced.force.objective < rival - FORCE_EVIDENCE
+    return forced.force.objective < rival - evidence
 
 
 def _behind_release(ring: Ring, time: Array, values: Array, onset: float) -> Ring | None:
@@ -189,11 +206,13 @@ def _fall(time: Array, values: Array, ring: Ring) -> float | None:
     return float(time[(place + 1) * length]) if abs(step[place]) > LEVEL_CHANGE * left.std() else None
 
 
-def _forced(ring: Ring, other: Ring, readings: tuple[Array, Array], onset: float) -> Ring | None:
+def _forced(
+    ring: Ring, other: Ring, readings: tuple[Array, Array], onset: float, *, evidence: float = FORCE_EVIDENCE
+) -> Ring | None:
     """The ring with a force that acts all along, where that explains the record better than another fit does."""
     free = _behind_release(ring, *readings, onset)
     found = None if free is None else driven(free)
-    if found is None or not _believed(found, other) or _struck(found):
+    if found is None or not _believed(found, other, evidence) or _struck(found):
         return None
     for _ in range(MOST_LINES):
         line = residual_line(found)
@@ -202,7 +221,7 @@ def _forced(ring: Ring, other: Ring, readings: tuple[Array, Array], onset: float
             break
         found = larger
     if found.lines and not _believed(
-        found, fit_ring(found.time, found.values, replace(found, force=None), lines=found.lines)
+        found, fit_ring(found.time, found.values, replace(found, force=None), lines=found.lines), evidence
     ):
         return None
     return found
