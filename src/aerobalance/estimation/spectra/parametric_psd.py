@@ -195,6 +195,8 @@ def refit_roll_off(
     start, noise
         The other, and the density of its noise [N^2/Hz].
     """
+    if start.roll_off is None:
+        raise ValueError("the spectrum to begin with has no roll-off: only one of `fit_roll_offs` can be fitted again")
     corner, exponent, power = start.roll_off
     half = corner * np.expm1(np.log(2.0) / power) ** (1 / exponent)
     point = np.log([[float(start.levels[0]), half, exponent, power, noise]])
