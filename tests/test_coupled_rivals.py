@@ -66,6 +66,7 @@ def test_every_rival_on_a_component(rng) -> None:
         assert error["band-limited inverse, diagonal", True] > 3 * error["band-limited inverse, coupled", True]
 
 
+@pytest.mark.soak(first=0)
 def test_differences_of_all_readings_undo_the_coupling(rng) -> None:
     force, felt, _ = shaken(rng, EXACT, pitching=False)
     recording = recording_of(felt + 1e-3 * NOISE * rng.normal(size=felt.shape))

@@ -220,6 +220,7 @@ def test_two_modes_of_the_balance_may_be_alike(rng):
     assert np.abs(fit.dynamics.poles) == pytest.approx(np.abs(true.poles), rel=1e-2)
 
 
+@pytest.mark.soak(first=0)
 def test_a_mode_that_is_not_linear_is_no_two(rng):
     dynamics = rigid()
     spring = np.linalg.inv(dynamics.inertia)

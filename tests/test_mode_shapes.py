@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.applied_force import Force
@@ -140,6 +141,25 @@ def test_tones_are_taken_out_and_ringing_is_not(rng) -> None:
     # the noise itself is left, and of the sine's four numbers next to nothing
     assert np.std(without_tones(tone + noise, above=0.01), axis=0).max() < 1.1e-4
     np.testing.assert_allclose(without_tones(decay + noise, above=0.01), decay + noise - (decay + noise).mean(axis=0))
+
+
+@pytest.mark.parametrize("turns", [6.4, 25.3, 173.3, 1993.8])
+def test_what_is_taken_out_is_the_sine_nearest_to_all_samples(turns, rng) -> None:
+    count = 4000
+    time, window = np.arange(count) - 0.5 * (count - 1), np.hanning(count + 1)[:-1, None]
+    loads = np.outer(np.sin(2 * np.pi * turns * time / count + 1), [1.0, -0.5]) + 0.05 * rng.normal(size=(count, 2))
+    loads -= loads.mean(axis=0)
+
+    def rest(turns: float) -> Array:
+        both = np.exp(2j * np.pi * turns * time[:, None] / count).view(float)
+        return loads - both @ np.linalg.lstsq(both * window, loads * window)[0]
+
+    def left(turns: float) -> float:
+        return float(np.sum((rest(turns) * window / loads.std(axis=0)) ** 2))
+
+    nearest = minimize_scalar(left, bounds=(turns - 0.5, turns + 0.5), method="bounded", options={"xatol": 1e-9})
+    # the band about the peak has all of the sine but 1e-5, and near zero that of its mirror image
+    np.testing.assert_allclose(without_tones(loads), rest(float(nearest.x)), atol=1e-4)
 
 
 def test_components_that_are_not_coupled_say_nothing(rng) -> None:

@@ -10,7 +10,7 @@ from aerobalance.estimation.spectra import _kernels
 from aerobalance.estimation.spectra.parametric_psd import _Averages, fit_roll_offs
 from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, Periodogram, Spectrum, _Ordinates, leaked
 from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE, _cheapest
-from aerobalance.estimation.spectra.whittle import fit_spectrum
+from aerobalance.estimation.spectra.whittle import fit_spectrum, refit_spectrum
 from helpers.cable_cut import T128
 
 RATE = 1600.0
@@ -166,6 +166,27 @@ def test_no_roll_off_is_likelier_than_the_one_found(name, rng):
                             options={"maxiter": 600, "xatol": 1e-4, "fatol": 1e-4})  # fmt: skip
             # a step that promises 1e-4 is not taken any more; in a valley a hundred such are left
             assert -best.fun < here + 0.01
+
+
+DENSITIES = {
+    "segments": lambda f: np.where(f < 120.0, 50.0, 0.0),
+    "roll-off": lambda f: 50.0 / (1 + (f / 40.0) ** 4),
+    "nothing": np.zeros_like,
+}
+
+
+@pytest.mark.parametrize("kind", DENSITIES)
+def test_a_spectrum_found_from_that_of_nearly_the_same_reading_is_the_one_found_from_all_beginnings(kind, rng):
+    values = felt(rng, DENSITIES[kind])
+    values -= values.mean()
+    moved = T128.retuned(frequency=1.002, damping=1.1)
+    start, whole = (fit_spectrum(Periodogram.of(values, one, interval=1 / RATE)) for one in (T128, moved))
+    found = refit_spectrum(Periodogram.of(values, moved, interval=1 / RATE), start)
+    assert bool(found.spectrum.roll_off) == bool(start.spectrum.roll_off)
+    assert found.evidence < whole.evidence + 0.01
+    # scoring ends where a step gains less than a tenth
+    assert found.evidence > whole.evidence - 0.2
+    assert found.noise_density == pytest.approx(whole.noise_density, rel=0.01)
 
 
 def test_line_is_found_beside_a_band(rng):

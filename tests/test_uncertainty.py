@@ -24,6 +24,7 @@ from aerobalance.uncertainty.monte_carlo import monte_carlo
 from aerobalance.uncertainty.parameter_draws import CLOSE, Change, parameter_errors
 from aerobalance.uncertainty.sampling import UncertainDynamics, drawn_numbers, standard_normals
 from helpers.cable_cut import T128
+from seeds import trials
 
 RATE = 1600.0
 UNSURE = replace(T128, covariance=np.diag((np.array([2e-4, 2e-4, 5e-2, 0]) * T128.values) ** 2))
@@ -334,11 +335,11 @@ def test_errors_drawn_by_spectrum_and_ends_are_those_of_whole_records():
     assert fast.ends is not None
     lengths = [end.part.stop - end.part.start for end in fast.ends]
     assert max(lengths) > 10
-    draws = 200
+    draws = trials(60, 200)
     one, sizes = fast.draw(generator, draws)
     other, whole_sizes = replace(fast, ends=None).draw(generator, draws)
     size = np.sqrt(estimator.filter.smoothed_variance)
-    # weighted sums along and across an end and along the middle: 5 standard deviations of variances of 200 draws each
+    # weighted sums along and across an end and along the middle: 5 standard deviations of variances of the draws each
     for stop in (10, lengths[0] // 4, lengths[0], 2 * lengths[0], 20_000):
         for part in (slice(0, stop), slice(40_000 - stop, 40_000), slice(lengths[0] - 10, lengths[0] + stop)):
             slow = np.cos(np.linspace(0, 3, one[:, part].shape[1]))

@@ -12,6 +12,7 @@ from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.gravity import weight_direction
 from aerobalance.recording.recording import Recording
+from seeds import trials
 
 G = STANDARD_GRAVITY
 SWEEP = np.radians([-15, -10, -5, 0, 5, 10, 15])
@@ -104,12 +105,12 @@ def test_misalignment_that_the_angles_cannot_show_is_left_out():
 def test_masses_of_the_paper_are_covered(rng, masses, noise):
     pitch = np.radians(np.linspace(-90, 90, 13))
     true = sum(masses)
-    trials, inside = 200, 0
-    for _ in range(trials):
+    count, inside = trials(60, 200), 0
+    for _ in range(count):
         found = alone(pitch, true * G * np.sin(pitch) + rng.normal(0, noise, 13))
         inside += abs(found.mass - true) < found.u * stats.t.ppf(0.975, found.degrees_of_freedom)
-    # 95 % of 200: 4.5 standard deviations of the binomial on either side.
-    assert abs(inside / trials - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / trials)
+    # 95 % of them: 4.5 standard deviations of the binomial on either side.
+    assert abs(inside / count - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / count)
 
 
 def test_given_noise_counts_where_it_is_larger():

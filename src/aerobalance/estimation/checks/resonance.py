@@ -21,10 +21,10 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.force_smoother import instant_columns
-from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares, periodogram_of
+from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
-from aerobalance.estimation.spectra.periodogram import LONGEST
-from aerobalance.estimation.spectra.whittle import fit_spectrum
+from aerobalance.estimation.spectra.periodogram import LONGEST, Periodogram, density_of
+from aerobalance.estimation.spectra.whittle import SpectrumFit, fit_spectrum, refit_spectrum
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.steps import Step, response_to
 from aerobalance.recording.channel import Array
@@ -174,18 +174,40 @@ class Evidence:
     white: float | None = None
     color: ColoredNoise | ShapedNoise | None = None
     rising: bool = False
-    _known: dict[tuple[float, ...], float] = field(default_factory=dict)
+    _known: dict[tuple[float, ...], SpectrumFit] = field(default_factory=dict)
+    _density: Array | None = None
 
     def of(self, dynamics: Dynamics) -> float:
         """Logarithm of the likelihood of the reading with dynamics, less the price of the force's spectrum."""
+        return self._fit(dynamics).evidence
+
+    def nearly(self, dynamics: Dynamics, start: Dynamics) -> float:
+        """The same, at most, of dynamics nearly like others: with a spectrum of the kind that is best with those."""
+        periodogram = self._periodogram(dynamics)
+        return refit_spectrum(
+            periodogram, self._fit(start), noise_density=self.white, floor=self.floor, rising=self.rising
+        ).evidence
+
+    def _fit(self, dynamics: Dynamics) -> SpectrumFit:
         key = tuple(number for mode in dynamics.modes for number in (*_numbers(mode),))
         if key not in self._known:
-            reading = Observation(self.values, self.interval, dynamics, color=self.color)
-            periodogram = periodogram_of(reading, self.values, share=1.0)
+            periodogram = self._periodogram(dynamics)
             self._known[key] = fit_spectrum(
                 periodogram, noise_density=self.white, floor=self.floor, rising=self.rising
-            ).evidence
+            )
         return self._known[key]
+
+    def _periodogram(self, dynamics: Dynamics) -> Periodogram:
+        color = self.color
+        if self._density is None:
+            self._density = density_of(self.values, self.interval)
+        return Periodogram.of(
+            self.values,
+            dynamics,
+            interval=self.interval,
+            color=None if color is None else lambda f, width: color.density(f, width=width),
+            density=self._density,
+        )
 
     def peaks(self, dynamics: Dynamics) -> list[float]:
         """Frequencies of narrow peaks that are no known mode's, the highest over its surroundings first [Hz]."""
@@ -321,7 +343,7 @@ def _evidence_beside(evidence: Evidence, left: Array, dynamics: Dynamics, steps:
     left = left[: SETTINGS.samples]
     numbers = sum(3 if step.duration > 0 else 2 for step in steps)
     price = 0.5 * numbers * float(np.log(left.size / 2))
-    return replace(evidence, values=left - left.mean(), _known={}).of(dynamics) - price
+    return replace(evidence, values=left - left.mean(), _known={}, _density=None).of(dynamics) - price
 
 
 def _named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: float) -> Spoken | None:
@@ -404,7 +426,7 @@ def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamic
 
     def loss(point: Array) -> float:
         try:
-            return -evidence.of(made(point * scale * size))
+            return -evidence.nearly(made(point * scale * size), start)
         except ValueError:  # outside what dynamics can be
             return 1e12
 

@@ -55,6 +55,9 @@ LONGEST_STEP: Final = 1.5
 DAMPING: Final = 1e-3
 """Damping of the first step, over the information; a tenth of it after a step that gains, else ten times it."""
 
+BUTTERWORTH, MATERN = range(2)
+"""Kinds of spectra, in the order of `BEGINNINGS`."""
+
 LEVEL, HALF, EXPONENT, POWER, NOISE = range(5)
 """Places of the logarithms of level, frequency of half that level, m, q and noise in a point.
 
@@ -170,26 +173,62 @@ def fit_roll_offs(
         Least density of the noise [N^2/Hz]; None when it is known, and the one to begin with is kept.
     """
     whole, coarse = (_Averages.of(periodogram, most=most) for most in (periodogram.weight.size, COARSE))
+    limits = _limits(periodogram, floor)
+    points = np.concatenate([coarse.beginnings(noise) for noise in noises])
+    kinds = np.tile(np.repeat([BUTTERWORTH, MATERN], [len(pairs) for pairs in BEGINNINGS]), len(noises))
+    free = _free(np.array([BUTTERWORTH, MATERN]), floor)
+    points, cost = _lowered(points, coarse, free[kinds], limits, most=FEW_STEPS, enough=FIRST_ENOUGH)
+    best = np.array([np.flatnonzero(kinds == kind)[np.argmin(cost[kinds == kind])] for kind in (BUTTERWORTH, MATERN)])
+    points, _ = _lowered(points[best], whole, free, limits, most=STEPS, enough=ENOUGH)
+    return [_spectrum_of(point) for point in points]
+
+
+def refit_roll_off(
+    periodogram: Periodogram, start: Spectrum, noise: float, *, floor: float | None
+) -> tuple[Spectrum, float]:
+    """The most likely spectrum of the kind of another, found from that, with the density of its noise [N^2/Hz].
+
+    Parameters
+    ----------
+    periodogram, floor
+        As for `fit_roll_offs`.
+    start, noise
+        The other, and the density of its noise [N^2/Hz].
+    """
+    corner, exponent, power = start.roll_off
+    half = corner * np.expm1(np.log(2.0) / power) ** (1 / exponent)
+    point = np.log([[float(start.levels[0]), half, exponent, power, noise]])
+    limits = _limits(periodogram, floor)
+    free = _free(np.array([BUTTERWORTH if power == 1 else MATERN]), floor)
+    whole = _Averages.of(periodogram, most=periodogram.weight.size)
+    points, _ = _lowered(np.clip(point, *limits), whole, free, limits, most=STEPS, enough=FIRST_ENOUGH)
+    return _spectrum_of(points[0])
+
+
+def _limits(periodogram: Periodogram, floor: float | None) -> Array:
+    """Least and largest values that a point may have, shape (2, 5)."""
     lowest, highest = float(periodogram.frequency[0]), float(periodogram.frequency[-1])
     least = max(floor or 0.0, 1e-200)
-    limits = np.array(
+    return np.array(
         [[-500.0, np.log(0.1 * lowest), *np.log([EXPONENTS[0], POWERS[0], least])],
          [500.0, np.log(30 * highest), *np.log([EXPONENTS[1], POWERS[1], 1e200])]]
     )  # fmt: skip
-    points = np.concatenate([coarse.beginnings(noise) for noise in noises])
-    kinds = np.tile(np.repeat([0, 1], [len(pairs) for pairs in BEGINNINGS]), len(noises))
-    free = np.ones((2, 5), dtype=np.bool_)
-    free[0, POWER] = free[1, EXPONENT] = False
+
+
+def _free(kinds: NDArray[np.int64], floor: float | None) -> NDArray[np.bool_]:
+    """Which numbers of points of these kinds are to be found, shape (kinds, 5)."""
+    free = np.ones((kinds.size, 5), dtype=np.bool_)
+    free[kinds == BUTTERWORTH, POWER] = False
+    free[kinds == MATERN, EXPONENT] = False
     free[:, NOISE] = floor is not None
-    points, cost = _lowered(points, coarse, free[kinds], limits, most=FEW_STEPS, enough=FIRST_ENOUGH)
-    best = np.array([np.flatnonzero(kinds == kind)[np.argmin(cost[kinds == kind])] for kind in (0, 1)])
-    points, _ = _lowered(points[best], whole, free, limits, most=STEPS, enough=ENOUGH)
-    found = []
-    for level, half, exponent, power, noise in np.exp(points):
-        corner = half * np.expm1(np.log(2.0) / power) ** (-1 / exponent)
-        roll_off = (float(corner), float(exponent), float(power))
-        found.append((Spectrum(np.array([np.inf]), np.array([level]), roll_off), float(noise)))
-    return found
+    return free
+
+
+def _spectrum_of(point: Array) -> tuple[Spectrum, float]:
+    level, half, exponent, power, noise = np.exp(point)
+    corner = half * np.expm1(np.log(2.0) / power) ** (-1 / exponent)
+    roll_off = (float(corner), float(exponent), float(power))
+    return Spectrum(np.array([np.inf]), np.array([level]), roll_off), float(noise)
 
 
 def _lowered(

@@ -22,6 +22,9 @@ from aerobalance.recording.channel import Array
 LONGEST: Final = 1 << 17
 """Samples of one periodogram; a longer record is averaged over parts of this length."""
 
+INSIDE: Final = slice(2, -1)
+"""Ordinates that are looked at: what was taken away as a constant is missing in the first ones; the last is real."""
+
 HANN_BANDWIDTH: Final = 1.94
 """Ordinates of a Hann periodogram that are as good as one independent ordinate."""
 
@@ -172,6 +175,7 @@ class Periodogram:
         interval: float,
         input_density: float = 0.0,
         color: Callable[[Array, float], Array] | None = None,
+        density: Array | None = None,
     ) -> Periodogram:
         """Take a Hann periodogram and average it as far as the balance's response allows.
 
@@ -187,21 +191,17 @@ class Periodogram:
             Density of the white noise that enters as a force with the known inputs [N^2/Hz].
         color
             Mean density of the colored noise about frequencies [Hz], over a width [Hz], [N^2/Hz].
+        density
+            What `density_of` gives of these readings, where it is known.
         """
-        grid = _Ordinates.of(dynamics, min(values.size, LONGEST), interval)
-        parts = _parts(values)
-        density = np.zeros(grid.frequency.size)
-        # what was taken away as a constant is missing in the first ordinates; the last is real, not complex
-        inside = slice(2, -1)
-        for part in parts:
-            found = rfft(part * grid.window)[inside]
-            density += found.real**2 + found.imag**2
-        density *= interval / (float(np.sum(grid.window**2)) * len(parts))
+        length = min(values.size, LONGEST)
+        grid = _Ordinates.of(dynamics, length, interval)
+        density = density_of(values, interval) if density is None else density
         return cls(
             frequency=grid.mean(grid.frequency),
             density=grid.mean(density),
             gain=grid.mean(grid.gain),
-            weight=np.asarray(grid.count * (values.size / grid.window.size / HANN_BANDWIDTH)),
+            weight=np.asarray(grid.count * (values.size / length / HANN_BANDWIDTH)),
             folded_gain=grid.folded_gain,
             interval=interval,
             ordinates=np.stack([grid.frequency, density, grid.gain]),
@@ -259,8 +259,6 @@ class _Ordinates:
 
     Attributes
     ----------
-    window
-        Hann window, shape (l,).
     frequency, gain
         Frequencies of the ordinates [Hz], and square of the response as the window sees it [1], shape (n,) each.
     edges, count
@@ -269,7 +267,6 @@ class _Ordinates:
         Square of the response at the sampling rate less the frequency of each average [1], shape (m,).
     """
 
-    window: Array
     frequency: Array
     gain: Array
     edges: NDArray[np.int64]
@@ -281,13 +278,13 @@ class _Ordinates:
     def of(dynamics: ModalModel, length: int, interval: float) -> _Ordinates:
         """Lay it out for periodograms of so many samples."""
         frequency = np.arange(length // 2 + 1) / (length * interval)
-        gain = _smeared_gain(dynamics, frequency)[2:-1]
-        frequency = frequency[2:-1]
+        gain = _smeared_gain(dynamics, frequency)[INSIDE]
+        frequency = frequency[INSIDE]
         edges = averages(np.log(gain), FEWEST_ORDINATES, FINENESS, float(np.log(STEEPEST)))
         count = np.diff(np.append(edges, gain.size))
         middle = np.add.reduceat(frequency, edges) / count
         folded = np.abs(dynamics.response(1 / interval - middle)) ** 2
-        return _Ordinates(np.hanning(length + 2)[1:-1], frequency, gain, edges, count, folded)
+        return _Ordinates(frequency, gain, edges, count, folded)
 
     @property
     def step(self) -> float:
@@ -299,12 +296,37 @@ class _Ordinates:
         return np.asarray(np.add.reduceat(values, self.edges) / self.count)
 
 
+def density_of(values: Array, interval: float) -> Array:
+    """Two-sided power spectral density of readings at all ordinates of their periodogram, shape (m,) [N^2/Hz].
+
+    Parameters
+    ----------
+    values
+        Readings without gaps, known shapes taken out, shape (n,) [N].
+    interval
+        Time between samples [s].
+    """
+    parts, window = _parts(values), _window(min(values.size, LONGEST))
+    density = np.zeros(window.size // 2 + 1)[INSIDE]
+    for part in parts:
+        found = rfft(part * window)[INSIDE]
+        density += found.real**2 + found.imag**2
+    density *= interval / (float(np.sum(window**2)) * len(parts))
+    return density
+
+
+@lru_cache(maxsize=4)
+def _window(length: int) -> Array:
+    """Hann window, shape (length,) [1]."""
+    return np.asarray(np.hanning(length + 2)[1:-1])
+
+
 def share_seen(present: NDArray[np.bool_]) -> float:
     """Share of the readings that a periodogram sees, weighted as its windows weight them."""
     if present.all():
         return 1.0
     parts = _parts(present.astype(np.float64))
-    weights = np.hanning(parts[0].size + 2)[1:-1] ** 2
+    weights = _window(parts[0].size) ** 2
     return float(np.mean([part @ weights for part in parts]) / np.sum(weights))
 
 

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.estimation.spectra.parametric_psd import fit_roll_offs
+from aerobalance.estimation.spectra.parametric_psd import fit_roll_offs, refit_roll_off
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
 from aerobalance.estimation.spectra.piecewise_psd import fit_segments, pruned
 from aerobalance.recording.channel import Array
@@ -98,6 +98,29 @@ def fit_spectrum(
         ),
     ]
     return max(fits, key=lambda fit: fit.evidence)
+
+
+def refit_spectrum(
+    periodogram: Periodogram,
+    start: SpectrumFit,
+    *,
+    noise_density: float | None = None,
+    floor: float = 0.0,
+    rising: bool = False,
+) -> SpectrumFit:
+    """Find spectrum and noise of a reading from those of one that is nearly the same, of which it keeps the kind.
+
+    That takes a fraction of the time of `fit_spectrum`, whose other arguments it has. A spectrum of another kind,
+    which is not looked for, may be more likely.
+    """
+    least = floor if noise_density is None else None
+    noise = max(start.noise_density, floor) if noise_density is None else noise_density
+    if start.spectrum.roll_off:
+        spectrum, noise = refit_roll_off(periodogram, start.spectrum, noise, floor=least)
+        return _with_noise(spectrum, periodogram, noise, floor=None)
+    if start.spectrum.levels.size:
+        return _segmented(periodogram, noise, floor=least, rising=rising)
+    return _with_noise(start.spectrum, periodogram, noise, floor=least)
 
 
 def _segmented(periodogram: Periodogram, noise: float, *, floor: float | None, rising: bool) -> SpectrumFit:
