@@ -42,7 +42,7 @@ def to_xarray(parts: Mapping[str, ComponentForce], recording: Recording) -> xr.D
     try:
         import xarray as xr  # noqa: PLC0415 - an extra
     except ImportError:
-        raise ImportError("to_xarray needs xarray: pip install aerobalance[xarray]") from None
+        raise ImportError("to_xarray needs xarray: pip install 'aerobalance[xarray]'") from None
     data = {}
     for name, part in parts.items():
         attributes = {"units": si_unit(name), "method": part.method}

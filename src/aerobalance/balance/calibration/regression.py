@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import scipy.linalg
@@ -23,6 +23,8 @@ FULL_LEVERAGE: Final = 1e-9
 HIGHEST_INFLATION: Final = 10.0
 """Variance inflation factor above which terms are near copies of each other (AIAA R-091 warns from 5)."""
 
+SMALLEST_SIZE: Final = 1e-15
+"""Singular value over the largest one from which on a direction of the unknowns is told by the readings."""
 
 MOST_INFLATION: Final = 1e6
 """Variance inflation factor from which only that it is larger is said."""
@@ -106,6 +108,31 @@ class Regression:
     studentised: Array
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _LeastSquares:
+    """Least squares of n readings and m that draw coefficients to zero, for k unknowns.
+
+    Attributes
+    ----------
+    found
+        Unknowns, shape (k,).
+    rest
+        Residuals, those of the readings first, shape (n + m,).
+    unscaled_covariance
+        Covariance of the unknowns for readings of variance one, shape (k, k).
+    leverage
+        Part of each reading in its own fitted value, shape (n,).
+    freedom
+        Readings and those that draw to zero, less unknowns that they tell.
+    """
+
+    found: Array
+    rest: Array
+    unscaled_covariance: Array
+    leverage: Array
+    freedom: int
+
+
 def regress(
     values: Array, design: Array, intercepts: Array, *, included: NDArray[np.bool_], penalty: Array
 ) -> Regression:
@@ -138,14 +165,14 @@ def regress(
     fit = _fit(values, design[:, included], intercepts, penalty[included])
     # leaving a term out does not make it known: scatter and uncertainty are those with all terms
     whole = fit if included.all() else _fit(values, design, intercepts, penalty)
-    freedom = n - float(np.sum(_leverage(whole, n)))
-    deviation = float(np.sqrt(np.sum(whole.resid[:n] ** 2) / freedom))
-    found = _spread(fit.params, np.concatenate([included, np.ones(intercepts.shape[1], dtype=bool)]), 0.0)
-    covariance = whole.normalized_cov_params * deviation**2 + np.outer(found - whole.params, found - whole.params)
+    freedom = n - float(np.sum(whole.leverage))
+    deviation = float(np.sqrt(np.sum(whole.rest[:n] ** 2) / freedom))
+    found = _spread(fit.found, np.concatenate([included, np.ones(intercepts.shape[1], dtype=bool)]), 0.0)
+    covariance = whole.unscaled_covariance * deviation**2 + np.outer(found - whole.found, found - whole.found)
     u = np.sqrt(np.diag(covariance))
-    rest = np.asarray(fit.resid[:n])
+    rest = fit.rest[:n]
     squares = float(rest @ rest)
-    press, studentised = _left_out(fit, n)
+    press, studentised = _left_out(fit)
     spread = float(np.sum((values - values.mean()) ** 2))
     with np.errstate(divide="ignore", invalid="ignore"):
         t = (found / u)[: included.size]
@@ -167,37 +194,41 @@ def regress(
     )
 
 
-def _left_out(fit: Any, points: int) -> tuple[float, Array]:
+def _left_out(fit: _LeastSquares) -> tuple[float, Array]:
     """Root mean square of the residuals of points left out one by one, and residuals over their deviation then.
 
     What draws coefficients to zero are readings as well: counted with the others, what the rest leaves is never
     negative. A point that alone tells an unknown (leverage one) fits whatever it reads, and shows nothing of itself.
     """
-    rest, leverage = np.asarray(fit.resid[:points]), _leverage(fit, points)
+    leverage = fit.leverage
+    rest = fit.rest[: leverage.size]
     told = leverage < 1 - FULL_LEVERAGE
-    studentised = np.zeros(points)
+    studentised = np.zeros(rest.size)
     if not told.any():
         return float("nan"), studentised
     rest, leverage = rest[told], leverage[told]
-    squares = np.maximum(float(fit.resid @ fit.resid) - rest**2 / (1 - leverage), 0.0)
-    deviation = np.sqrt(squares / max(float(fit.df_resid) - 1, 1.0) * (1 - leverage))
+    squares = np.maximum(float(fit.rest @ fit.rest) - rest**2 / (1 - leverage), 0.0)
+    deviation = np.sqrt(squares / max(fit.freedom - 1, 1) * (1 - leverage))
     exact = np.where(rest == 0, 0.0, np.copysign(np.inf, rest))
     studentised[told] = np.divide(rest, deviation, out=exact, where=deviation > 0)
     return float(np.sqrt(np.mean((rest / (1 - leverage)) ** 2))), studentised
 
 
-def _fit(values: Array, design: Array, intercepts: Array, penalty: Array) -> Any:
+def _fit(values: Array, design: Array, intercepts: Array, penalty: Array) -> _LeastSquares:
+    """Solve least squares by the pseudo-inverse: columns that are copies of each other share what they explain."""
     X, y = _drawn_to_zero(np.hstack([design, intercepts]), values, penalty)
-    from statsmodels.regression.linear_model import OLS  # noqa: PLC0415 - takes a second, and only fits need it
-
-    return OLS(y, X).fit()
-
-
-def _leverage(fit: Any, points: int) -> Array:
-    """Part of each point's own reading in its fitted value, shape (n,)."""
-    from statsmodels.stats.outliers_influence import OLSInfluence  # noqa: PLC0415 - as above
-
-    return np.asarray(OLSInfluence(fit).hat_matrix_diag[:points])
+    left, sizes, right = np.linalg.svd(X, full_matrices=False)
+    largest = sizes.max(initial=0.0)
+    told = sizes > SMALLEST_SIZE * largest
+    inverse = right.T @ (np.divide(1.0, sizes, out=np.zeros_like(sizes), where=told)[:, None] * left.T)
+    found = inverse @ y
+    return _LeastSquares(
+        found=found,
+        rest=y - X @ found,
+        unscaled_covariance=inverse @ inverse.T,
+        leverage=(X * inverse.T).sum(axis=1)[: values.size],
+        freedom=y.size - int(np.count_nonzero(sizes > np.finfo(float).eps * max(X.shape) * largest)),
+    )
 
 
 def _drawn_to_zero(X: Array, y: Array, penalty: Array) -> tuple[Array, Array]:
