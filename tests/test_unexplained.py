@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks.unexplained import excess_of, missed_force
+from aerobalance.estimation.checks.unexplained import excess_of, missed_force, sudden_excess
 from aerobalance.estimation.prior import Observation, fit_prior
 from aerobalance.estimation.steps import columns_of
 
@@ -55,3 +55,14 @@ def test_a_short_record_has_no_stretches(calm):
     reading, learned = calm
     few = Observation(reading.values[:300], 1 / RATE, T128)
     assert not missed_force(few, learned, residuals=few.values, strange=np.ones(300, dtype=bool)).any()
+
+
+def test_something_sudden_is_told_from_chance_and_from_a_neighbour(rng):
+    white = rng.normal(size=200_000)
+    # 1e-9 for each of three times 200,000 windows
+    assert (sudden_excess(white, reach=10) == 1).all()
+    white[1000] += 30.0
+    level = sudden_excess(white, reach=10)
+    near = slice(1000 - 3 - 10, 1000 + 4 + 10)  # every window of four samples that holds it, and what is beside
+    assert level[near].min() > (30 - 5) ** 2 / 4
+    assert (np.flatnonzero(level > 1)[[0, -1]] == [1000 - 63 - 10, 1000 + 63 + 10]).all()

@@ -24,7 +24,7 @@ from aerobalance.estimation.checks.ground_channels import (
 from aerobalance.estimation.checks.mains_hum import hum_doubts
 from aerobalance.estimation.checks.model_error import as_noise
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error, step_of
-from aerobalance.estimation.checks.unexplained import excess_of, missed_force
+from aerobalance.estimation.checks.unexplained import excess_of, missed_force, sudden_excess
 from aerobalance.estimation.direct import band_limited, central_differences, missed
 from aerobalance.estimation.error_sources import Contribution
 from aerobalance.estimation.force_smoother import (
@@ -63,6 +63,9 @@ NOT_EXPLAINED: Final = "force that the model does not explain"
 
 BEYOND_THE_BAND: Final = "force beyond the band, and at the ends"
 """Name of the error of a direct inverse where the force is too fast for it or its past or future is not recorded."""
+
+LONGEST_REACH: Final = 256
+"""Samples beside something sudden, at most, in which the force goes wrong with it."""
 
 SLOW: Final = 0.5
 """Frequency over the natural one below which noise that rises at low frequency has most of its power."""
@@ -400,11 +403,14 @@ def _tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, driven: tu
 def _unexplained(record: ComponentRecord, fit: SmootherResult, white: Array) -> tuple[Array, list[Doubt], Array]:
     """Variance of the innovations over what is expected, what it says, and the force that is missed, (n,) [N]."""
     level, edges = excess_of(white)
-    raised = np.repeat(level, np.diff(edges))
+    in_blocks = np.repeat(level, np.diff(edges))
+    highest = _resolved_bandwidth(fit.reading, fit.learned)
+    reach = min(int(np.ceil(0.5 / max(highest * record.interval, 1e-3))), LONGEST_REACH)
+    raised = np.maximum(in_blocks, sudden_excess(white, reach=reach))
     strange = np.flatnonzero(level > 1)
     if not strange.size:
         return raised, [], np.zeros(white.size)
-    missed = missed_force(fit.reading, fit.learned, residuals=fit.residuals, strange=raised > 1)
+    missed = missed_force(fit.reading, fit.learned, residuals=fit.residuals, strange=in_blocks > 1)
     worst = int(strange[np.argmax(level[strange])])
     start, stop = (record.recording.start + float(edge) * record.interval for edge in edges[worst : worst + 2])
     name, unit = record.dynamics.component, si_unit(record.dynamics.component)

@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.recording.channel import Array
@@ -22,6 +23,12 @@ BLOCK: Final = 256
 
 CHANCE: Final = 8.0
 """Deviations of the mean square of the innovations that are never reached by chance."""
+
+SUDDEN: Final = (4, 16, 64)
+"""Samples over which it is looked as well whether something sudden happened that is no step that was found."""
+
+BY_CHANCE: Final = 1e-9
+"""Probability with which chance alone makes the mean square over so many samples as large as it must be for that."""
 
 STANDS_OUT: Final = 12.0
 """Power of a residual over that of the noise, of the block's own where that is stronger, that chance does not reach:
@@ -49,6 +56,39 @@ def excess_of(white: Array) -> tuple[Array, NDArray[np.intp]]:
     level = np.add.reduceat(white**2, edges[:-1]) / np.diff(edges)
     # the mean square over m samples scatters by sqrt(2 / m)
     return np.where(level > 1 + CHANCE * np.sqrt(2 * count / white.size), level, 1.0), edges
+
+
+def sudden_excess(white: Array, *, reach: int) -> Array:
+    """Variance of the innovations over what is expected where something sudden happened, else 1, shape (n,).
+
+    The onset of a load, or a shock, is in few samples more than any prior of a stationary force allows. A block has it
+    thinned out over all its samples, and none of it where a block ends beside it.
+
+    Parameters
+    ----------
+    white
+        Innovations over their expected deviation, shape (n,).
+    reach
+        Samples before and after, over which the force goes wrong with it.
+    """
+    level = np.ones(white.size)
+    sums = np.concatenate([[0.0], np.cumsum(white**2)])
+    for count in SUDDEN:
+        if count > white.size:
+            continue
+        mean = (sums[count:] - sums[:-count]) / count
+        least = float(chdtri(count, BY_CHANCE)) / count
+        if not (mean > least).any():
+            continue
+        from scipy.ndimage import maximum_filter1d  # noqa: PLC0415 - takes 30 ms, and few records need it
+
+        found = np.ones(white.size)
+        found[: mean.size] = np.where(mean > least, mean, 1.0)
+        # each window's mean square for all its samples, and for those that the force goes wrong in beside them
+        width = count + 2 * reach
+        shift = count - 1 + reach - width // 2
+        level = np.maximum(level, maximum_filter1d(found, width, mode="constant", cval=1.0, origin=shift))
+    return level
 
 
 def missed_force(
