@@ -8,6 +8,8 @@ READY := $(VENV)/.ready
 TEST_READY := $(VENV)/.ready-test
 DOCS_READY := $(VENV)/.ready-docs
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# without the bytecode of tests and program every process of the tests would make it anew
+export PYTHONDONTWRITEBYTECODE :=
 COMPILED := build/.compiled
 KERNELS := $(shell find src -name '_*kernels.py') src/aerobalance/recording/compiled.py
 ROUNDS ?= 3

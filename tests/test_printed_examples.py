@@ -1,5 +1,6 @@
 """Every example of README, quickstart, how-to pages and ``--help`` runs as printed, in the folder of the demo."""
 
+import functools
 import re
 import shlex
 import shutil
@@ -39,6 +40,7 @@ def from_how_to():
     ]
 
 
+@functools.cache
 def from_help():
     """The example under the help of every command and group."""
     found, waiting = [], [typer.main.get_command(app)]
@@ -47,7 +49,7 @@ def from_help():
         waiting += getattr(command, "commands", {}).values()
         assert command.epilog, command.name
         found.append(command.epilog.removeprefix("Example: "))
-    return list(dict.fromkeys(found))
+    return tuple(dict.fromkeys(found))
 
 
 ENDLESS = {"monitor", "publish"}
