@@ -586,6 +586,7 @@ def test_hysteresis_between_going_up_and_down(rng) -> None:
 # ---- a healthy schedule raises nothing ------------------------------------------------------------------
 
 
+@pytest.mark.soak(first=2)
 @pytest.mark.parametrize("model", ["linear", "abs", "quadratic", "96"])
 def test_healthy_schedules_raise_no_doubt(model: str, rng) -> None:
     with warnings.catch_warnings():

@@ -191,6 +191,7 @@ def test_few_directions_of_the_parameters_are_as_uncertain_as_all(rng) -> None:
         np.testing.assert_array_equal(few[name].values, estimate.values)
 
 
+@pytest.mark.soak(first=0)
 def test_a_gap_in_one_channel_is_bridged_by_the_dynamics(rng) -> None:
     balance, dynamics = _drawn(rng)
     simulation, _ = _broadband(balance, rng, duration=0.1)

@@ -61,7 +61,7 @@ def windy(rng: np.random.Generator, *, rms: float, band: tuple[float, float]) ->
 )
 @pytest.mark.soak(first=1)
 def test_wind_is_in_the_uncertainty(rms, band, rng):
-    draws = trials(5, 40)
+    draws = trials(3, 40)
     scores, u_decay = [], []
     for _ in range(draws):
         recording = windy(rng, rms=rms, band=band)
@@ -86,6 +86,7 @@ def test_wind_is_in_the_uncertainty(rms, band, rng):
     assert (np.mean(np.square(scores), axis=0) < 1.3**2 * chi2.isf(1e-5, len(scores)) / len(scores)).all(), scores
 
 
+@pytest.mark.soak(first=0)
 def test_wind_below_the_ringing_is_no_force_in_it(rng):
     fit = quietly(windy(rng, rms=50.0, band=(0.0, 30.0)))
     for name in ("stiffness", "damping"):
@@ -184,6 +185,7 @@ def oscillator(rng: np.random.Generator, *, friction: float = 0.0, hardening: fl
     return record(load + rng.normal(0, 2.0, load.size))
 
 
+@pytest.mark.soak(first=1)
 @pytest.mark.parametrize("fault", [{"friction": 0.5}, {"hardening": 0.01}])
 def test_friction_and_a_bent_spring_are_in_the_uncertainty(fault, rng):
     fit = quietly(oscillator(rng, **fault))

@@ -126,7 +126,7 @@ def test_accelerometers_of_the_paper_leave_what_the_bound_says(drive: str, rng):
 @pytest.mark.parametrize("noise", [(0.32, 5.0), (0.05, 0.05)])
 @pytest.mark.soak(first=1)
 def test_scatter_reaches_the_bound_and_is_stated(noise: tuple[float, float], rng):
-    draws = 40
+    draws = trials(20, 40)
     drive = Sweep(550.0, 850.0, 1.0)
     errors, uncertainties = np.empty((2, draws, 3))
     with warnings.catch_warnings():
@@ -421,6 +421,7 @@ def test_uncertain_gain_leaves_the_shares_alone(rng):
     assert free.uncertainty("mass") == pytest.approx(0.02 * free.mass, rel=0.02)
 
 
+@pytest.mark.soak(first=0)
 def test_force_on_a_shaken_balance_with_two_modes_has_the_error_of_the_noise(rng):
     truth = LARGE.with_modes(some_mode(rng, 165.0))
     found = said(several(rng, *truth.further_modes), mass=LARGE.mass, modes="auto")[0].dynamics

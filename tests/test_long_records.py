@@ -160,6 +160,7 @@ def test_with_the_same_prior_little_is_left_of_the_ends_of_a_part(rng, soft):
             assert rms(apart) < beyond * u
 
 
+@pytest.mark.soak(first=1)
 @pytest.mark.parametrize(
     ("settings", "rounding"), [(ForceSettings("paper"), 0.0), (ForceSettings(bandwidth=60.0), 1e-9)]
 )

@@ -44,6 +44,7 @@ def test_gaps_under_broad_loads_are_covered(channel: str, milliseconds: int, rng
     assert np.sqrt(np.mean(np.square(errors))) < 1e-3
 
 
+@pytest.mark.soak(first=0)
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
 def test_what_is_not_known_of_missing_readings_is_in_the_budget(rng) -> None:
     record = SixScene().record(rng)

@@ -81,7 +81,7 @@ def test_sound_records_are_not_doubted(maker, rng) -> None:
 
 
 @pytest.mark.parametrize("component", COMPONENTS)
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_a_sign_is_named_and_counted(component: str, rng) -> None:
     values, truth = _record(SixScene(), rng)
     sign = np.where(np.array(COMPONENTS) == component, -1.0, 1.0)

@@ -116,7 +116,7 @@ def test_the_ground_motion_is_filled_and_not_missing(rng):
         ("2 % clipped above, 0-20 Hz", "clipping"),
     ],
 )
-@pytest.mark.soak(first=3)
+@pytest.mark.soak(first=1)
 def test_the_force_is_as_good_as_without_the_fault(name, kind):
     case = CASES[name]
     record = case.record(0)

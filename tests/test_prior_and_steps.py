@@ -337,6 +337,7 @@ def test_the_search_for_steps_says_that_it_has_ended(second, found, told, rng, m
     assert len(steps) == found
 
 
+@pytest.mark.soak(first=1)
 @pytest.mark.parametrize(("off", "most"), [(1.002, 2), (1.005, step_search.SETTINGS.fewest_steps)])
 def test_steps_are_found_with_a_frequency_a_little_off(off, most, rng):
     time = np.arange(6400) / RATE

@@ -82,6 +82,7 @@ def inertia_and_damping(fit: ReleaseFit, units: Units) -> Array:
     return np.concatenate([A.ravel(), (A @ brake).ravel()])
 
 
+@pytest.mark.soak(first=1)
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
 def test_slopes_are_those_of_true_refits(way: str, rng) -> None:
     matrix = calibrated(rng, size=1e-5, way=way)

@@ -215,6 +215,7 @@ def test_nothing_is_improved_beside_gaps_and_ends(rng) -> None:
     np.testing.assert_allclose(one.level, expected)
 
 
+@pytest.mark.soak(first=0)
 def test_channels_that_are_read_later_share_their_noise_as_late(rng) -> None:
     balance, simulation = _soft_loads(rng)
     late = rng.uniform(0, 0.3, 6) / simulation.recording.rate

@@ -161,7 +161,7 @@ def test_uncertainties_are_right_by_monte_carlo(rng):
     clean = read(pitch, roll, angles=ANGLES)
     other_pitch, other_roll = np.radians([-30.0, 5, 40]), np.radians([20.0, 160, 275])
     expected = read(other_pitch, other_roll, angles=ANGLES)
-    draws, scores, disagreements, load_scores = trials(16, 100), [], 0, []
+    draws, scores, disagreements, load_scores = trials(10, 100), [], 0, []
     for _ in range(draws):
         found = weigh_quietly(points(pitch, roll, noisy(rng, clean)))
         disagreements += not (found.mass_agreement.agree and found.centre_agreement.agree)
@@ -292,7 +292,7 @@ def test_the_advice_is_right(rng):
 def test_uncertainty_covers_what_was_left_out(rng):
     noise = np.tile(list(NOISE.values()), (SWEEP.size, 1))
     where = {"pitch": np.radians([-20.0, 0, 8]), "roll": np.radians([0.0, 90, 180])}
-    draws, scores = trials(16, 100), []
+    draws, scores = trials(8, 100), []
     for _ in range(draws):
         angles = {name: rng.normal(0, np.radians(1)) for name in ANGLES}
         loads = noisy(rng, read(SWEEP, 0 * SWEEP, angles=angles))
@@ -324,7 +324,7 @@ def test_what_one_component_cannot_tell_is_taken_from_the_others():
 
 def test_components_that_differ_in_a_pitch_sweep(rng):
     centres = {"RM": {**CENTRE, "right": 0.05}}
-    for _ in range(trials(6, 20)):
+    for _ in range(trials(3, 20)):
         angles = {name: rng.normal(0, np.radians(1)) for name in ANGLES}
         clean = read(SWEEP, 0 * SWEEP, angles=angles, masses={"NF": 8.0}, centres=centres)
         found = weigh_quietly(points(SWEEP, None, noisy(rng, clean)))
@@ -390,7 +390,7 @@ def test_weight_that_was_in_the_zero_counts_by_the_difference_of_attitudes(rng):
         return loads(*run) - np.mean(before, axis=0)
 
     expected = counted(lambda pitch, roll: read(pitch, roll, angles=ANGLES))
-    draws, scores = trials(16, 100), []
+    draws, scores = trials(8, 100), []
     for _ in range(draws):
         found = weigh_quietly(points(pitch, roll, noisy(rng, clean)))
         u = found.uncertainty(pitch=run.pitch, roll=run.roll, since=zeros)

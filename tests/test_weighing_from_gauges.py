@@ -59,7 +59,7 @@ def scores(rng, balances, *, model, components, rolls, known_noise=False):
     ("components", "rolls"), [(("AF",), (0.0,)), (COMPONENTS, (0.0, 90.0, 180.0, 270.0))], ids=["AF", "all"]
 )
 @pytest.mark.parametrize(("model", "known_noise"), [("96", False), ("quadratic", True)], ids=["right", "wrong"])
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_the_error_of_a_mass_is_as_large_as_its_uncertainty(rng, components, rolls, model, known_noise):
     balances = trials(3, 12)
     found = scores(rng, balances, model=model, components=components, rolls=rolls, known_noise=known_noise)
