@@ -19,6 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.estimation.spectra._kernels import score_roll_offs
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
 from aerobalance.recording.channel import Array
 
@@ -109,37 +110,17 @@ class _Averages:
             rows = rows / weight
         return cls(np.log(rows[:2]), rows[2:4], rows[4], rows[5], weight)
 
-    def felt(self, points: Array) -> tuple[Array, Array, Array]:
-        """Densities of the load felt at points (b, 5), and the terms q log(1 + e^u) and u of them, shape (b, 2, m)."""
+    def felt(self, points: Array) -> Array:
+        """Densities of the load felt at points (b, 5), shape (b, 2, m) [N^2/Hz]."""
         level, half, exponent, power = (points[:, place, None, None] for place in range(4))
         bend = np.exp(exponent) * (self.frequency - half) + np.log(np.expm1(np.log(2.0) / np.exp(power)))
         fall = np.logaddexp(0.0, bend)
-        return self.gain * np.exp(np.maximum(level - np.exp(power) * fall, -600.0)), fall, bend
+        return np.asarray(self.gain * np.exp(np.maximum(level - np.exp(power) * fall, -600.0)))
 
     def cost(self, points: Array) -> Array:
         """Less the logarithm of Whittle's likelihood of points (b, 5), shape (b,)."""
-        model = self.felt(points)[0].sum(axis=1) + self.background + np.exp(points[:, NOISE, None])
+        model = self.felt(points).sum(axis=1) + self.background + np.exp(points[:, NOISE, None])
         return np.asarray((np.log(model) + self.density / model) @ self.weight)
-
-    def slopes(self, points: Array) -> tuple[Array, Array, Array]:
-        """The same with its slopes, shape (b, 5), and the information that is expected, shape (b, 5, 5)."""
-        felt, fall, bend = self.felt(points)
-        half, exponent, power, noise = (points[:, place, None] for place in (HALF, EXPONENT, POWER, NOISE))
-        exponent, power = np.exp(exponent), np.exp(power)
-        steep = power[:, :, None] * felt * np.exp(bend - fall)
-        whole, octave = steep.sum(axis=1), np.log(2.0) / power
-        slopes = np.empty((points.shape[0], 5, self.weight.size))
-        slopes[:, LEVEL] = felt.sum(axis=1)
-        slopes[:, HALF] = exponent * whole
-        slopes[:, EXPONENT] = -exponent * np.sum(steep * (self.frequency - half[:, :, None]), axis=1)
-        slopes[:, POWER] = octave / -np.expm1(-octave) * whole - power * np.sum(felt * fall, axis=1)
-        slopes[:, NOISE] = np.exp(noise)
-        model = slopes[:, LEVEL] + self.background + np.exp(noise)
-        slopes /= model[:, None]
-        ratio = self.density / model
-        gradient = slopes @ (self.weight * (1 - ratio))[:, :, None]
-        information = (slopes * self.weight) @ slopes.transpose(0, 2, 1)
-        return (np.log(model) + ratio) @ self.weight, gradient[:, :, 0], information
 
     def beginnings(self, noise: float) -> Array:
         """Points to begin from with a noise: for each pair of m and q the best of some corners, (pairs, 5)."""
@@ -237,46 +218,16 @@ def _lowered(
     points: Array, averages: _Averages, free: NDArray[np.bool_], limits: Array, *, most: int, enough: float
 ) -> tuple[Array, Array]:
     """Points (b, 5) of least cost from others, each by itself, and those costs (b,), in so many steps at most."""
-    lower, upper = limits
-    cost, gradient, information = averages.slopes(points)
-    damping = np.full(cost.size, DAMPING)
-    going = np.ones(cost.size, dtype=np.bool_)
-    for _ in range(most):
-        outward = ((points <= lower) & (gradient > 0)) | ((points >= upper) & (gradient < 0))
-        moved = free & ~outward
-        slope = np.where(moved, gradient, 0.0)
-        bend = information * (moved[:, :, None] & moved[:, None, :])
-        step = _step(slope, bend, damping, np.clip([lower - points, upper - points], -LONGEST_STEP, LONGEST_STEP))
-        promise = -np.sum(slope * step, axis=1) - 0.5 * np.einsum("bi,bij,bj->b", step, bend, step)
-        going &= promise > enough
-        if not going.any():
-            break
-        trial = np.clip(points + step * going[:, None], lower, upper)
-        trial = np.where(free, trial, points)
-        after = averages.slopes(trial)
-        better = going & (after[0] < cost)
-        points = np.where(better[:, None], trial, points)
-        cost = np.where(better, after[0], cost)
-        gradient = np.where(better[:, None], after[1], gradient)
-        information = np.where(better[:, None, None], after[2], information)
-        damping = np.where(better, damping / 10, damping * 10)
-    return points, cost
-
-
-def _step(slope: Array, bend: Array, damping: Array, limits: Array) -> Array:
-    """Steps (b, 5) of damped scoring: what would go too far stops there, and the others go on from that."""
-    step = _solved(slope, bend, damping)
-    stops = (step < limits[0]) | (step > limits[1])
-    if stops.any():
-        there = np.where(stops, np.clip(step, *limits), 0.0)
-        left = np.where(stops, 0.0, slope + np.einsum("bij,bj->bi", bend, there))
-        step = there + _solved(left, np.where(stops[:, :, None] | stops[:, None, :], 0.0, bend), damping)
-    return np.clip(step, *limits)
-
-
-def _solved(slope: Array, bend: Array, damping: Array) -> Array:
-    """Steps (b, 5) for slopes and information, this with so much more of its diagonal; zero where there is none."""
-    size = np.diagonal(bend, axis1=1, axis2=2)
-    more = size * damping[:, None] + np.where(size > 0, 1e-9, 1.0)
-    damped = bend + np.eye(size.shape[1]) * more[:, :, None]
-    return np.asarray(-np.linalg.solve(damped, slope[:, :, None])[:, :, 0])
+    points = np.array(points)
+    settings = most, enough, DAMPING, LONGEST_STEP
+    return points, score_roll_offs(
+        points,
+        free,
+        limits,
+        averages.frequency,
+        averages.gain,
+        averages.background,
+        averages.density,
+        averages.weight,
+        settings,
+    )
