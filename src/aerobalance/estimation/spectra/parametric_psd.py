@@ -122,6 +122,15 @@ class _Averages:
         model = self.felt(points).sum(axis=1) + self.background + np.exp(points[:, NOISE, None])
         return np.asarray((np.log(model) + self.density / model) @ self.weight)
 
+    def slopes(self, points: Array) -> tuple[Array, Array, Array]:
+        """The same with its slopes, shape (b, 5), and the information that is expected, shape (b, 5, 5)."""
+        count = points.shape[0]
+        cost, gradient, lower = np.zeros(count), np.zeros((count, 5)), np.zeros((count, 5, 5))
+        score_roll_offs(
+            points, self.frequency, self.gain, self.background, self.density, self.weight, cost, gradient, lower
+        )
+        return cost, gradient, lower + np.tril(lower, -1).transpose(0, 2, 1)
+
     def beginnings(self, noise: float) -> Array:
         """Points to begin from with a noise: for each pair of m and q the best of some corners, (pairs, 5)."""
         raw = np.maximum(self.density - self.background - noise, 0.0) / self.gain[0]
@@ -218,16 +227,51 @@ def _lowered(
     points: Array, averages: _Averages, free: NDArray[np.bool_], limits: Array, *, most: int, enough: float
 ) -> tuple[Array, Array]:
     """Points (b, 5) of least cost from others, each by itself, and those costs (b,), in so many steps at most."""
-    points = np.array(points)
-    settings = most, enough, DAMPING, LONGEST_STEP
-    return points, score_roll_offs(
-        points,
-        free,
-        limits,
-        averages.frequency,
-        averages.gain,
-        averages.background,
-        averages.density,
-        averages.weight,
-        settings,
-    )
+    lower, upper = limits
+    found, points = np.empty(points.shape[0]), np.array(points)
+    going, here = np.arange(points.shape[0]), points
+    cost, gradient, information = averages.slopes(points)
+    damping = np.full(going.size, DAMPING)
+    found[:] = cost
+    for _ in range(most):
+        outward = ((here <= lower) & (gradient > 0)) | ((here >= upper) & (gradient < 0))
+        moved = free[going] & ~outward
+        slope = np.where(moved, gradient, 0.0)
+        bend = information * (moved[:, :, None] & moved[:, None, :])
+        step = _step(slope, bend, damping, np.clip([lower - here, upper - here], -LONGEST_STEP, LONGEST_STEP))
+        promise = -np.sum(slope * step, axis=1) - 0.5 * np.einsum("bi,bij,bj->b", step, bend, step)
+        on = promise > enough
+        if not on.all():  # what has come to its end is looked at no more
+            going, here, step, damping = going[on], here[on], step[on], damping[on]
+            cost, gradient, information = cost[on], gradient[on], information[on]
+            if not going.size:
+                break
+        trial = np.where(free[going], np.clip(here + step, lower, upper), here)
+        after = averages.slopes(trial)
+        better = after[0] < cost
+        here = np.where(better[:, None], trial, here)
+        cost = np.where(better, after[0], cost)
+        gradient = np.where(better[:, None], after[1], gradient)
+        information = np.where(better[:, None, None], after[2], information)
+        damping = np.where(better, damping / 10, damping * 10)
+        points[going], found[going] = here, cost
+    return points, found
+
+
+def _step(slope: Array, bend: Array, damping: Array, limits: Array) -> Array:
+    """Steps (b, 5) of damped scoring: what would go too far stops there, and the others go on from that."""
+    step = _solved(slope, bend, damping)
+    stops = (step < limits[0]) | (step > limits[1])
+    if stops.any():
+        there = np.where(stops, np.clip(step, *limits), 0.0)
+        left = np.where(stops, 0.0, slope + np.einsum("bij,bj->bi", bend, there))
+        step = there + _solved(left, np.where(stops[:, :, None] | stops[:, None, :], 0.0, bend), damping)
+    return np.clip(step, *limits)
+
+
+def _solved(slope: Array, bend: Array, damping: Array) -> Array:
+    """Steps (b, 5) for slopes and information, this with so much more of its diagonal; zero where there is none."""
+    size = np.diagonal(bend, axis1=1, axis2=2)
+    more = size * damping[:, None] + np.where(size > 0, 1e-9, 1.0)
+    damped = bend + np.eye(size.shape[1]) * more[:, :, None]
+    return np.asarray(-np.linalg.solve(damped, slope[:, :, None])[:, :, 0])
