@@ -98,7 +98,9 @@ def test_a_changed_spring_or_damper_is_told(rng):
     damper = looked_at(released(replace(BARE, damping=1.1 * BARE.damping), rng), dynamics)
     assert damper.frequency is None
     assert damper.damping is not None
-    assert damper.damping[0] == pytest.approx(0.1, abs=0.01)
+    change, u = damper.damping
+    assert abs(change - 0.1) < 5 * u  # u is 0.011 in the mean, and so is the scatter of twenty records
+    assert u < 0.02
     (told,) = damper.doubts(dynamics)
     assert told.doubt.kind == "damping ratio"
     assert "or the flow" in told.doubt.text
