@@ -93,8 +93,7 @@ def estimated(record: ComponentRecord, *, method: Method, bandwidth: float | Non
     _check(record)
     found = central_differences(record) if bandwidth is None else band_limited(record, bandwidth)
     # what lies beyond the band, as an optimal estimate shows it; without a search for steps, which takes longer
-    reading, _ = _with_noise(record)
-    smoothed = SmootherResult.of(reading, learned=fit_prior(reading, columns=columns_of([], reading)), steps=())
+    smoothed = Fitted.without_steps(record).smoothed
     error, lasts = missed(record, found.values, smoothed.force, bandwidth)
     return with_errors(found, as_noise(error, name=BEYOND_THE_BAND, period=lasts, interval=record.interval))
 
@@ -184,6 +183,14 @@ class Fitted:
         smoothed = SmootherResult.of(signal.reading, learned=signal.learned, steps=signal.steps)
         change = better.motion.specific_force - record.motion.specific_force
         return cls(better, hum, signal, smoothed, found.doubts, change)
+
+    @classmethod
+    def without_steps(cls, record: ComponentRecord) -> Fitted:
+        """Work out the force of a component whose steps, if any, are a part of the prior, which takes less time."""
+        reading, doubts = _with_noise(record)
+        learned = fit_prior(reading, columns=columns_of([], reading))
+        smoothed = SmootherResult.of(reading, learned=learned, steps=())
+        return cls(record, "keep", SignalModel(reading, [], learned, (), ()), smoothed, doubts)
 
     @classmethod
     def _aligned(cls, record: SingleRecord, hum: Hum) -> Fitted:

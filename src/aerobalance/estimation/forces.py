@@ -6,7 +6,7 @@ taken off.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, TypeVar
@@ -177,7 +177,7 @@ def _with_gaps_filled(
     for _ in range(PASSES if record.has_gaps else 0):
         facts = {name: known(one) for name, one in found.items()}
         better = record.filled_by({name: force for name, (force, _) in facts.items()}, filled=filled)
-        if (np.abs(better - filled) < SETTLED * np.array([noise for _, noise in facts.values()])).all():
+        if _settled(better - filled, [noise for _, noise in facts.values()]):
             break
         filled = better
         found = _worked(work, record.component_records(filled, noises=noises))
@@ -189,14 +189,26 @@ def _with_gaps_found(
 ) -> tuple[dict[str, Fitted], Array, MissingReadings]:
     """Return fits by component, and the readings with few that are missing in their places, and how well known.
 
-    The first priors are learned with what ringing a gap leaves, so they are learned, and the readings found, again.
+    The first priors are learned with what ringing a gap leaves, so they are learned, and the readings found, again
+    where those of the second priors are others.
     """
     filled = interpolate_gaps(record.loads)
+    # what a gap leaves rings, and is no step to be looked for
+    first = _worked(Fitted.without_steps, record.component_records(filled, noises=noises))
+    filled, missing = MissingReadings.of(record, first, filled=filled)
     found = _worked(fitted, record.component_records(filled, noises=noises))
-    for _ in range(PASSES):
-        filled, missing = MissingReadings.of(record, found, filled=filled)
+    for _ in range(PASSES - 1):
+        better, missing = MissingReadings.of(record, found, filled=filled)
+        if _settled(better - filled, [one.signal.learned.noise for one in found.values()]):
+            break
+        filled = better
         found = _worked(fitted, record.component_records(filled, noises=noises))
     return found, filled, missing
+
+
+def _settled(change: Array, noise: Sequence[float]) -> bool:
+    """Return whether no force would notice a change of what fills the gaps, the noise of a reading being so large."""
+    return bool((np.abs(change) < SETTLED * np.array(noise)).all())
 
 
 def predicted_noise(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: Array) -> dict[str, SharedNoise]:
