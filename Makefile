@@ -7,7 +7,8 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 TEST_READY := $(VENV)/.ready-test
 DOCS_READY := $(VENV)/.ready-docs
-INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# what is imported is compiled to bytecode then; the libraries have three times as much, which takes pip half a minute
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 # without the bytecode of tests and program every process of the tests would make it anew
 export PYTHONDONTWRITEBYTECODE :=
 COMPILED := build/.compiled
