@@ -27,6 +27,17 @@ def test_force_loads_no_library_that_few_records_need():
     assert not SLOW & set(loaded)
 
 
+def test_live_processes_load_no_library_that_few_of_them_need():
+    modules = (
+        "acquisition.simulated",
+        "acquisition.recorder",
+        *(f"app.monitor.{n}" for n in ("engine", "learner", "jobs")),
+    )
+    loaded = printed(f"import sys, {', '.join(f'aerobalance.{name}' for name in modules)}; print(*sys.modules)")
+    assert "scipy.linalg" in loaded  # so that libraries are seen
+    assert not SLOW & set(loaded)
+
+
 SEARCHING = """
 import gc, sys, time
 from aerobalance.app import cli

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
 
 from aerobalance.recording.channel import Array
 from aerobalance.simulation.published import VIBRATION_RIG
@@ -62,6 +60,8 @@ class Unsteadiness:
 
     def _noise(self, time: Array, generator: np.random.Generator) -> Array:
         """Noise of unit variance through two equal first-order lags, begun in its stationary state."""
+        from scipy.signal import lfilter  # noqa: PLC0415 - slow, and no live source needs it
+
         keep = float(np.exp(-(time[1] - time[0]) / self.correlation_time))
         lead = int(10 / (1 - keep))
         white = generator.standard_normal(time.size + lead)
@@ -188,6 +188,8 @@ def band_noise(generator: np.random.Generator, *, low: float, high: float, rms: 
     period
         Time after which it repeats itself [s].
     """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow, and no live source needs it
+
     if not 0 <= low < high < np.inf or not period > 0:
         raise ValueError(f"a band needs 0 <= low < high and a positive period, not {low}, {high} and {period}")
     points = int(np.ceil(16 * high * period))

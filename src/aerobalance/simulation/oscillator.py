@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.channel import Array
@@ -85,6 +84,8 @@ class Oscillator:
 
     def state(self, drive: Input) -> NDArray[np.complex128]:
         """State z at the points of the grid, from equilibrium under the first value of the drive."""
+        from scipy.signal import lfilter  # noqa: PLC0415 - slow, and no live source needs it
+
         pushes = sum(
             integral * coefficient
             for integral, coefficient in zip(self._cell(drive.interval), drive.coefficients, strict=True)

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from aerobalance.recording.channel import QUANTITIES, Array, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
@@ -55,6 +53,9 @@ class Sensor:
 
     def read(self, signal: Signal, clock: Array, *, grid: Array, generator: np.random.Generator) -> Array:
         """Read a quantity at the times of the clock, shape (n,)."""
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow, and no live source needs it
+        from scipy.signal import butter, sosfilt, sosfilt_zi  # noqa: PLC0415 - slow, and no live source needs it
+
         instants = clock - self.delay
         if self.corner:
             rate = 1 / (grid[1] - grid[0])

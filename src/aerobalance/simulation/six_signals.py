@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS
@@ -78,6 +77,8 @@ class Band:
 
 def _periodic(amplitudes: Array, period: float) -> Callable[[Array], Array]:
     """Sum of sines with the amplitudes of lines 1/period, 2/period ..., as a smooth function of time."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow, and no live source needs it
+
     points = 16 * (amplitudes.shape[0] + 1)
     lines = np.zeros((points // 2 + 1, amplitudes.shape[1]), dtype=np.complex128)
     lines[1 : amplitudes.shape[0] + 1] = amplitudes * points / 2
@@ -135,6 +136,8 @@ def sampled(values: Array, *, rate: float, start: float = 0.0) -> SixSignal:
     start
         Time of the first [s].
     """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow, and no live source needs it
+
     times = start + np.arange(len(values)) / rate
     spline = CubicSpline(times, values)
     return lambda time: np.asarray(spline(np.clip(time, times[0], times[-1])))
@@ -207,6 +210,8 @@ def driven_motion(drive: Callable[[Array], Array], *, along: ArrayLike, duration
     duration
         For how long it is driven [s].
     """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow, and no live source needs it
+
     size = np.asarray(along, dtype=np.float64)
     turns = size[[COMPONENTS.index(name) for name in MOMENTS]]
     grid = np.linspace(0.0, duration, int(DRIVE_RATE * duration) + 1)
