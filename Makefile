@@ -7,8 +7,10 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 TEST_READY := $(VENV)/.ready-test
 DOCS_READY := $(VENV)/.ready-docs
-# what is imported is compiled to bytecode then; the libraries have three times as much, which takes pip half a minute
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+# on all processors, where pip takes one, and without the libraries' own tests, which are half of all; it must be done
+# before the tests, some of which limit the size of files: Python then keeps a part of what it compiles itself
+BYTECODE := $(BIN)/python -m compileall -qq -j 0 -x '/tests/' $(VENV)/lib src || true
 # without the bytecode of tests and program every process of the tests would make it anew
 export PYTHONDONTWRITEBYTECODE :=
 COMPILED := build/.compiled
@@ -17,7 +19,7 @@ ROUNDS ?= 3
 BENCH := OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks -o addopts="" --benchmark-disable -q
 TEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
-.PHONY: demo test soak check bench faults docs pins clean prepared
+.PHONY: demo test soak check types lint bench faults docs pins clean prepared
 
 demo: $(COMPILED)
 	$(BIN)/aerobalance demo --out build/demo
@@ -39,10 +41,14 @@ soak: $(TEST_READY) $(COMPILED)
 	if [ -n "$$failed" ]; then echo "failed with the seeds:$$failed (again: make test SEED=...)"; exit 1; fi; \
 	echo "no failure in $(ROUNDS) rounds"
 
-check: $(TEST_READY)
+check: types lint
+
+types: $(TEST_READY)
+	$(BIN)/mypy
+
+lint: $(TEST_READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
 
 # What measures time comes last, with nothing beside it.
@@ -83,8 +89,7 @@ $(READY): requirements/runtime.txt requirements/build.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(INSTALL) --require-hashes -r requirements/runtime.txt -r requirements/build.txt
 	$(INSTALL) --no-build-isolation --no-deps -e .
-	# compiled here once: every command begins a third of a second sooner
-	$(BIN)/python -m compileall -q src
+	$(BYTECODE)
 	touch $@
 
 # Loops are compiled again where one has changed, before tests run that measure time or what is said.
@@ -95,6 +100,7 @@ $(COMPILED): $(READY) $(KERNELS)
 
 $(TEST_READY): $(READY) requirements/test.txt
 	$(INSTALL) --require-hashes -r requirements/test.txt
+	$(BYTECODE)
 	touch $@
 
 $(DOCS_READY): $(READY) requirements/docs.txt
