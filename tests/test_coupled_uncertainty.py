@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force import estimate_force, force_record, noise_spectra
 from aerobalance.recording.channel import Array

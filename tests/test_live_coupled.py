@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.estimation.decoupled_record import load_felt
 from aerobalance.estimation.live.decoupling import MARGIN, Decoupler
 from aerobalance.estimation.live.live_force import JUDGED, LiveForce, LiveSettings

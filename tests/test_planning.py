@@ -11,8 +11,9 @@ import pytest
 from scipy.integrate import quad
 
 from aerobalance.app.cli import main
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
 from aerobalance.io.dynamics_file import write_dynamics

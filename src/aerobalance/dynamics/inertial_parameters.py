@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.coupled import RigidMass
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import FROM_VECTORS
 

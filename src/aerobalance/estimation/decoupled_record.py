@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from aerobalance.dynamics.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
+from aerobalance.dynamics.rigid_body import MASS_PARAMETERS, mass_slopes
 from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.record import ComponentRecord, Through
 from aerobalance.motion.platform import PlatformMotion, SystematicParameter
@@ -33,9 +33,6 @@ AT_ONCE: Final = 4
 
 UNSEEN: Final = 1e-4
 """The same over the rms of all errors of a reading: an error that holds along a record shows in its mean."""
-
-SMALL: Final = 1e-6
-"""Relative change of the mass's parameters over which its slopes are taken; the matrix is a polynomial in them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -263,20 +260,6 @@ def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Arra
     if not net.any():
         return np.zeros_like(net)
     return dynamics.load_felt(upsample_compensated(net), interval=interval / FINE, every=FINE)
-
-
-@lru_cache(maxsize=4)  # the same for all components and all parts of a record
-def mass_slopes(mass: RigidMass) -> list[Array]:
-    """Derivatives of the mass matrix by mass, centre of gravity and the six elements of the inertia, (6, 6) each."""
-    values = mass.values
-    slopes = []
-    for place in range(values.size):
-        small = SMALL * max(abs(values[place]), 1e-3)
-        more, less = values.copy(), values.copy()
-        more[place] += small
-        less[place] -= small
-        slopes.append((RigidMass.of_values(more).matrix - RigidMass.of_values(less).matrix) / (2 * small))
-    return slopes
 
 
 def mass_rows(dynamics: CoupledDynamics) -> Array:

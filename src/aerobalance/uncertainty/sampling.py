@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import MASS_PARAMETERS, RigidMass
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass, mass_slopes
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.decoupled_record import mass_rows, mass_slopes
+from aerobalance.estimation.decoupled_record import mass_rows
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, COMPONENTS, FORCE_ROWS, driving_axis
 
