@@ -285,7 +285,7 @@ def test_the_live_force_lags_as_planned() -> None:
         ({"dynamics": bent(), "noise": READINGS, "acceleration_noise": 1.0}, "which the dynamics do not hold"),
         ({"dynamics": []}, "dynamics must be .*, not empty"),
         ({"dynamics": "dynamics.json"}, "dynamics must be .*, not str"),
-        ({"dynamics": [T128, T128]}, "once for each component, not for AF, AF"),
+        ({"dynamics": [T128, T128]}, "given twice of AF"),
     ],
 )
 def test_wrong_arguments(wrong: dict[str, object], words: str) -> None:

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.inertial_parameters import mass_basis, rigid_of
-from aerobalance.dynamics.rigid_body import RigidMass
+from aerobalance.dynamics.rigid_body import RigidMass, mass_basis, rigid_of
 from aerobalance.identification.base_excitation.shaking_fit import (
     DELAY,
     MATRICES,
