@@ -183,6 +183,17 @@ def test_slopes_of_the_forces_are_those_of_differences(which: str) -> None:
             np.testing.assert_allclose(found / scale, part.slopes[:, number] / scale, atol=1e-6)
 
 
+def test_a_live_force_takes_one_coupled_component_with_an_internal_coordinate(rng: np.random.Generator) -> None:
+    inertia, damping = np.array([[4e-6, 1e-6], [2e-6, 3e-6]]), np.array([[2e-5, 0.0], [0.0, 1e-5]])
+    live = LiveForce(CoupledDynamics(("AF",), inertia, damping), rate=4000.0)
+    assert live.noise is None  # it is not asked for: nothing is weighed by it
+    blocks = np.split(100.0 + rng.normal(size=8000), 20)
+    force = np.concatenate([live.push({"AF": block})["AF"].force for block in blocks])[-2000:]
+    assert force.size == 2000
+    # readings with noise of 1 N: six standard deviations of their mean
+    assert abs(float(force.mean()) - 100.0) < 6 / np.sqrt(2000)
+
+
 def recording(rng: np.random.Generator) -> Recording:
     count, rate = 3000, 4000.0
     time = np.arange(count) / rate

@@ -165,7 +165,8 @@ class LiveForce:
         self.factor = max(1, int(rate / (self.settings.samples_a_period * highest)))
         self.interval = self.factor / rate
         n = len(self.components)
-        known = np.zeros((1, 1)) if noise is None and n == 1 else noise  # of one alone there is nothing to weigh
+        self._weighs = noise is not None or n > 1  # of one alone there is nothing to weigh
+        known = noise if self._weighs else np.eye(1)
         self._noise = self._given_noise = known
         self._learned = dict(learned or {})
         self.generation = 0
@@ -264,7 +265,7 @@ class LiveForce:
     @property
     def noise(self) -> Array | None:
         """Covariance of the noise of a reading, shape (n, n), as given or judged; None while it is not known."""
-        return self._noise if len(self.components) > 1 or self._given_noise is not None else None
+        return self._noise if self._weighs else None
 
     @property
     def steps(self) -> dict[str, tuple[Step, ...]]:
