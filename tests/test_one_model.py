@@ -16,9 +16,10 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import NO_DYNAMICS, IndependentDynamics, dynamics_of
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force import force_record
+from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.planning import plan
 from helpers.coupled_pair import pair
@@ -266,3 +267,18 @@ def test_live_forces_are_the_same(rng: np.random.Generator) -> None:
     one, other = (live.push(block)["AF"].force for live in (single, coupled))
     assert one.size > 500
     np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(one).max())
+
+
+def test_few_steps_of_a_converter_are_counted_in_both(rng: np.random.Generator) -> None:
+    part, count, rate = PARTS[1], 3000, 1600.0
+    load = part.load_felt(2 * np.cumsum(rng.normal(size=count)), interval=1 / rate) + 0.05 * rng.normal(size=count)
+    channel = Channel("AF", 4.0 * np.round(load / 4.0), "N")
+    given = Recording.from_columns(np.arange(count) / rate, {"AF": channel}, name="run")
+    found = []
+    for model in (part, CoupledDynamics.of_components([part])):
+        with pytest.warns(DataQualityWarning, match="steps of 4 N"):
+            force = estimate_force(given, model)["AF"]
+        assert [doubt.kind for doubt in force.doubts] == ["resolution"]
+        found.append(force.budget["resolution of the channel"])
+    # the same readings and models that are the same to rounding, which the learning of spectra magnifies
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
