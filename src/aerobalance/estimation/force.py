@@ -21,6 +21,7 @@ from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.zeros import Zero
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
 from aerobalance.estimation.applied_force import Force
@@ -31,7 +32,8 @@ from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force_collector import ForceCollector
 from aerobalance.estimation.force_parts import DIVISION, Division, ForcePart, Joiner, WorstPart
 from aerobalance.estimation.forces import ForceRecord, ForceSettings, forces_of, with_matrix
-from aerobalance.estimation.record import FEWEST_SAMPLES, IndependentRecord
+from aerobalance.estimation.independent_record import IndependentRecord
+from aerobalance.estimation.record import FEWEST_SAMPLES
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.recording.channel import Array
@@ -128,7 +130,7 @@ class ForceWork:
     """
 
     record: LongRecord[Recording | Loads]
-    dynamics: IndependentDynamics | CoupledDynamics
+    dynamics: BalanceDynamics
     made_ready: MadeReady = lambda given: given
     noise: Recording | Loads | Mapping[str, NoiseSpectrum] | None = None
     settings: ForceSettings = field(default_factory=ForceSettings)
@@ -208,7 +210,7 @@ class ForceWork:
         return self.made_ready(self.record.part(part.begin, part.end))
 
 
-def _present(given: Recording | Loads, dynamics: IndependentDynamics | CoupledDynamics) -> tuple[str, ...]:
+def _present(given: Recording | Loads, dynamics: BalanceDynamics) -> tuple[str, ...]:
     """Components of the dynamics that a run has."""
     recording = given.recording if isinstance(given, Loads) else given
     return tuple(name for name in dynamics.components if name in recording)
@@ -223,7 +225,7 @@ def _has_readings(given: Recording | Loads, components: Sequence[str]) -> bool:
 
 def _undivided(
     given: Recording | Loads,
-    model: IndependentDynamics | CoupledDynamics,
+    model: BalanceDynamics,
     settings: ForceSettings,
     *,
     noise: Recording | Loads | Mapping[str, NoiseSpectrum] | None,
@@ -245,7 +247,7 @@ def _undivided(
             f"{given.name}: the loads were worked out from gauge outputs, and the errors of the balance matrix are "
             "not in the uncertainty: give the loads as reduce_outputs returns them, not their recording alone"
         )
-    seen = impossible_channels(given, model.components, coupled=isinstance(model, CoupledDynamics))
+    seen = impossible_channels(given, model)
     told = given.doubts if isinstance(given, Loads) else ()
     if not settings.keep_outliers:
         given, wild = without_wild_samples(given, model.components)
@@ -305,10 +307,12 @@ def force_record(
     settings = {"gravity": gravity, "gravity_uncertainty": gravity_uncertainty}
     if isinstance(model, CoupledDynamics):
         return CoupledRecord.of(run, model, noise=noise, **settings)
-    return IndependentRecord.of(run, model, **settings)
+    if isinstance(model, IndependentDynamics):
+        return IndependentRecord.of(run, model, **settings)
+    raise TypeError(f"there is no record of {type(model).__name__}")
 
 
-def _noise_of(loads: Loads, model: IndependentDynamics | CoupledDynamics) -> Array | None:
+def _noise_of(loads: Loads, model: BalanceDynamics) -> Array | None:
     """Covariance of the noise of a model's components, shape (n, n); None where the loads lack one or its noise."""
     if any(name not in loads.components for name in model.components):
         return None
@@ -317,7 +321,7 @@ def _noise_of(loads: Loads, model: IndependentDynamics | CoupledDynamics) -> Arr
     return found if np.diag(found).all() else None
 
 
-def _check_mass(loads: Loads, model: IndependentDynamics | CoupledDynamics) -> None:
+def _check_mass(loads: Loads, model: BalanceDynamics) -> None:
     """Refuse loads whose zero was read under the weight of another mass than the dynamics have."""
     put_back, gravity = loads.zero.weight, loads.zero.pull.acceleration
     size = float(np.linalg.norm(gravity))
@@ -364,9 +368,5 @@ def noise_spectra(
         The record lacks a component, is too short, or shows no noise.
     """
     record = force_record(calm, run.dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
-    if isinstance(record, CoupledRecord) and isinstance(run, CoupledRecord):
-        record = record.taken_with(record.dynamics, noise=run.noise)
-    return {
-        name: noise_of_component(component)
-        for name, component in record.component_records(interpolate_gaps(record.loads)).items()
-    }
+    records = record.with_noise(run.noise).component_records(interpolate_gaps(record.loads))
+    return {name: noise_of_component(component) for name, component in records.items()}

@@ -18,8 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.modal import Mode
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.error_sources import Noise, Systematic, undivided
@@ -60,12 +59,12 @@ class Division:
     margin: tuple[int, float] = (1 << 12, 1 / 8)
     same_step: tuple[float, float] = (5.0, 2.0)
 
-    def parts(self, record: LongRecord[Any], dynamics: IndependentDynamics | CoupledDynamics) -> tuple[Part, ...]:
+    def parts(self, record: LongRecord[Any], dynamics: BalanceDynamics) -> tuple[Part, ...]:
         """Return the parts of a record."""
         length = max(self.readings // len(dynamics.components) // self.round_to, 1) * self.round_to
         if record.samples <= length:
             return parts_of(record.samples, length=length, margin=0)
-        slowest = min(_decay(mode) for mode in _modes(dynamics))
+        slowest = min(_decay(mode) for mode in dynamics.modes)
         least, most = self.margin
         wanted = self.decay_times / max(slowest, 1e-300) * record.rate
         margin = int(min(max(wanted, least), most * length))
@@ -80,12 +79,6 @@ def _decay(mode: Mode) -> float:
     """Rate at which the free motion of a mode decays [1/s]."""
     ratio = mode.damping_ratio
     return mode.angular_frequency * (ratio if ratio <= 1 else 1 / (ratio + float(np.sqrt(ratio**2 - 1))))
-
-
-def _modes(dynamics: IndependentDynamics | CoupledDynamics) -> list[Mode]:
-    if isinstance(dynamics, CoupledDynamics):
-        return list(dynamics.modes)
-    return [mode for one in dynamics.values() for mode in one.modes]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,6 @@ from aerobalance.app.commands.uncertainty import (
 )
 from aerobalance.app.one_heap import share_one_heap
 from aerobalance.app.reports.force_curves import ForceCurves
-from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.force_collector import SummaryOfParts
 from aerobalance.estimation.force_parts import ForcePart, WorstPart
@@ -77,7 +76,7 @@ def force(
     """Force applied, with its uncertainty, from balance loads or, with a balance, from gauge outputs."""
     share_one_heap()
     check_output(out)
-    known = dynamics_of(read_any_dynamics(dynamics))
+    known = read_any_dynamics(dynamics)
     settings = ForceSettings() if settings is None else settings
     source = LoadSource(known, files, settings.gravity, channel_map)
     inputs = [path, dynamics, *source.paths, *([] if noise_record is None else [noise_record])]

@@ -24,8 +24,7 @@ from aerobalance.balance.inversion import TOLERANCE
 from aerobalance.balance.load_checks import beyond_range
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import Loads
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.io import check_output
 from aerobalance.io.balance_file import read_matrix, write_balance
 from aerobalance.io.balfit_matrix import write_balfit_matrix
@@ -74,7 +73,7 @@ class LoadSource(NamedTuple):
         Channel map of foreign files.
     """
 
-    known: IndependentDynamics | CoupledDynamics
+    known: BalanceDynamics
     files: BalanceFiles | None
     gravity: float
     channel_map: Path | None
