@@ -160,6 +160,7 @@ class ComponentRecord(ABC):
             input_density=self.input_noise**2 * self.interval,
             noise=channel.noise,
             hum=hum,
+            decimated=self.recording.decimated,
         )
         if self.noise is not None:
             color = self.noise.colored_part(self.recording.whole_duration)

@@ -75,7 +75,7 @@ def assumptions_of(record: ComponentRecord, fit: SmootherResult, through: Throug
         return float(np.sqrt(np.mean(through(np.where(reading.present, change, 0.0)[:, None])[:, 0] ** 2)))
 
     if name not in record.recording.declared:
-        corner = SETTINGS.corner * record.recording.rate
+        corner = SETTINGS.corner * record.recording.rate * record.recording.decimated
         change = filtered(reading.filled, _low_pass(corner), rate=record.recording.rate) - reading.filled
         text = (
             f"no analog filter or amplifier is declared for {name}: one of second order at {corner:.4g} Hz, "
