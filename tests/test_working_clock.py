@@ -12,6 +12,7 @@ import pytest
 from aerobalance.app.cli import main
 from aerobalance.app.commands.shared import opened
 from aerobalance.dynamics.independent import dynamics_of
+from aerobalance.dynamics.modal import Mode
 from aerobalance.estimation import working_clock
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.force_parts import Division
@@ -174,6 +175,25 @@ def test_the_ends_are_no_worse(rng) -> None:
     # the errors of both are of the same readings; what lies beyond the last sample of the slower clock is predicted.
     # Over 24 ends that makes 1.17 times the error, and single ones scatter by a third
     assert rms(ours) < (1.17 + 3 * 0.33 / np.sqrt(len(ours))) * rms(theirs)
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_a_record_that_contradicts_its_dynamics_says_so(rng) -> None:
+    """A mode of 3 % at 153 Hz that the dynamics lack, under a load to 200 Hz, may look like a color of the noise."""
+    whole = T128.with_modes(Mode(153.0, 0.01, 0.03))
+    frequency = np.fft.rfftfreq(SAMPLES, 1 / RATE)
+    for _ in range(trials(2, 8)):
+        lines = np.fft.rfft(rng.normal(size=SAMPLES)) * ((frequency > 0) & (frequency < 200))
+        force = np.fft.irfft(lines, SAMPLES)
+        size = 50.0 / force.std()
+        load = size * np.fft.irfft(lines * whole.response(frequency), SAMPLES) + NOISE * rng.normal(size=SAMPLES)
+        slow = work(recording(load))
+        assert slow.working.every > 1
+        found = slow.force()
+        assert "missing mode" in {doubt.kind for doubt in found.doubts}
+        assert str(found.verdict) != "fit for use"
+        error = found.only.values - size * force
+        assert rms(error) < 2 * rms(found.only.uncertainty)
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,9 @@ class ModelCheckSettings:
         The same over the standard deviation of the readings: what swings less is not looked at.
     beyond
         Factor that puts a natural frequency beyond all that is recorded.
+    peaked, beside
+        Density of the color of a noise at a mode over that beside it, so far away over its frequency on either side,
+        from which on the color is the mode's: the edge of a band has its level on one side.
     """
 
     drift: float = 5.0
@@ -80,6 +83,8 @@ class ModelCheckSettings:
     least_noise: float = 1e-3
     least_signal: float = 1e-3
     beyond: float = 1e3
+    peaked: float = 3.0
+    beside: float = 0.1
 
 
 SETTINGS: Final = ModelCheckSettings()
@@ -365,8 +370,11 @@ def _looks_alike(mode: Mode, learned: SpectralPrior, interval: float) -> bool:
     """Whether a force above the natural frequency or the color of the noise there has edges that look like a mode."""
     if learned.rising or learned.color is None:
         return learned.rising
-    there = learned.color.density(np.array([mode.natural_frequency]), width=0.0)
-    return float(there[0]) > learned.noise**2 * interval
+    beside = 1 + SETTINGS.beside * np.array([-1.0, 0.0, 1.0])
+    below, there, above = learned.color.density(mode.natural_frequency * beside, width=0.0)
+    # an edge has its level on one side of it: what stands out of both is the mode, taken for a color
+    peaked = there > SETTINGS.peaked * max(below, above)
+    return bool(there > learned.noise**2 * interval and not peaked)
 
 
 def _peaks(record: ComponentRecord, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]) -> list[Peak]:
