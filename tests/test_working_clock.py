@@ -30,7 +30,7 @@ from seeds import trials
 
 RATE, SAMPLES, NOISE = 12_800.0, 80_003, 2.0
 FACTOR = 16
-"""How much slower the clock is: of 800 Hz the filter leaves 260 Hz as they are, three times 66 Hz and more."""
+"""How much slower the clock is: of 800 Hz the filter leaves 260 Hz as they are, 2.5 times 66 Hz and more."""
 
 SHORT = Division(readings=1 << 13)
 """Parts of 4096 samples of the slower clock, which take 65536 of the record: two of them here."""

@@ -1,14 +1,19 @@
-"""Memory of a long record of six components, from mV/V to forces, in a process of its own."""
+"""Long records of six components, from mV/V to forces: memory, processor time of a sample, and the clock."""
 
 from __future__ import annotations
 
+import os
+import resource
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+from scipy.fft import irfft, rfft
 
 from aerobalance.app.demos.six_demo import DemoFolder, calibrated, identified, largest_felt, weighed
 from aerobalance.io import write_recording
@@ -19,10 +24,9 @@ from aerobalance.simulation.six_signals import Band, broadband, random_motion
 LARGEST = 500.0
 """Most memory that the program may have resident [MB]."""
 
-CHANNELS = 12
-PARTS = (3, 8)
-PART, OWN = 57_344, 43_008
-"""Samples of a part of six components, and those of them that it adds to a record."""
+CHANNELS, COMPONENTS, RATE = 12, 6, 25_000.0
+SECONDS = (24.0, 60.0)
+"""Lengths of the two records: three parts and seven."""
 
 
 PROGRAM = """
@@ -36,23 +40,50 @@ sys.exit(code)
 """A command that says how much memory it had: what the system says of a child counts its parent's before it begins."""
 
 
-def resident(words: list[str]) -> float:
-    """Largest resident memory of a command [MB]."""
-    run = subprocess.run([sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, check=False)
+class Spent(NamedTuple):
+    """What a command took: largest resident memory [MB], processor time and time by the clock [s]."""
+
+    memory: float
+    processor: float
+    clock: float
+
+
+def spent(words: list[str]) -> Spent:
+    """What a command takes, its libraries' own threads apart."""
+    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    run = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )
+    clock, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
     assert run.returncode == 0, run.stderr
-    return float(run.stderr.splitlines()[-1].split()[1]) / 1024
+    processor = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+    return Spent(float(run.stderr.splitlines()[-1].split()[1]) / 1024, processor, clock)
 
 
+def transform(samples: int, rng: np.random.Generator) -> float:
+    """Processor time of a Fourier transform there and back, for each sample [s]."""
+    values, found = rng.normal(size=samples), []
+    for _ in range(6):
+        begin = time.process_time()
+        irfft(rfft(values))
+        found.append(time.process_time() - begin)
+    return min(found[1:]) / samples
+
+
+@pytest.mark.alone
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # of the way to the dynamics
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is told by the kernel of Linux")
-def test_memory_does_not_grow_with_the_record(tmp_path: Path, record, seed: int) -> None:
+def test_long_records_of_six_components(tmp_path: Path, record, seed: int) -> None:
     folder = DemoFolder(tmp_path, np.random.default_rng(seed))
     balance = random_balance(folder.generator)
     files = calibrated(folder, balance)
     dynamics = identified(folder, balance, files, weighed(folder, balance, files))
     band = Band(0, 1.2 * max(mode.natural_frequency for mode in balance.dynamics.modes))
-    samples = PART + (PARTS[-1] - 1) * OWN
-    duration = samples / 25_000.0
+    duration = SECONDS[-1]
     rig = SixComponentRig(
         balance,
         applied=broadband(
@@ -64,17 +95,28 @@ def test_memory_does_not_grow_with_the_record(tmp_path: Path, record, seed: int)
     kept = [name for name in made.channels if name not in ("pitch", "roll")]  # which stay as they were for the zero
     made = replace(made, channels={name: made.channels[name] for name in kept})
     assert len(kept) == CHANNELS
-    found = {}
-    for parts in PARTS:
-        path = tmp_path / f"run_{parts}.h5"
-        write_recording(path, made.part(0, PART + (parts - 1) * OWN))
+    found = []
+    counts = [int(seconds * RATE) for seconds in SECONDS]
+    for place, samples in enumerate(counts):
+        path = tmp_path / f"run_{place}.h5"
+        write_recording(path, made.part(0, samples))
         words = ["force", str(path), "--dynamics", str(dynamics), "--balance", str(files.balance)]
-        words += ["--zero", str(files.zero[0]), "-o", str(tmp_path / f"force_{parts}.h5")]
-        found[parts] = resident(words)
-        print(f"force, {parts} parts of six components: {found[parts]:.0f} MB")  # noqa: T201
-    few, many = (found[parts] for parts in PARTS)
-    record("500 MB over the memory of force, six components from mV/V in twelve channels", LARGEST / many, 1.0)
-    record("memory of force of 3 parts over that of 8 parts", few / many, 0.93)
-    assert many < LARGEST
+        words += ["--zero", str(files.zero[0]), "-o", str(tmp_path / f"force_{place}.h5")]
+        if not place:
+            spent([*words, "--replace"])  # compiles
+        found.append(spent([*words, "--replace"]))
+    few, many = found
+    own = transform(counts[0], np.random.default_rng(seed))
+    further = (many.processor - few.processor) / (counts[1] - counts[0]) / COMPONENTS
+    told = [f"{one.memory:.0f} MB, {one.processor:.2f} s of processor, {one.clock:.2f} s" for one in found]
+    print(f"{SECONDS} s of six components: {told}; a further sample {further / own:.0f} transforms")  # noqa: T201
+    record("500 MB over the memory of force, six components from mV/V in twelve channels", LARGEST / many.memory, 1.0)
+    record("memory of force of 24 s over that of 60 s", few.memory / many.memory, 0.93)
+    record("80 transforms over the time of a further sample of a component, six from mV/V", 80 * own / further, 1.0)
+    record(
+        "length of a record of 60 s over ten times the time of its force by the clock", duration / many.clock / 10, 1.0
+    )
+    assert many.memory < LARGEST
     # what stays of a part is sums, and a few numbers of each; the heap of a process settles within the first parts
-    assert few > 0.93 * many
+    assert few.memory > 0.9 * many.memory
+    assert further < 160 * own

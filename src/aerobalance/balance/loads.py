@@ -150,6 +150,15 @@ class Loads:
             recording=self.recording.part(begin, end),
         )
 
+    def sparse(self, every: int) -> Loads:
+        """Every so many of the samples, without their recording."""
+        return replace(
+            self,
+            values=self.values[::every],
+            apart=self.apart if len(self.apart) == 1 else self.apart[::every],
+            native=self.native[::every],
+        )
+
     @property
     def without_weight_of_zero(self) -> Loads:
         """The same less the weight in their zero, as a run of no known attitude is taken to have that of its zero."""

@@ -45,7 +45,8 @@ class Division:
         Readings of all components together that are worked on at once, at most: a part has the largest multiple of
         `round_to` samples that keeps to it.
     decimated
-        Times as many readings of the record, at most, where its forces are worked out on a slower clock.
+        Readings of a slower clock over these, at most, where the forces are worked out on one, and readings of the
+        record that they are made of: both are in memory, one after the other.
     round_to
         Samples.
     decay_times
@@ -58,7 +59,7 @@ class Division:
     """
 
     readings: int = 6 * 57344
-    decimated: int = 5
+    decimated: tuple[float, float] = (5 / 7, 5.5)
     round_to: int = 1 << 12
     decay_times: float = 4.0
     margin: tuple[int, float] = (1 << 12, 1 / 8)
@@ -66,7 +67,8 @@ class Division:
 
     def length(self, dynamics: BalanceDynamics, *, every: int = 1) -> int:
         """Return the samples of a part, on a clock with one for so many of the record."""
-        readings = self.readings * self.decimated // max(every, self.decimated)
+        slower, most = self.decimated
+        readings = self.readings if every == 1 else int(self.readings * min(slower, most / every))
         return max(readings // len(dynamics.components) // self.round_to, 1) * self.round_to
 
     def parts(self, record: LongRecord[Any], dynamics: BalanceDynamics, *, every: int = 1) -> tuple[Part, ...]:

@@ -228,8 +228,7 @@ class SpectrumSums:
             if isinstance(part, Noise):
                 self.noise += part.relative_density(self.noise.size) * 2 * float(np.sum(part.deviation**2))
             elif part.covariance.any():
-                spectra = [self._averaged(values, one) for one in part.slopes.T]
-                gradient = 2 * count * np.real(np.stack(spectra, axis=1))
+                gradient = 2 * count * np.real(self._averaged(values, part.slopes.T).T)
                 if part.local:
                     self.variance += np.sum((gradient @ part.covariance) * gradient, axis=1)
                 else:

@@ -63,7 +63,7 @@ class WorkingClockSettings:
         Bands of equal width in which the spectrum is looked at.
     """
 
-    periods: float = 3.0
+    periods: float = 2.5
     beyond: float = 1.5
     stands_out: tuple[float, float] = (2.0, 1.25)
     factors: tuple[int, ...] = (16, 15, 14, 12, 10, 9, 8, 7, 6, 5, 4)

@@ -60,14 +60,14 @@ def averaged_spectrum(
     length
         Samples of a segment, at most n.
     other
-        Another series of shape (n,); the cross-spectral density of the two is returned then.
+        Another series of shape (n,), or several of shape (k, n); the cross-spectral densities are returned then.
     less
         What is taken off each segment.
 
     Returns
     -------
     frequency, density
-        Shape (length / 2 + 1,) each.
+        Shape (length / 2 + 1,) each, or (k, length / 2 + 1) of several densities.
     """
     window = hann(length)
 
@@ -77,10 +77,12 @@ def averaged_spectrum(
         return np.asarray(rfft(level * window), dtype=np.complex128)
 
     own = spectra(values)
-    product = own.conj() * (own if other is None else spectra(other))
-    density = product.mean(axis=0) / (rate * np.sum(window**2))
-    density[1 : -1 if length % 2 == 0 else None] *= 2
-    return np.arange(density.size) * (rate / length), density
+    others = [own] if other is None else [spectra(one) for one in np.atleast_2d(other)]
+    density = np.stack([(own.conj() * one).mean(axis=0) for one in others]) / (rate * np.sum(window**2))
+    density[:, 1 : -1 if length % 2 == 0 else None] *= 2
+    frequency = np.asarray(np.arange(density.shape[1]) * (rate / length), dtype=np.float64)
+    several = other is not None and other.ndim > 1
+    return frequency, np.asarray(density if several else density[0], dtype=np.complex128)
 
 
 def convolve(series: Array, weights: Array) -> Array:

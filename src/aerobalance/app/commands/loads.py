@@ -59,6 +59,10 @@ def convert_matrix(path: Path, out: Path) -> Result:
     return {"file": path.name, "written": out.name, "components": names, "warnings": collected, "summary": said}
 
 
+ENOUGH: Final = 1 << 14
+"""Samples of a part from which the uncertainty of its loads by the calibration is summed up."""
+
+
 class LoadSource(NamedTuple):
     """How a file becomes balance loads.
 
@@ -162,7 +166,9 @@ class LoadsSummary:
 
     def add(self, felt: Loads, own: slice, *, every: int = 1) -> None:
         """Add those samples of a part that it answers for, each of which was made of so many of the record."""
-        values, calibration = felt.values[own], felt.calibration[own]
+        values = felt.values[own]
+        # an uncertainty that changes with the load alone: of a long part some thousand samples have its mean square
+        calibration = felt.part(own.start, own.stop).sparse(max(values.shape[0] // ENOUGH, 1)).calibration
         known = np.isfinite(values)
         filled = np.where(known, values, 0.0)
         count = known.sum(axis=0)
@@ -177,7 +183,7 @@ class LoadsSummary:
         self._sums += [
             change.sum(axis=0),
             (change**2).sum(axis=0),
-            np.nansum(calibration**2, axis=0),
+            np.nansum(calibration**2, axis=0) * (values.shape[0] / max(calibration.shape[0], 1)),
             values.shape[0] * every * felt.noise**2,
         ]
         if every > 1:  # the largest lie between the samples
