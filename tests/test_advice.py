@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,16 +33,19 @@ SOURCE = Path(aerobalance.__file__).parent
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
 
 
+@cache
+def nodes(path: Path) -> list[ast.AST]:
+    """Every node of a module."""
+    return list(ast.walk(ast.parse(path.read_text())))
+
+
 def texts(path: Path) -> list[str]:
     """Every string of a module but its docstrings, the parts of formatted ones joined."""
-    tree = ast.parse(path.read_text())
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    said = {
-        id(node.body[0].value) for node in ast.walk(tree) if isinstance(node, documented) and _begins_with_text(node)
-    }
+    said = {id(node.body[0].value) for node in nodes(path) if isinstance(node, documented) and _begins_with_text(node)}
     return [
         node.value
-        for node in ast.walk(tree)
+        for node in nodes(path)
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in said
     ]
 
@@ -80,7 +84,7 @@ def test_the_library_names_no_options():
 
 
 def test_every_argument_that_a_message_names_has_an_option():
-    calls = [node for path in SOURCE.rglob("*.py") for node in ast.walk(ast.parse(path.read_text()))]
+    calls = [node for path in SOURCE.rglob("*.py") for node in nodes(path)]
     named = {
         ast.literal_eval(node.args[0])
         for node in calls

@@ -243,7 +243,7 @@ def test_others_refuse_missing_samples(options):
 
 @pytest.mark.filterwarnings("ignore:.* times .* what (ground_acceleration|pitch) reads")  # no load goes with it here
 def test_dc_coupled_accelerometer_is_kinematic_and_pitch(rng):
-    n = 4000
+    n = 2000
     t = np.arange(n) / RATE
     ground = np.sin(2 * np.pi * 12 * t)
     pitch = np.deg2rad(4 * np.sin(2 * np.pi * 0.5 * t))
@@ -252,11 +252,11 @@ def test_dc_coupled_accelerometer_is_kinematic_and_pitch(rng):
     kinematic = record(AF=load, ground_acceleration=(ground, exact), pitch=(pitch, exact))
     specific = ground - STANDARD_GRAVITY * np.sin(pitch)
     dc = {"noise": 0.0, "coupling": "dc"}
-    for others in ({}, {"pitch": (pitch, exact)}):  # pitch must not be added again
-        other = record(AF=load, ground_acceleration=(specific, dc), **others)
-        for method in ("smoother", "paper"):
-            one, two = (estimate_force(r, T128, method=method).only.values for r in (kinematic, other))
-            assert two == pytest.approx(one, abs=1e-6)
+    for method in ("smoother", "paper"):
+        one = estimate_force(kinematic, T128, method=method).only.values
+        for others in ({}, {"pitch": (pitch, exact)}):  # pitch must not be added again
+            other = record(AF=load, ground_acceleration=(specific, dc), **others)
+            assert estimate_force(other, T128, method=method).only.values == pytest.approx(one, abs=1e-6)
 
 
 def test_ac_coupled_accelerometer_is_warned_about():

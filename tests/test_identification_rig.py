@@ -333,7 +333,7 @@ def misfit(found: Dynamics, truth: Dynamics) -> tuple[np.ndarray, float]:
 
 @pytest.mark.parametrize("mass", [LARGE.mass, None])
 @pytest.mark.parametrize("modes", ["auto", 2])
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_second_mode_is_found_within_its_uncertainty(mass: float | None, modes: str | int, rng):
     second = some_mode(rng, 165.0)
     sweep = Sweep(10.0, 400.0, 10.0, amplitude=1.0).signal(rng)
@@ -373,11 +373,12 @@ def test_scatter_of_the_second_mode_is_stated(rng):
     assert np.sum(totals) < 1.25 * chi2.isf(1e-6, draws * len(scores[0]))
 
 
-def test_one_mode_is_enough_where_there_is_one(rng):
-    for noise in ((2.0, 0.02), (10.0, 0.1)):
-        for drive in (None, Sweep(10.0, 300.0, 10.0, amplitude=1.0).signal(rng)):
-            fit, _ = said(several(rng, drive=drive, noise=noise), modes="auto")
-            assert fit.dynamics.further_modes == (), fit.dynamics.further_modes
+@pytest.mark.parametrize("noise", [(2.0, 0.02), (10.0, 0.1)])
+@pytest.mark.soak(first=1)
+def test_one_mode_is_enough_where_there_is_one(noise, rng):
+    for drive in (None, Sweep(10.0, 300.0, 10.0, amplitude=1.0).signal(rng)):
+        fit, _ = said(several(rng, drive=drive, noise=noise), modes="auto")
+        assert fit.dynamics.further_modes == (), fit.dynamics.further_modes
 
 
 def test_modes_asked_for_have_to_be_there(rng):

@@ -262,7 +262,7 @@ def test_what_a_record_leaves_open_counts_by_its_probability(probability, monkey
 
 def test_the_right_resonance_is_left_alone_and_leaves_little_open(seed):
     forces = []
-    for one in range(trials(6, 60)):
+    for one in range(trials(4, 60)):
         values = flat(BARE, np.random.default_rng([seed, one]), seconds=2.5)
         recording = Recording.from_columns(np.arange(values.size) / RATE, {"AF": Channel("AF", values, "N")})
         forces.append(estimate_force(recording, BARE))
