@@ -137,7 +137,8 @@ def test_without_truth_only_differences_are_shown(here, capsys):
     assert all("rms" not in row for row in account["rivals"])
 
 
-@pytest.mark.parametrize("truth", ["", "--truth cut_truth.csv"])
+@pytest.mark.parametrize("truth", ["--truth cut_truth.csv", ""])
+@pytest.mark.soak(first=1)
 def test_page_stands_alone(here, capsys, truth):
     code, out, err = call(capsys, f"compare cut.csv --dynamics dynamics.json {truth} -o page.html")
     assert code == 0, err

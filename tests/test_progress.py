@@ -95,7 +95,7 @@ def test_force_and_monte_carlo_say_where_they_are(rng, monkeypatch):
 
 @pytest.mark.skipif(os.name == "nt", reason="terminals are those of POSIX")
 def test_progress_stands_at_a_terminal_and_not_in_a_file(tmp_path, rng):
-    run = CableCut().run(4.0, rng)
+    run = CableCut().run(2.0, rng)
     write_recording(tmp_path / "run.csv", run.recording)
     write_dynamics(tmp_path / "dynamics.json", {"AF": CableCut().dynamics})
     words = ["force", "run.csv", "--dynamics", "dynamics.json", "-o", "f.csv", "--monte-carlo", "600", "--replace"]
