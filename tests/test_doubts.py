@@ -236,6 +236,7 @@ def test_a_force_that_the_noise_hides_is_in_the_uncertainty(name):
 
 
 @pytest.mark.parametrize("load", ["0-20 Hz", "none"])
+@pytest.mark.soak(first=1)
 def test_hum_that_is_taken_for_force_is_told_and_counted(load):
     case = CASES[f"hum of 5 N at 50 Hz that drifts by 0.3 Hz, {load}"]
     force, found = tried(case, 0)

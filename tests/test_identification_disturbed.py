@@ -239,6 +239,7 @@ def test_the_command_tells_doubts_as_fields(tmp_path, rng):
     assert all(doubt["text"] in " ".join(found["warnings"]) for doubt in found["doubts"])
 
 
+@pytest.mark.soak(first=0)
 def test_dynamics_of_a_gap_in_a_windy_decay(rng):
     recording = windy(rng, rms=50.0, band=(0.0, 200.0))
     load = recording.channel("AF").values.copy()

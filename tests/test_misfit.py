@@ -85,7 +85,7 @@ def test_a_missing_mode_is_named_after_a_release(share, rng):
     assert found.missing.natural_frequency == pytest.approx(frequency, rel=0.01)
     assert f"mode at {found.missing.natural_frequency:.4g} Hz" in found.doubts(dynamics)[0].doubt.text
     assert found.frequency is None
-    complete = identified(truth, rng).with_modes(*truth.further_modes)
+    complete = dynamics.with_modes(*truth.further_modes)
     assert looked_at(released(truth, rng), complete).missing is None
 
 

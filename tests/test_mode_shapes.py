@@ -22,17 +22,20 @@ from faults.scene import band, shaped, soft, together
 from faults.six import HALF_RANGE, SIX, SixScene, balance, drawn, moved, recording_of
 from seeds import trials
 
+CLOCK = replace(SIX, rate=4000.0, samples=2000, fine=8)
+"""Half a second at ten times the highest frequency."""
+
 
 def _record(scene: SixScene, rng: np.random.Generator) -> tuple[Array, Array]:
     """Readings and forces of a record, (samples, 6)."""
-    record = scene.record(rng)
+    record = replace(scene, clock=CLOCK).record(rng)
     return np.column_stack(list(record.columns.values())), record.force
 
 
 def _force(values: Array, dynamics: CoupledDynamics) -> Force:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)  # each doubt is told as one
-        return estimate_force(recording_of(values, SIX.rate), dynamics)
+        return estimate_force(recording_of(values, CLOCK.rate), dynamics)
 
 
 def _scores(force: Force, truth: Array) -> tuple[Array, Array]:
