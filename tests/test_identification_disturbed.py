@@ -61,7 +61,7 @@ def windy(rng: np.random.Generator, *, rms: float, band: tuple[float, float]) ->
 )
 @pytest.mark.soak(first=1)
 def test_wind_is_in_the_uncertainty(rms, band, rng):
-    draws = trials(3, 40)
+    draws = trials(2, 40)
     scores, u_decay = [], []
     for _ in range(draws):
         recording = windy(rng, rms=rms, band=band)

@@ -204,6 +204,7 @@ def test_coupled_components_with_close_modes_are_told_with_true_uncertainties(rn
     assert _within(squares, 8 * count)
 
 
+@pytest.mark.soak(first=0)
 def test_six_components_have_true_uncertainties(rng):
     count, squares, freedom = trials(1, 20), 0.0, 0
     for _ in range(count):
